@@ -1,0 +1,44 @@
+"""The one tree of errors.
+
+Library code raises them; only :mod:`lightopt.cli` turns them into messages and an exit status.
+"""
+
+from __future__ import annotations
+
+__all__ = ["CheckFailed", "HardwareError", "InputError", "LightoptError"]
+
+
+class LightoptError(Exception):
+    """Base of all errors that lightopt raises on purpose.
+
+    Parameters
+    ----------
+    *messages
+        One or more messages for the person at the machine: what is wrong and where (file, line, key), what was
+        expected, what was found, what to do. Each is shown on a line of its own.
+    """
+
+    exit_status = 2
+
+    def __init__(self, *messages: str) -> None:
+        super().__init__(*messages)
+        self.messages: tuple[str, ...] = messages
+
+    def __str__(self) -> str:
+        return "\n".join(self.messages)
+
+
+class InputError(LightoptError):
+    """The user's input (a file, an option, a folder) is wrong. Exit status 2."""
+
+
+class CheckFailed(LightoptError):
+    """A check said no (a difference, a missing golden). Exit status 1."""
+
+    exit_status = 1
+
+
+class HardwareError(LightoptError):
+    """A device failed or did not answer. Exit status 3."""
+
+    exit_status = 3

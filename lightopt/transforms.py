@@ -1,0 +1,87 @@
+"""Directions, local frames and rotations in the world frame (right-handed, +Z up, column vectors)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "azimuth_tangent",
+    "direction",
+    "elevation_tangent",
+    "posture_rotation",
+    "rigid_transform",
+    "rotation_x",
+    "rotation_y",
+    "rotation_z",
+]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+def direction(*, elevation: float, azimuth: float) -> Vector:
+    """Unit vector d from the origin towards (elevation θ, azimuth φ), shape (3,), world frame.
+
+    Parameters
+    ----------
+    elevation, azimuth
+        [rad]. Elevation is measured from the table plane: π/2 is straight above, and it may pass π/2.
+    """
+    c, s = np.cos(elevation), np.sin(elevation)
+    return np.array([c * np.cos(azimuth), c * np.sin(azimuth), s])
+
+
+def elevation_tangent(*, elevation: float, azimuth: float) -> Vector:
+    """Unit vector e_θ = ∂d/∂θ, shape (3,), world frame; angles in [rad]."""
+    c, s = np.cos(elevation), np.sin(elevation)
+    return np.array([-s * np.cos(azimuth), -s * np.sin(azimuth), c])
+
+
+def azimuth_tangent(*, azimuth: float) -> Vector:
+    """Unit vector e_φ along increasing azimuth, shape (3,), world frame; angle in [rad]. e_φ × e_θ = d."""
+    return np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+
+
+def rotation_x(angle: float) -> Matrix:
+    """Rotation about the X axis by `angle` [rad], shape (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rotation_y(angle: float) -> Matrix:
+    """Rotation about the Y axis by `angle` [rad], shape (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def rotation_z(angle: float) -> Matrix:
+    """Rotation about the Z axis by `angle` [rad], shape (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def posture_rotation(*, elevation: float, rotation: float) -> Matrix:
+    """Rotation R = Rx(θ_j)·Rz(φ_j) of a posture, shape (3, 3): the tilt cradle carries the rotary axis.
+
+    Parameters
+    ----------
+    elevation, rotation
+        The posture's tilt θ_j and rotation φ_j [rad].
+    """
+    return rotation_x(elevation) @ rotation_z(rotation)
+
+
+def rigid_transform(points: NDArray[np.float64], rotation: Matrix, pivot: Vector) -> NDArray[np.float64]:
+    """Rotate points about a pivot: p' = pivot + R·(p − pivot).
+
+    Parameters
+    ----------
+    points
+        [mm], shape (..., 3).
+    rotation
+        Shape (3, 3).
+    pivot
+        [mm], shape (3,).
+    """
+    return (points - pivot) @ rotation.T + pivot
