@@ -30,14 +30,14 @@ __all__ = ["__version__", "build_scene", "load_part", "load_rig", "render"]
 
 if TYPE_CHECKING:
     from lightopt.config import load_part, load_rig
-    from lightopt.render import render
+    from lightopt.rendering import render
     from lightopt.scene import build_scene
 
 _HOMES = {
     "load_rig": "lightopt.config",
     "load_part": "lightopt.config",
     "build_scene": "lightopt.scene",
-    "render": "lightopt.render",
+    "render": "lightopt.rendering",
 }
 
 

@@ -1,0 +1,32 @@
+"""Rig and part files: strict YAML, every error at once with its line, frozen results.
+
+Numbers stay in the units of the files (mm, degrees; the keys name them); :mod:`lightopt.scene` turns them
+into physics.
+"""
+
+from lightopt.config._camera import CameraConfig, DistortionConfig, SensorConfig
+from lightopt.config._lights import LightConfig, LightSourceConfig
+from lightopt.config._load import load_part, load_rig
+from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, PostureConfig, ReflectanceConfig
+from lightopt.config._rig import RigConfig, StageConfig
+from lightopt.config._schema import json_schema
+from lightopt.config._source import Source
+
+__all__ = [
+    "CameraConfig",
+    "DistortionConfig",
+    "LightConfig",
+    "LightSourceConfig",
+    "MeshConfig",
+    "PartConfig",
+    "PlacementConfig",
+    "PostureConfig",
+    "ReflectanceConfig",
+    "RigConfig",
+    "SensorConfig",
+    "Source",
+    "StageConfig",
+    "json_schema",
+    "load_part",
+    "load_rig",
+]

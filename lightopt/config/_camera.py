@@ -1,0 +1,131 @@
+"""What a rig file says of the camera."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+
+from lightopt.config._fields import Azimuth, Elevation, Frozen, Length, Positive, absent, complaint, expecting
+
+__all__ = ["CameraConfig", "DistortionConfig", "SensorConfig"]
+
+_Distortion = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False), expecting("a number")]
+_Pixels = Annotated[int, Field(ge=1, le=65535)]
+
+
+def _whole(value: object) -> object:
+    if type(value) is not int:
+        raise ValueError("a literal would take 8.0 for 8")
+    return value
+
+
+class DistortionConfig(Frozen):
+    """Lens distortion in OpenCV's model: x to the right, y down, in units of the image distance."""
+
+    k1: _Distortion = Field(default=0.0, description="Radial coefficient of r².")
+    k2: _Distortion = Field(default=0.0, description="Radial coefficient of r⁴.")
+    p1: _Distortion = Field(default=0.0, description="First tangential coefficient.")
+    p2: _Distortion = Field(default=0.0, description="Second tangential coefficient.")
+    k3: _Distortion = Field(default=0.0, description="Radial coefficient of r⁶.")
+
+
+class SensorConfig(Frozen):
+    """How the sensor turns light into levels."""
+
+    bit_depth: Annotated[
+        Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), expecting("8, 10, 12, 14 or 16")
+    ] = Field(description="Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels.")
+    saturation_level: Annotated[int, Field(ge=1), expecting("a whole level above 0")] | None = Field(
+        default=None,
+        description="Level [levels] from which a pixel counts as saturated; the full scale unless given. "
+        "Some 12-bit cameras stop at 4080.",
+    )
+    black_level: Annotated[float, Field(ge=0, allow_inf_nan=False), expecting("a level from 0 up")] = Field(
+        default=0.0, description="Level of an unlit pixel [levels of the sensor]."
+    )
+    read_noise_levels: Annotated[
+        float, Field(ge=0, le=1e5, allow_inf_nan=False), expecting("a number from 0 up")
+    ] = Field(
+        default=0.0, description="Standard deviation of the noise without light [levels of the sensor]."
+    )
+    electrons_per_level: Positive | None = Field(
+        default=None, description="Conversion gain [electrons per level], for shot noise; none unless given."
+    )
+
+    @field_validator("saturation_level")
+    @classmethod
+    def _within_full_scale(cls, level: int | None, info: ValidationInfo) -> int | None:
+        bits = info.data.get("bit_depth")
+        if level is not None and bits is not None and level > 2**bits - 1:
+            raise complaint(f"expected at most {2**bits - 1}, the full scale of {bits} bits, found {level}")
+        return level
+
+    @field_validator("black_level")
+    @classmethod
+    def _below_saturation(cls, black: float, info: ValidationInfo) -> float:
+        if "bit_depth" not in info.data or "saturation_level" not in info.data:
+            return black
+        top = info.data["saturation_level"] or 2 ** info.data["bit_depth"] - 1
+        if black >= top:
+            raise complaint(f"expected less than the saturation level, {top}, found {black:g}")
+        return black
+
+
+class CameraConfig(Frozen):
+    """A pinhole camera that looks at the origin, the centre of the table top."""
+
+    distance_mm: Length = Field(description="Distance from the origin to the pinhole [mm].")
+    elevation_deg: Elevation = Field(
+        description="Elevation of the camera above the table plane [deg]; 90 is straight above."
+    )
+    azimuth_deg: Azimuth = Field(
+        default=270.0,
+        description="Azimuth of the camera about Z, from X [deg]; at 270 and elevation 90 the image shows X "
+        "to the right and Y up.",
+    )
+    roll_deg: Azimuth = Field(default=0.0, description="Roll of the camera about its viewing axis [deg].")
+    resolution_px: Annotated[
+        tuple[_Pixels, _Pixels],
+        Field(strict=False),
+        expecting("[width, height], two whole numbers from 1 to 65535"),
+    ] = Field(description="Width and height of the image [pixels].")
+    pixel_size_um: Annotated[
+        float, Field(ge=0.01, le=1000, allow_inf_nan=False), expecting("a number from 0.01 to 1000")
+    ] = Field(description="Edge of a square pixel on the sensor [µm].")
+    image_distance_mm: Length | None = Field(
+        default=None,
+        description="Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm.",
+    )
+    focal_length_mm: Length | None = Field(
+        default=None,
+        description="Focal length of a lens that is focused at distance_mm [mm]: 1/f = 1/a + 1/b. Give this "
+        "or image_distance_mm.",
+        validate_default=True,
+    )
+    distortion: DistortionConfig = Field(
+        default=DistortionConfig(), description="Lens distortion; none unless given."
+    )
+    sensor: SensorConfig = Field(description="The sensor, and how it turns light into levels.")
+    exposure_us: Positive | None = Field(
+        default=None, description="Exposure time [µs] that counts as exposure 1 on real hardware."
+    )
+
+    @field_validator("focal_length_mm")
+    @classmethod
+    def _one_of_two(cls, focal: float | None, info: ValidationInfo) -> float | None:
+        if "image_distance_mm" not in info.data:
+            return focal
+        if info.data["image_distance_mm"] is None and focal is None:
+            keys = ("image_distance_mm", "focal_length_mm")
+            raise absent(
+                f'missing key "{keys[0]}" (pinhole to image plane) or "{keys[1]}" (of the lens)', *keys
+            )
+        if info.data["image_distance_mm"] is not None and focal is not None:
+            raise complaint("given together with image_distance_mm; expected one of the two")
+        distance = info.data.get("distance_mm")
+        if focal is not None and distance is not None and focal >= distance:
+            raise complaint(
+                f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
+            )
+        return focal

@@ -1,0 +1,231 @@
+"""Strict YAML: text to plain data with the line of every key, and what is wrong on the way.
+
+Built from PyYAML's events, so no tag is ever resolved and no constructor ever runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+import yaml
+
+from lightopt.config._scalars import NotFiniteError, plain_scalar
+from lightopt.config._source import Keys
+
+__all__ = ["INVALID", "Document", "Problem", "YamlError", "parse"]
+
+MAX_NODES = 20_000
+MAX_DEPTH = 40
+
+
+class _Invalid:
+    """Stands where the file has a value that is already reported as wrong."""
+
+    def __repr__(self) -> str:
+        return "INVALID"
+
+
+INVALID: Final = _Invalid()
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing wrong with a file: the line it is in, the keys that lead to it, and what to tell."""
+
+    line: int
+    keys: Keys
+    message: str
+
+
+class YamlError(Exception):
+    """The text cannot be read any further."""
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(message)
+        self.problem = Problem(line, (), message)
+
+
+@dataclass
+class Document:
+    """Plain data of a YAML document, the line of each path of keys, and the problems met."""
+
+    data: object = None
+    lines: dict[Keys, int] = field(default_factory=dict[Keys, int])
+    problems: list[Problem] = field(default_factory=list[Problem])
+
+
+@dataclass(frozen=True)
+class _Node:
+    line: int
+    event: yaml.NodeEvent
+    pairs: tuple[tuple[_Node, _Node], ...] = ()
+    items: tuple[_Node, ...] = ()
+
+
+def parse(text: str) -> Document:
+    """Read one YAML document; `data` is None when there is nothing in it.
+
+    Raises
+    ------
+    YamlError
+        Where the text is not YAML, holds several documents, or expands beyond all measure.
+    """
+    reader = _Reader(text)
+    try:
+        root = reader.document()
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise YamlError(line, f"control character U+{ord(text[error.position]):04X}; remove it") from None
+    except yaml.MarkedYAMLError as error:
+        raise YamlError(*_explain(error)) from None
+    except (yaml.YAMLError, ValueError, OverflowError, IndexError) as error:
+        # PyYAML lets chr() fail on an escape such as "\UFFFFFFFF".
+        raise YamlError(reader.line, f"not valid YAML: {error}") from None
+    document = Document()
+    if root is not None:
+        document.data = _Expansion(document).value(root, (), root.line)
+    return document
+
+
+class _Reader:
+    """Builds the tree of nodes from PyYAML's events."""
+
+    def __init__(self, text: str) -> None:
+        self.events: Iterator[yaml.Event] = yaml.parse(text, Loader=yaml.SafeLoader)
+        self.anchors: dict[str, _Node] = {}
+        self.count = 0
+        self.line = 1
+
+    def next(self) -> yaml.Event:
+        event = next(self.events)
+        self.line = event.start_mark.line + 1
+        return event
+
+    def document(self) -> _Node | None:
+        root: _Node | None = None
+        for event in self.events:
+            self.line = event.start_mark.line + 1
+            if isinstance(event, yaml.NodeEvent):
+                root = self.node(event, 0)
+            elif isinstance(event, yaml.DocumentStartEvent) and root is not None:
+                raise YamlError(self.line, "a second document starts here (---); expected one per file")
+        return root
+
+    def node(self, event: yaml.Event, depth: int) -> _Node:
+        self.count += 1
+        if self.count > MAX_NODES:
+            raise YamlError(self.line, f"more than {MAX_NODES} values; this is not a configuration file")
+        if depth > MAX_DEPTH:
+            raise YamlError(self.line, f"nested more than {MAX_DEPTH} levels deep")
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor not in self.anchors:
+                raise YamlError(self.line, f"*{event.anchor} refers to no complete &{event.anchor} before it")
+            return self.anchors[event.anchor]
+        assert isinstance(event, yaml.NodeEvent)
+        node = self.collection(event, depth)
+        if event.anchor is not None:
+            self.anchors[event.anchor] = node
+        return node
+
+    def collection(self, event: yaml.NodeEvent, depth: int) -> _Node:
+        line = self.line
+        if isinstance(event, yaml.SequenceStartEvent):
+            items: list[_Node] = []
+            while not isinstance(child := self.next(), yaml.SequenceEndEvent):
+                items.append(self.node(child, depth + 1))
+            return _Node(line, event, items=tuple(items))
+        if isinstance(event, yaml.MappingStartEvent):
+            pairs: list[tuple[_Node, _Node]] = []
+            while not isinstance(child := self.next(), yaml.MappingEndEvent):
+                key = self.node(child, depth + 1)
+                pairs.append((key, self.node(self.next(), depth + 1)))
+            return _Node(line, event, pairs=tuple(pairs))
+        return _Node(line, event)
+
+
+class _Expansion:
+    """Turns the tree of nodes into plain data, aliases written out."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self.count = 0
+
+    def report(self, line: int, keys: Keys, message: str) -> _Invalid:
+        self.document.problems.append(Problem(line, keys, message))
+        return INVALID
+
+    def value(self, node: _Node, keys: Keys, line: int) -> object:
+        self.count += 1
+        if self.count > MAX_NODES or len(keys) > MAX_DEPTH:
+            raise YamlError(line, f"aliases expand to more than {MAX_NODES} values or {MAX_DEPTH} levels")
+        self.document.lines[keys] = line
+        event = node.event
+        if isinstance(event, (yaml.ScalarEvent, yaml.CollectionStartEvent)) and event.tag is not None:
+            tag = event.tag.replace("tag:yaml.org,2002:", "!!")
+            return self.report(node.line, keys, f"tag {tag} is not allowed; write the plain value")
+        if isinstance(event, yaml.ScalarEvent):
+            return self.scalar(event, keys, line)
+        if isinstance(event, yaml.SequenceStartEvent):
+            return [self.value(item, (*keys, i), item.line) for i, item in enumerate(node.items)]
+        return self.mapping(node, keys)
+
+    def scalar(self, event: yaml.ScalarEvent, keys: Keys, line: int) -> object:
+        text: str = event.value
+        if any("\ud800" <= c <= "\udfff" for c in text):
+            return self.report(line, keys, "half of a surrogate pair is not a character")
+        if not event.implicit[0]:
+            return text
+        try:
+            return plain_scalar(text)
+        except NotFiniteError as error:
+            return self.report(line, keys, str(error))
+
+    def mapping(self, node: _Node, keys: Keys) -> dict[str, object]:
+        data: dict[str, object] = {}
+        for key_node, value_node in node.pairs:
+            line, event = key_node.line, key_node.event
+            if not isinstance(event, yaml.ScalarEvent) or event.tag is not None:
+                self.report(line, keys, "expected a key of plain text")
+                continue
+            key = self.scalar_key(event, keys, line)
+            if key is None:
+                continue
+            if key in data:
+                first = self.document.lines[(*keys, key)]
+                self.report(line, keys, f'key "{key[:60]}" is given twice; the first is in line {first}')
+                continue
+            data[key] = self.value(value_node, (*keys, key), line)
+        return data
+
+    def scalar_key(self, event: yaml.ScalarEvent, keys: Keys, line: int) -> str | None:
+        """Text of a key; keys are never numbers or booleans."""
+        key: str = event.value
+        if key == "<<" and event.implicit[0]:
+            self.report(line, keys, 'merging with "<<" is not part of YAML 1.2; write the keys out')
+            return None
+        if any("\ud800" <= c <= "\udfff" for c in key):
+            self.report(line, keys, "half of a surrogate pair is not a character")
+            return None
+        return key
+
+
+def _explain(error: yaml.MarkedYAMLError) -> tuple[int, str]:
+    """Line and message of a syntax error."""
+    mark = error.problem_mark or error.context_mark
+    line = mark.line + 1 if mark else 1
+    column = f" (column {mark.column + 1})" if mark else ""
+    problem = error.problem or "it cannot be read"
+    if r"'\t'" in problem:
+        return line, f"a tab{column}: YAML is indented with spaces"
+    if "mapping values are not allowed" in problem:
+        return line, f'a second ": "{column}: check the indentation, or put the text in quotes'
+    if "could not find expected ':'" in problem:
+        return line, 'expected "key: value" before this line; a colon with a space after it is missing'
+    if "expected <block end>" in problem:
+        return line, f"indented differently from the lines above{column}"
+    context = f", {error.context}" if error.context else ""
+    if error.context and error.context_mark and error.context_mark.line + 1 != line:
+        context += f" that starts in line {error.context_mark.line + 1}"
+    return line, f"not valid YAML{column}: {problem}{context}"

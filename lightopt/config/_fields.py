@@ -1,0 +1,191 @@
+"""The kinds of value in the files, each with the words that say what is expected."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+if TYPE_CHECKING:
+    from typing_extensions import LiteralString
+
+__all__ = [
+    "Azimuth",
+    "AzimuthRange",
+    "Coefficient",
+    "Coordinates",
+    "Elevation",
+    "ElevationRange",
+    "FileName",
+    "Frozen",
+    "Length",
+    "Number",
+    "Points",
+    "Positive",
+    "Size",
+    "Text",
+    "Tilt",
+    "TiltRange",
+    "absent",
+    "complaint",
+    "expecting",
+    "with_complaints",
+]
+
+Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
+
+
+class Frozen(BaseModel):
+    """Base of all configuration: unknown keys are errors, nothing is converted, nothing changes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def complaint(reason: str) -> PydanticCustomError:
+    """Error that is told in these words."""
+    return PydanticCustomError("complaint", "{reason}", {"reason": reason})
+
+
+def absent(reason: str, *keys: str) -> PydanticCustomError:
+    """Error that one of these keys is missing from the mapping around the field."""
+    return PydanticCustomError("absent", "{reason}", {"reason": reason, "keys": keys})
+
+
+def expecting(what: str) -> WrapValidator:
+    """Report whatever is wrong with a value as: expected `what`, found the value."""
+
+    def check(value: object, handler: ValidatorFunctionWrapHandler) -> object:
+        try:
+            return handler(value)
+        except ValidationError as error:
+            if any(e["type"] == "complaint" for e in error.errors(include_url=False)):
+                raise
+            raise PydanticCustomError("expected", "expected {expected}", {"expected": what}) from None
+
+    return WrapValidator(check)
+
+
+def with_complaints(
+    value: object, handler: ValidatorFunctionWrapHandler, complaints: Iterable[Complaint]
+) -> Any:
+    """Validate a value, and report complaints about it together with what the validation finds."""
+    more = [InitErrorDetails(type=error, loc=loc, input=found) for loc, found, error in complaints]
+    try:
+        result = handler(value)
+    except ValidationError as error:
+        for e in error.errors(include_url=False):
+            kind = PydanticCustomError(
+                cast("LiteralString", e["type"]), cast("LiteralString", e["msg"]), e.get("ctx")
+            )
+            more.append(InitErrorDetails(type=kind, loc=e["loc"], input=e["input"]))
+        raise ValidationError.from_exception_data("configuration", more) from None
+    if more:
+        raise ValidationError.from_exception_data("configuration", more)
+    return result
+
+
+def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise complaint(f"expected [low, high], found the low end {pair[0]:g} above the high end {pair[1]:g}")
+    return pair
+
+
+def _square(points: int | str) -> int | str:
+    if isinstance(points, int) and points >= 1:
+        k = math.isqrt(points)
+        if k * k != points:
+            raise complaint(
+                f"expected a square number of points (they form a k × k grid) or auto, "
+                f"found {points}; the nearest are {k * k} and {(k + 1) ** 2}"
+            )
+    return points
+
+
+_FINITE = Field(allow_inf_nan=False)
+# Lists of fixed length become tuples, which strict validation would refuse.
+_LIST = Field(strict=False)
+
+Number = Annotated[float, Field(ge=-1e6, le=1e6), _FINITE, expecting("a number")]
+Positive = Annotated[float, Field(gt=0, le=1e9), _FINITE, expecting("a number above 0, up to 1e9")]
+Coefficient = Annotated[float, Field(ge=0, le=1e12), _FINITE, expecting("a number from 0 to 1e12")]
+Length = Annotated[
+    float, Field(ge=1e-3, le=1e6), _FINITE, expecting("a length between 0.001 and 1000000 (a number)")
+]
+Elevation = Annotated[
+    float,
+    Field(gt=0, lt=180),
+    _FINITE,
+    expecting("a number between 0 and 180 (degrees above the table, ends excluded)"),
+]
+Azimuth = Annotated[
+    float, Field(ge=-360, le=360), _FINITE, expecting("a number from -360 to 360 (degrees about Z)")
+]
+ElevationRange = Annotated[
+    tuple[Elevation, Elevation],
+    _LIST,
+    AfterValidator(_ordered),
+    expecting("[low, high], two numbers between 0 and 180 (degrees)"),
+]
+AzimuthRange = Annotated[
+    tuple[Azimuth, Azimuth],
+    _LIST,
+    AfterValidator(_ordered),
+    expecting("[low, high], two numbers from -360 to 360 (degrees)"),
+]
+Tilt = Annotated[
+    float, Field(ge=-180, le=180), _FINITE, expecting("a number from -180 to 180 (degrees of tilt)")
+]
+TiltRange = Annotated[
+    tuple[Tilt, Tilt],
+    _LIST,
+    AfterValidator(_ordered),
+    expecting("[low, high], two numbers from -180 to 180 (degrees)"),
+]
+Coordinates = Annotated[
+    tuple[Number, Number, Number], _LIST, expecting("[x, y, z], three numbers up to 1000000")
+]
+Size = Annotated[
+    tuple[Length, Length],
+    _LIST,
+    expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000"),
+]
+Points = Annotated[
+    Annotated[int, Field(ge=1, le=65536)] | Literal["auto"],
+    AfterValidator(_square),
+    expecting("a square number of points from 1 to 65536 (1, 4, 9, 16, ...) or auto"),
+]
+Text = Annotated[
+    str,
+    StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$"),
+    expecting("text of one line, up to 200 characters"),
+]
+
+
+def _portable(name: str) -> str:
+    stem = name.partition(".")[0].upper()
+    devices = {"CON", "PRN", "AUX", "NUL"} | {f"{port}{i}" for port in ("COM", "LPT") for i in range(1, 10)}
+    if stem in devices:
+        raise complaint(f'expected a name that can be a file name, found "{name}", which Windows reserves')
+    if name.endswith("."):
+        raise complaint(f'expected a name that can be a file name, found "{name}", which ends with a dot')
+    return name
+
+
+FileName = Annotated[
+    str,
+    StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$"),
+    AfterValidator(_portable),
+    expecting("a name of letters, digits and . _ - (up to 64; it becomes a file name)"),
+]

@@ -1,0 +1,165 @@
+"""Read rig and part files: everything wrong with a file at once, each with its line."""
+
+from __future__ import annotations
+
+import hashlib
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import ValidationError
+
+from lightopt.config._document import Document, Problem, YamlError, parse
+from lightopt.config._messages import describe, model_problems
+from lightopt.config._part import PartConfig
+from lightopt.config._rig import RigConfig
+from lightopt.config._source import Source, dotted
+from lightopt.errors import InputError
+
+__all__ = ["load_part", "load_rig"]
+
+MAX_BYTES = 1_000_000
+_KINDS = {"lightopt-rig": "a rig", "lightopt-part": "a part", "lightopt-images": "an image set"}
+
+Config = TypeVar("Config", RigConfig, PartConfig)
+
+
+def load_rig(path: Path | str) -> RigConfig:
+    """Read a rig file (``lightopt-rig/1``).
+
+    Parameters
+    ----------
+    path
+        The YAML file.
+
+    Returns
+    -------
+    RigConfig
+        What the file says, in its own units; ``source`` names file, hash and lines.
+
+    Raises
+    ------
+    lightopt.errors.InputError
+        With one message per thing that is wrong, sorted by line.
+    """
+    return _load(Path(path), RigConfig, "lightopt-rig/1")
+
+
+def load_part(path: Path | str) -> PartConfig:
+    """Read a part file (``lightopt-part/1``); its mesh file must exist.
+
+    Parameters
+    ----------
+    path
+        The YAML file.
+
+    Returns
+    -------
+    PartConfig
+        What the file says, in its own units; ``source`` names file, hash and lines, and
+        ``source.resolve(part.mesh.file)`` is the path of the mesh.
+
+    Raises
+    ------
+    lightopt.errors.InputError
+        With one message per thing that is wrong, sorted by line.
+    """
+    return _load(Path(path), PartConfig, "lightopt-part/1")
+
+
+def _load(path: Path, model: type[Config], expected: str) -> Config:
+    data = _read(path, expected)
+    try:
+        document = parse(_decode(data, path))
+    except YamlError as error:
+        raise _error(path, [error.problem]) from None
+    if document.data is None and not document.problems:
+        raise InputError(
+            f'{path}: the file is empty; expected {_kind(expected)} that begins "format: {expected}"'
+        )
+    problems = _wrong_kind(document, expected)
+    if problems:
+        raise _error(path, problems)
+    config: Config | None = None
+    try:
+        config = model.model_validate(document.data, context={"folder": path.parent})
+    except ValidationError as error:
+        problems = model_problems(model, error.errors(include_url=False), document)
+    problems = [*document.problems, *problems]
+    if config is None or problems:
+        raise _error(path, problems)
+    config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines)
+    return config
+
+
+def _error(path: Path, problems: list[Problem]) -> InputError:
+    messages: list[str] = []
+    for p in sorted(problems, key=lambda p: p.line):
+        text = f"{dotted(p.keys)}: {p.message}" if p.keys else p.message
+        messages.append(f"{path}:{p.line}: {_printable(text)}")
+    return InputError(*messages)
+
+
+def _printable(text: str) -> str:
+    """Text with what a terminal would not show, or obey, written as an escape."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def _kind(format_: str) -> str:
+    return _KINDS.get(format_.partition("/")[0], "a file of another kind")
+
+
+def _wrong_kind(document: Document, expected: str) -> list[Problem]:
+    """Problems that make it pointless to compare the file with the model key by key."""
+    if not isinstance(document.data, dict):
+        message = f'expected {_kind(expected)}, keys and values that begin "format: {expected}"'
+        return document.problems or [Problem(1, (), f"{message}; found {describe(document.data)}")]
+    found = document.data.get("format")
+    if not isinstance(found, str) or found == expected:
+        return []
+    line = document.lines["format",]
+    message = f'expected {expected}, found "{found[:60]}"'
+    name, _, version = found.partition("/")
+    if name in _KINDS and name != expected.partition("/")[0]:
+        message = f"this is {_kind(found)} ({found}); expected {_kind(expected)} ({expected})"
+    elif name in _KINDS and version:
+        message += "; this lightopt reads version 1 only"
+    return [*document.problems, Problem(line, ("format",), message)]
+
+
+def _read(path: Path, expected: str) -> bytes:
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: this is a folder; expected the YAML file of {_kind(expected)}")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file{_near(path)}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(data) > MAX_BYTES:
+        raise InputError(f"{path}: larger than 1 MB; this is not {_kind(expected)} file")
+    return data
+
+
+def _near(path: Path) -> str:
+    try:
+        names = sorted(p.name for p in path.parent.iterdir() if p.is_file())
+    except OSError:
+        return f"; the folder {path.parent} is not there either"
+    near = get_close_matches(path.name, names, n=1, cutoff=0.5)
+    return f'; did you mean "{path.parent / near[0]}"?' if near else ""
+
+
+def _decode(data: bytes, path: Path) -> str:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(f"{path}: the text is UTF-16; save the file as UTF-8")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        byte = f"0x{data[error.start]:02x}"
+        raise InputError(f"{path}:{line}: byte {byte} is not UTF-8 text; save the file as UTF-8") from None
+    if "\0" in text:
+        raise InputError(f"{path}: this is a binary file; expected YAML text")
+    return text

@@ -1,0 +1,140 @@
+"""What is wrong with a configuration, in words for the person who wrote it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any, get_args
+
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+
+from lightopt.config._document import INVALID, Document, Problem
+from lightopt.config._scalars import is_number
+from lightopt.config._source import Keys
+
+__all__ = ["KNOWN_ERRORS", "describe", "model_problems"]
+
+KNOWN_ERRORS = frozenset(
+    {"absent", "complaint", "expected", "extra_forbidden", "missing", "model_type", "too_long", "too_short"}
+    | {"tuple_type"}
+)
+"""The kinds of error that the models can raise; any other would be told with less care."""
+
+_LONGEST = 60
+
+
+def describe(value: object) -> str:
+    """Write a value as in the file, shortened."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, Mapping):
+        return f"keys and values ({', '.join(map(str, value))})"[:_LONGEST] if value else "{}"
+    text = json.dumps(value, ensure_ascii=False, default=repr)
+    if len(text) > _LONGEST:
+        text = f"{text[:_LONGEST]}..."
+    if isinstance(value, str) and is_number(value):
+        text += " in quotes"
+    return text
+
+
+def model_problems(
+    model: type[BaseModel], errors: Sequence[ErrorDetails], document: Document
+) -> list[Problem]:
+    """Problems of a document that does not fit a model, except where they are already reported."""
+    meant = _suggestions(model, errors)
+    covered = {(*loc[:-1], known) for loc, known in meant.items()}
+    reported = {p.keys for p in document.problems if p.keys}
+    problems: list[Problem] = []
+    for error in errors:
+        keys, kind = tuple(error["loc"]), error["type"]
+        if error["input"] is INVALID or any(keys[:n] in reported for n in range(1, len(keys) + 1)):
+            continue
+        if kind == "too_short" and error["input"]:
+            continue  # pydantic does not count entries that are wrong themselves; those are reported
+        wanted = {keys[-1]} if kind == "missing" else set(error.get("ctx", {}).get("keys", ()))
+        if kind in ("missing", "absent", "extra_forbidden"):
+            keys = keys[:-1]
+        if kind in ("missing", "absent") and any((*keys, w) in covered for w in wanted):
+            continue  # the misspelt key is reported already
+        problems.append(Problem(_line(document, keys, error), keys, _message(model, error, meant)))
+    return problems
+
+
+def _line(document: Document, keys: Keys, error: ErrorDetails) -> int:
+    place = tuple(error["loc"]) if error["type"] == "extra_forbidden" else keys
+    while place and place not in document.lines:
+        place = place[:-1]
+    return document.lines.get(place, 1)
+
+
+def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, str]) -> str:
+    loc, kind, context = tuple(error["loc"]), error["type"], error.get("ctx", {})
+    found = f"found {describe(error['input'])}"
+    if kind in ("complaint", "absent"):
+        return str(context["reason"])
+    if kind == "expected":
+        if context["expected"].startswith(("a name", "text")) and isinstance(error["input"], (int, float)):
+            found += "; put it in quotes to make it text"
+        return f"expected {context['expected']}, {found}"
+    if kind == "missing":
+        parent = _model_at(model, loc[:-1])
+        field = parent.model_fields[str(loc[-1])] if parent else None
+        return f'missing key "{loc[-1]}"' + (f": {field.description}" if field else "")
+    if kind == "extra_forbidden":
+        return _unknown_key(model, loc, meant.get(loc))
+    if kind == "model_type":
+        return f'expected keys and values ("key: value"), {found}'
+    if kind == "tuple_type":
+        return f"expected a list, {found}"
+    if kind == "too_short":
+        return "expected at least one entry, found none"
+    if kind == "too_long":
+        return f"expected at most {context['max_length']} entries, found {context['actual_length']}"
+    return f"this value cannot be used here: {found}"
+
+
+def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:
+    key = str(loc[-1])
+    message = f"unknown key {describe(key).removesuffix(' in quotes')}"
+    if ":" in key:
+        return f"{message}; put a space after the colon"
+    if known is not None:
+        return f'{message}; did you mean "{known}"?'
+    parent = _model_at(model, loc[:-1])
+    return f"{message}; the keys here are {', '.join(parent.model_fields)}" if parent else message
+
+
+def _suggestions(model: type[BaseModel], errors: Sequence[ErrorDetails]) -> dict[Keys, str]:
+    """Known key that is probably meant, by the path of the unknown key."""
+    meant: dict[Keys, str] = {}
+    for error in errors:
+        loc = tuple(error["loc"])
+        parent = _model_at(model, loc[:-1])
+        if error["type"] != "extra_forbidden" or parent is None:
+            continue
+        lower = {name.lower(): name for name in parent.model_fields}
+        near = get_close_matches(str(loc[-1]).lower(), list(lower), n=1, cutoff=0.6)
+        if near:
+            meant[loc] = lower[near[0]]
+    return meant
+
+
+def _model_at(model: type[BaseModel], keys: Keys) -> type[BaseModel] | None:
+    """Model that describes the mapping at a path of keys."""
+    here: Any = model
+    for key in keys:
+        if isinstance(key, str):
+            if here is None or key not in here.model_fields:
+                return None
+            here = _inner_model(here.model_fields[key].annotation)
+    return here
+
+
+def _inner_model(annotation: Any) -> type[BaseModel] | None:
+    arguments = get_args(annotation)
+    if not arguments:  # on Python 3.10 tuple[...] passes for a class
+        return annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
+    inner = (_inner_model(a) for a in arguments if a is not Ellipsis)
+    return next((m for m in inner if m is not None), None)

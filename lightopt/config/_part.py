@@ -1,0 +1,210 @@
+"""What a part file says: mesh, placement, postures and reflectance."""
+
+from __future__ import annotations
+
+import os.path
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path, PurePath
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+
+from lightopt.config._fields import (
+    Azimuth,
+    Coefficient,
+    Complaint,
+    Coordinates,
+    Frozen,
+    Positive,
+    Text,
+    Tilt,
+    absent,
+    complaint,
+    expecting,
+    with_complaints,
+)
+from lightopt.config._source import Source
+from lightopt.config._step_unit import step_units
+
+__all__ = ["MeshConfig", "PartConfig", "PlacementConfig", "PostureConfig", "ReflectanceConfig"]
+
+_UNITLESS = (".stl", ".ply", ".obj")
+_STEP = (".step", ".stp")
+_SUFFIXES = (*_UNITLESS, ".glb", *_STEP)
+
+
+class MeshConfig(Frozen):
+    """The file with the part's shape, and how its surface is read."""
+
+    file: Text = Field(
+        description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."
+    )
+    units: (
+        Annotated[Literal["um", "mm", "cm", "m", "inch", "ft"], expecting("um, mm, cm, m, inch or ft")] | None
+    ) = Field(
+        default=None,
+        description="Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and "
+        ".obj, which carry none; for .glb (metres) and STEP only what the file itself says.",
+        validate_default=True,
+    )
+    normals: Annotated[Literal["smooth", "facet"], expecting("smooth or facet")] = Field(
+        default="smooth",
+        description="smooth: normals vary over the facets, except across edges sharper than the crease "
+        "angle; facet: each facet is flat.",
+    )
+    crease_angle_deg: Annotated[
+        float, Field(gt=0, le=180, allow_inf_nan=False), expecting("a number above 0, up to 180 (degrees)")
+    ] = Field(
+        default=30.0,
+        description="Edges where the facets' normals differ by more than this stay sharp [deg].",
+    )
+    max_triangles: Annotated[int, Field(ge=1, le=2**31 - 1), expecting("a whole number above 0")] = Field(
+        default=20_000_000, description="Meshes of more triangles than this are refused."
+    )
+
+    @field_validator("file")
+    @classmethod
+    def _exists(cls, file: str, info: ValidationInfo) -> str:
+        if PurePath(file).suffix.lower() not in _SUFFIXES:
+            raise complaint(f'expected a file ending in {", ".join(_SUFFIXES)}, found "{file}"')
+        if info.context is not None:
+            _require(info.context["folder"], file)
+        return file
+
+    @field_validator("units")
+    @classmethod
+    def _as_the_format_has_it(cls, units: str | None, info: ValidationInfo) -> str | None:
+        if "file" not in info.data:
+            return units
+        file: str = info.data["file"]
+        suffix = PurePath(file).suffix.lower()
+        if suffix in _UNITLESS and units is None:
+            raise absent(
+                f'missing key "units": {suffix} files carry no unit; give the unit that '
+                f"{PurePath(file).name} was exported in (um, mm, cm, m, inch or ft)",
+                "units",
+            )
+        if suffix == ".glb" and units not in (None, "m"):
+            raise complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
+        if suffix in _STEP and units is not None and info.context is not None:
+            declared = step_units(info.context["folder"] / file)
+            if units not in declared:
+                says = (
+                    f"the file is in {' and '.join(sorted(declared))}"
+                    if declared
+                    else "no unit is found in it"
+                )
+                raise complaint(f"found {units}, but {says}; STEP carries its own unit, remove this key")
+        return units
+
+
+class PlacementConfig(Frozen):
+    """How the part lies in the world at posture (0, 0): turned, then anchored, then shifted."""
+
+    anchor: Annotated[
+        Literal["as_modelled", "rest_on_table", "centred"],
+        expecting("as_modelled, rest_on_table or centred"),
+    ] = Field(
+        default="rest_on_table",
+        description="as_modelled: the mesh's own origin; rest_on_table: bounding box centred in X and Y, "
+        "lowest point at Z = 0; centred: bounding box centred at the origin.",
+    )
+    translate_mm: Coordinates = Field(
+        default=(0.0, 0.0, 0.0), description="Shift along X, Y and Z after the anchor [mm]."
+    )
+    rotate_deg: Annotated[
+        tuple[Azimuth, Azimuth, Azimuth],
+        Field(strict=False),
+        expecting("[x, y, z], three numbers from -360 to 360 (degrees)"),
+    ] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Rotation about the fixed X, then Y, then Z axis, before the anchor [deg].",
+    )
+
+
+class PostureConfig(Frozen):
+    """One posture of the stage."""
+
+    elevation_deg: Tilt = Field(description="Tilt of the cradle about X [deg].")
+    rotation_deg: Azimuth = Field(description="Rotation of the part about the stage's own axis [deg].")
+
+
+class ReflectanceConfig(Frozen):
+    """Reflection of the surface: Lambert's diffuse part and Torrance and Sparrow's specular lobe."""
+
+    R_d: Coefficient = Field(description="Diffuse coefficient [levels of full_scale].")
+    R_s: Coefficient = Field(description="Specular coefficient [levels of full_scale].")
+    sigma_rad: Annotated[
+        float,
+        Field(ge=1e-5, le=0.5, allow_inf_nan=False),
+        expecting("a number from 0.00001 to 0.5 (radians)"),
+    ] = Field(description="Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating.")
+    full_scale: Positive = Field(
+        default=255.0, description="Full scale that R_d and R_s are expressed in [levels]."
+    )
+
+
+class PartConfig(Frozen):
+    """A part to inspect: its shape, how it lies, the postures it is seen in, and its surface."""
+
+    format: Annotated[Literal["lightopt-part/1"], expecting("lightopt-part/1")] = Field(
+        description="Kind and version of this file: lightopt-part/1."
+    )
+    name: Text = Field(description="Name of the part, for people.")
+    mesh: MeshConfig = Field(description="The part's shape.")
+    placement: PlacementConfig = Field(
+        default=PlacementConfig(),
+        description="How the part lies on the table; resting at its centre if absent.",
+    )
+    postures: Annotated[tuple[PostureConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = (
+        Field(
+            default=(PostureConfig(elevation_deg=0.0, rotation_deg=0.0),),
+            description="Postures the part is inspected in; (0, 0) alone if absent.",
+        )
+    )
+    reflectance: ReflectanceConfig = Field(description="Reflection of the part's surface.")
+    _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
+
+    @property
+    def source(self) -> Source:
+        """The file this part was read from."""
+        return self._source
+
+    @field_validator("postures", mode="wrap")
+    @classmethod
+    def _differ(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+        if not isinstance(value, (list, tuple)):
+            return handler(value)
+        return with_complaints(value, handler, _same_postures(value))
+
+
+def _same_postures(postures: list[object] | tuple[object, ...]) -> Iterator[Complaint]:
+    first: dict[tuple[object, ...], int] = {}
+    for i, posture in enumerate(postures):
+        values = posture if isinstance(posture, dict) else getattr(posture, "__dict__", {})
+        angles = tuple(values.get(key) for key in ("elevation_deg", "rotation_deg"))
+        if not all(type(a) in (int, float) for a in angles):
+            continue
+        if angles in first:
+            yield (i,), posture, complaint(f"the same posture as postures[{first[angles]}]")
+        first.setdefault(angles, i)
+
+
+def _require(folder: Path, file: str) -> None:
+    """Raise unless the mesh file is there, naming the path that was looked at and a file of similar name."""
+    path = folder / file
+    try:
+        if path.is_file():
+            return
+        is_folder = path.is_dir()
+        near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
+    except (OSError, ValueError):
+        is_folder, near = False, []
+    looked_at = os.path.normpath(folder.resolve() / file)
+    if is_folder:
+        raise complaint(f"{looked_at} is a folder; expected a file")
+    hint = f'; did you mean "{(PurePath(file).parent / near[0]).as_posix()}"?' if near else ""
+    if "\\" in file and os.sep == "/":
+        hint = "; separate folders with / , which works everywhere"
+    raise complaint(f"no such file: {looked_at}{hint}")

@@ -1,0 +1,70 @@
+"""Where a configuration came from, so that later errors can still name the file and the line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+__all__ = ["Source", "dotted"]
+
+Keys = tuple[str | int, ...]
+
+
+def _no_lines() -> Mapping[Keys, int]:
+    return {}
+
+
+def dotted(keys: Keys) -> str:
+    """Write a path of keys the way people read it: ``("lights", 2, "gain")`` is ``lights[2].gain``."""
+    text = ""
+    for key in keys:
+        if isinstance(key, int):
+            text += f"[{key}]"
+        else:
+            text += f".{key}" if text else key
+    return text
+
+
+@dataclass(frozen=True)
+class Source:
+    """The file that a configuration was read from.
+
+    Parameters
+    ----------
+    path
+        The YAML file, as it was given.
+    sha256
+        Hash of the file's bytes, hexadecimal; empty for a configuration that was built in code.
+    lines
+        Line number (1-based) of each path of keys in the file.
+
+    Examples
+    --------
+    >>> source = Source(Path("rig.yaml"), "", {("camera",): 3, ("camera", "roll_deg"): 7})
+    >>> source.at("camera", "roll_deg")
+    'rig.yaml:7: camera.roll_deg'
+    >>> source.at("camera", "sensor", "bit_depth")
+    'rig.yaml:3: camera.sensor.bit_depth'
+    """
+
+    path: Path
+    sha256: str
+    lines: Mapping[Keys, int] = field(default_factory=_no_lines, repr=False, compare=False)
+
+    def line(self, *keys: str | int) -> int | None:
+        """Line of a key, or of the nearest mapping around it that is in the file; None without a file."""
+        for end in range(len(keys), -1, -1):
+            if keys[:end] in self.lines:
+                return self.lines[keys[:end]]
+        return None
+
+    def at(self, *keys: str | int) -> str:
+        """Beginning of an error message about a key: ``rig.yaml:12: lights[2].elevation_deg``."""
+        line = self.line(*keys)
+        place = str(self.path) if line is None else f"{self.path}:{line}"
+        return f"{place}: {dotted(keys)}" if keys else place
+
+    def resolve(self, name: str) -> Path:
+        """Path of a file that the configuration names, relative to the folder of the configuration."""
+        return self.path.parent / name

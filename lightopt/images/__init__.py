@@ -1,0 +1,53 @@
+"""Images on disk: EXR, PNG and the sets that rendering and capturing share. The one home of OpenImageIO."""
+
+from lightopt.images._atomic import (
+    file_sha256,
+    write_atomically,
+    write_bytes_atomic,
+    write_npz_atomic,
+    write_text_atomic,
+)
+from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
+from lightopt.images._manifest import (
+    MANIFEST_NAME,
+    GeometryEntry,
+    ImageEntry,
+    Manifest,
+    Posture,
+    SourceFile,
+)
+from lightopt.images._names import exr_name, geometry_name, png_name, posture_folder
+from lightopt.images._parse import parse_manifest, read_manifest
+from lightopt.images._png import read_png, read_png_metadata, write_png
+from lightopt.images._reader import ImageSet, LoadedImage, read_image_set
+from lightopt.images._writer import ImageSetWriter
+
+__all__ = [
+    "MANIFEST_NAME",
+    "GeometryEntry",
+    "ImageEntry",
+    "ImageSet",
+    "ImageSetWriter",
+    "LoadedImage",
+    "Manifest",
+    "Posture",
+    "SourceFile",
+    "exr_name",
+    "file_sha256",
+    "geometry_name",
+    "parse_manifest",
+    "png_name",
+    "posture_folder",
+    "read_exr",
+    "read_exr_metadata",
+    "read_image_set",
+    "read_manifest",
+    "read_png",
+    "read_png_metadata",
+    "write_atomically",
+    "write_bytes_atomic",
+    "write_exr",
+    "write_npz_atomic",
+    "write_png",
+    "write_text_atomic",
+]

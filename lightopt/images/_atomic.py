@@ -1,0 +1,151 @@
+"""Files that are there whole or not at all: temporary name, flush, fsync, rename."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+
+__all__ = [
+    "file_sha256",
+    "write_atomically",
+    "write_bytes_atomic",
+    "write_npz_atomic",
+    "write_text_atomic",
+]
+
+_BLOCK_BYTES = 1 << 20
+_ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+def file_sha256(path: str | Path) -> str:
+    """SHA-256 of a file's bytes, in hex.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    with Path(path).open("rb") as file:
+        while block := file.read(_BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def write_atomically(path: str | Path, write: Callable[[Path], None]) -> str:
+    """Let `write` fill a temporary file beside `path`, then put it there in one step.
+
+    Whatever happens (disk full, Ctrl-C, an exception of `write`), no temporary file is left and `path` holds
+    either its old content or the whole new one. A killed process can leave ``.<name>.partial``, which the
+    next write of the same file replaces.
+
+    Parameters
+    ----------
+    path
+        The file to make or to replace, in a folder that exists.
+    write
+        Gets the temporary path of an empty file and fills it.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, in hex.
+
+    Raises
+    ------
+    InputError
+        When the operating system refuses; names the path and the system's reason.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.partial")
+    try:
+        temporary.open("wb").close()
+        write(temporary)
+        with temporary.open("rb+") as file:  # Windows only syncs files that are open for writing
+            os.fsync(file.fileno())
+        digest = file_sha256(temporary)
+        os.replace(temporary, path)  # noqa: PTH105 - one name to patch in fault tests, on every platform
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise InputError(
+                f"{path}: cannot be written: {error.strerror or error}; "
+                "check that the folder exists, is writable and has room, or choose another one"
+            ) from error
+        raise
+    return digest
+
+
+def write_bytes_atomic(path: str | Path, data: bytes) -> str:
+    """Write bytes as a whole file or not at all; returns the SHA-256 in hex.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(data)
+
+    return write_atomically(path, write)
+
+
+def write_text_atomic(path: str | Path, text: str) -> str:
+    """Write text as a whole UTF-8 file or not at all, line ends as given; returns the SHA-256 in hex.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    return write_bytes_atomic(path, text.encode("utf-8"))
+
+
+def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Write arrays as a compressed ``.npz``, whole or not at all; the same arrays give the same bytes.
+
+    Parameters
+    ----------
+    path
+        The file; its name is kept as given.
+    arrays
+        Name to array of any numeric, boolean or string type, any shape; written in the mapping's order.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, in hex.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written, or an array holds Python objects.
+    """
+    for name, array in arrays.items():
+        if array.dtype.hasobject:
+            raise InputError(
+                f"{path}: array {name!r} holds Python objects; expected numbers, booleans or strings"
+            )
+
+    def write(temporary: Path) -> None:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            for name, array in arrays.items():
+                entry = zipfile.ZipInfo(f"{name}.npy", _ZIP_EPOCH)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.create_system = 3  # else the bytes would tell Windows from Linux
+                with archive.open(entry, "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, np.asarray(array, order="C"), allow_pickle=False)
+
+    return write_atomically(path, write)

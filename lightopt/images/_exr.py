@@ -1,0 +1,167 @@
+"""OpenEXR images of float32 channels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+from lightopt.images._atomic import write_atomically
+from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, read_metadata, write_rows
+
+if TYPE_CHECKING:
+    import OpenImageIO
+
+__all__ = ["read_exr", "read_exr_metadata", "write_exr"]
+
+Channel = NDArray[np.float32]
+
+_COMPRESSION = "zip:4"
+"""Lossless and readable everywhere. Measured on smooth data, 1600 × 1200, two cores: Y 23 ms and 3.1 MB
+(uncompressed 22 ms, 7.7 MB; piz 53 ms, 2.6 MB; zips 49 ms, 3.2 MB), geometry of 8 channels 122 ms and 10.7 MB
+(uncompressed 60 ms, 61 MB; piz 251 ms, 12.7 MB; zips 215 ms, 15.7 MB). Levels above 4 only take longer."""
+
+_BLOCK_ROWS = 256
+"""A multiple of the compressed chunk of 16 rows; keeps the interleaved copy of a large image small."""
+
+
+def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Mapping[str, Any]) -> str:
+    """Write an OpenEXR image, whole or not at all; the same input gives the same bytes.
+
+    Parameters
+    ----------
+    path
+        The file to make or to replace, in a folder that exists.
+    channels
+        Channel name to values, float32, all of one shape (H, W), row 0 at the top.
+    metadata
+        JSON-able values, kept in one attribute ``lightopt:json``.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, in hex.
+
+    Raises
+    ------
+    InputError
+        When the channels are not float32 of one shape (H, W), or the file cannot be written.
+    """
+    height, width = _common_shape(path, channels)
+    text = metadata_json(metadata)
+    import OpenImageIO
+
+    spec = OpenImageIO.ImageSpec(width, height, len(channels), "float")
+    spec.channelnames = tuple(channels)
+    spec.attribute("compression", _COMPRESSION)
+    spec.attribute("DateTime", "")  # else the writer stamps the current time
+    spec.attribute(METADATA_KEY, text)
+
+    def blocks() -> Iterator[Channel]:
+        for top in range(0, height, _BLOCK_ROWS):
+            yield np.stack([channel[top : top + _BLOCK_ROWS] for channel in channels.values()], axis=-1)
+
+    def write(temporary: Path) -> None:
+        write_rows(temporary, file_format="openexr", spec=spec, rows=blocks(), whole=_is_whole)
+
+    return write_atomically(path, write)
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether the last row, which is written last, can be read."""
+    import OpenImageIO
+
+    source = OpenImageIO.ImageInput.open(str(path))
+    if source is None:
+        OpenImageIO.geterror()  # else it is printed when Python ends
+        return False
+    height = source.spec().height
+    row = source.read_scanlines(0, 0, height - 1, height, 0, 0, 1, "float")
+    failed = bool(source.geterror()) or row is None
+    source.close()
+    return not failed
+
+
+def _common_shape(path: str | Path, channels: Mapping[str, Channel]) -> tuple[int, int]:
+    if not channels:
+        raise InputError(f"{path}: an EXR image needs at least one channel")
+    shapes = {channel.shape for channel in channels.values()}
+    for name, channel in channels.items():
+        if not name or channel.dtype != np.float32 or channel.ndim != 2 or not channel.size:
+            raise InputError(
+                f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), "
+                f"found {channel.dtype} of shape {channel.shape}"
+            )
+    if len(shapes) != 1:
+        raise InputError(f"{path}: channels of different shapes: {sorted(shapes)}")
+    height, width = shapes.pop()
+    return height, width
+
+
+def read_exr(path: str | Path, names: Sequence[str] | None = None) -> dict[str, Channel]:
+    """Channels of an OpenEXR image as float32 (half is widened), each of shape (H, W), row 0 at the top.
+
+    Parameters
+    ----------
+    path
+        The file.
+    names
+        The channels wanted, in this order; all of them, sorted by name, when not given.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, damaged or no EXR, lacks a channel, or holds what a plain image does not:
+        integer channels, several parts, deep pixels, or a data window other than its display window.
+    """
+    path = Path(path)
+    with open_input(path, file_format="openexr") as source:
+        spec = source.spec()
+        _check_plain(path, source, spec)
+        available = list(spec.channelnames)
+        wanted = sorted(available) if names is None else list(names)
+        if missing := [name for name in wanted if name not in available]:
+            raise InputError(
+                f"{path}: no channel {', '.join(missing)}; the file has {', '.join(sorted(available))}"
+            )
+        index = {name: available.index(name) for name in wanted}
+        for name, i in index.items():
+            if str(spec.channelformat(i)) not in ("float", "half"):
+                raise InputError(
+                    f"{path}: channel {name}: expected float or half, found {spec.channelformat(i)}"
+                )
+        first = min(index.values(), default=0)
+        pixels = source.read_image(0, 0, first, max(index.values(), default=0) + 1, "float")
+        if pixels is None or source.has_error:
+            raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
+    values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
+    return {name: np.ascontiguousarray(values[..., i - first]) for name, i in index.items()}
+
+
+def _check_plain(path: Path, source: OpenImageIO.ImageInput, spec: OpenImageIO.ImageSpec) -> None:
+    if spec.deep:
+        raise InputError(f"{path}: a deep EXR; expected a flat image")
+    if source.seek_subimage(1, 0):
+        raise InputError(f"{path}: an EXR of several parts; expected one")
+    source.seek_subimage(0, 0)
+    window = (spec.x, spec.y, spec.width, spec.height)
+    display = (spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+    if window != display:
+        raise InputError(
+            f"{path}: data window {window} (x, y, w, h) differs from the display window {display}"
+        )
+
+
+def read_exr_metadata(path: str | Path) -> dict[str, Any]:
+    """Metadata that :func:`write_exr` put into the file; empty for files of others.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or no EXR, or its metadata are damaged.
+    """
+    return read_metadata(Path(path), file_format="openexr")

@@ -1,0 +1,190 @@
+"""The manifest of an image set: what was imaged, under which light, posture and exposure, into which file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+__all__ = ["FORMAT", "MANIFEST_NAME", "GeometryEntry", "ImageEntry", "Manifest", "Posture", "SourceFile"]
+
+FORMAT = "lightopt-images/1"
+MANIFEST_NAME = "manifest.json"
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Tilt and rotation of the stage, in degrees as in files."""
+
+    elevation_deg: float
+    rotation_deg: float
+
+    def as_dict(self) -> dict[str, float]:
+        """JSON form."""
+        return {"elevation_deg": self.elevation_deg, "rotation_deg": self.rotation_deg}
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A rig or part file that the images came from: its name, and the SHA-256 in hex of its content."""
+
+    file: str
+    sha256: str
+
+    def as_dict(self) -> dict[str, str]:
+        """JSON form."""
+        return {"file": self.file, "sha256": self.sha256}
+
+
+@dataclass(frozen=True)
+class ImageEntry:
+    """One image of a set.
+
+    Attributes
+    ----------
+    light
+        The light's name.
+    light_elevation_deg, light_azimuth_deg
+        Where the light stood [°].
+    posture
+        The stage's posture.
+    exposure
+        Exposure relative to that of the reflectance's levels.
+    png, exr
+        Files of the image, relative to the set's folder, POSIX style; at least one in a valid set.
+    sha256
+        SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of others.
+    extra
+        Keys of the JSON object that lightopt does not know, kept as they are.
+    """
+
+    light: str
+    light_elevation_deg: float
+    light_azimuth_deg: float
+    posture: Posture
+    exposure: float = 1.0
+    png: str | None = None
+    exr: str | None = None
+    sha256: Mapping[str, str] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[str, Posture, float]:
+        """Light, posture and exposure, which tell the images of a set apart."""
+        return self.light, self.posture, self.exposure
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "light": self.light,
+            "light_elevation_deg": self.light_elevation_deg,
+            "light_azimuth_deg": self.light_azimuth_deg,
+            "posture": self.posture.as_dict(),
+            "exposure": self.exposure,
+            **({"png": self.png} if self.png is not None else {}),
+            **({"exr": self.exr} if self.exr is not None else {}),
+            **({"sha256": dict(self.sha256)} if self.sha256 else {}),
+            **self.extra,
+        }
+
+
+@dataclass(frozen=True)
+class GeometryEntry:
+    """The geometry image of a posture: file relative to the set's folder, SHA-256 in hex under ``exr``."""
+
+    posture: Posture
+    exr: str
+    sha256: Mapping[str, str] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        hashes = {"sha256": dict(self.sha256)} if self.sha256 else {}
+        return {"posture": self.posture.as_dict(), "exr": self.exr, **hashes, **self.extra}
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What ``manifest.json`` says.
+
+    Attributes
+    ----------
+    kind
+        ``simulated`` or ``captured``.
+    bit_depth
+        Bits of the camera's levels, 1 to 16.
+    full_scale
+        Grey level of a full-scale sensor level at exposure 1: the scale of the reflectance.
+    saturation_level
+        Sensor level from which a pixel counts as saturated; full scale of the sensor when not given.
+    black_level
+        Sensor level without light.
+    lightopt
+        Version that wrote the set; None in sets of others.
+    rig, part
+        The files that the images came from.
+    options
+        What the run was asked for, as far as it changes the images.
+    images, geometry
+        The entries, in the order of writing.
+    patches
+        File of the patch table, relative to the set's folder.
+    files
+        Further files of the set (the patch table among them): name to SHA-256 in hex.
+    warnings
+        What was noticed and repaired, with numbers.
+    extra
+        Keys of the JSON object that lightopt does not know, kept as they are.
+    """
+
+    kind: str
+    bit_depth: int
+    full_scale: float = 255.0
+    saturation_level: float | None = None
+    black_level: float = 0.0
+    lightopt: str | None = None
+    rig: SourceFile | None = None
+    part: SourceFile | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    images: tuple[ImageEntry, ...] = ()
+    geometry: tuple[GeometryEntry, ...] = ()
+    patches: str | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def max_level(self) -> int:
+        """Highest sensor level, 2^bit_depth − 1."""
+        return (1 << self.bit_depth) - 1
+
+    @property
+    def saturated_from(self) -> float:
+        """Sensor level from which a pixel counts as saturated."""
+        return float(self.max_level) if self.saturation_level is None else self.saturation_level
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form; carries no time, so the same run gives the same bytes."""
+        return {
+            "format": FORMAT,
+            "kind": self.kind,
+            "lightopt": self.lightopt,
+            "bit_depth": self.bit_depth,
+            "full_scale": self.full_scale,
+            "saturation_level": self.saturated_from,
+            "black_level": self.black_level,
+            "rig": self.rig and self.rig.as_dict(),
+            "part": self.part and self.part.as_dict(),
+            "options": dict(self.options),
+            "images": [entry.as_dict() for entry in self.images],
+            "geometry": [entry.as_dict() for entry in self.geometry],
+            "patches": self.patches,
+            "files": dict(self.files),
+            "warnings": list(self.warnings),
+            **self.extra,
+        }
+
+    def to_json(self) -> str:
+        """Text of ``manifest.json``."""
+        return json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"

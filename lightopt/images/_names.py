@@ -1,0 +1,106 @@
+"""Names of the files of an image set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import PurePosixPath, PureWindowsPath
+
+import numpy as np
+
+from lightopt.errors import InputError
+from lightopt.images._manifest import MANIFEST_NAME, Posture
+
+__all__ = ["Names", "exr_name", "geometry_name", "inside_problem", "png_name", "posture_folder"]
+
+_FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
+_RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
+
+ImageKey = tuple[str, Posture, float]
+
+
+def _number(value: float) -> str:
+    """Shortest decimal text that reads back as the same number: 0, 82, −12.5, 0.0625."""
+    return np.format_float_positional(float(value) + 0.0, trim="-")
+
+
+def posture_folder(posture: Posture) -> str:
+    """Folder of a posture's files, relative to the set's."""
+    return f"posture_{_number(posture.elevation_deg)}_{_number(posture.rotation_deg)}"
+
+
+def png_name(light: str, posture: Posture, exposure: float) -> str:
+    """File of a camera image, relative to the set's folder."""
+    suffix = "" if exposure == 1 else f"_x{_number(exposure)}"
+    return f"{posture_folder(posture)}/{light}{suffix}.png"
+
+
+def exr_name(light: str, posture: Posture) -> str:
+    """File of a linear image, which all exposures share, relative to the set's folder."""
+    return f"{posture_folder(posture)}/{light}.exr"
+
+
+def geometry_name(posture: Posture) -> str:
+    """File of a posture's geometry, relative to the set's folder."""
+    return f"{posture_folder(posture)}/geometry.exr"
+
+
+class Names:
+    """The files a run makes, each claimed by one image: two images must not share a file on any platform."""
+
+    def __init__(self) -> None:
+        self._owners: dict[str, str] = {MANIFEST_NAME: "the manifest"}
+
+    def claim(self, name: str, owner: str) -> None:
+        """Say that `owner` writes the file.
+
+        Raises
+        ------
+        InputError
+            When somebody else does, upper and lower case being the same on some platforms.
+        """
+        other = self._owners.setdefault(name.casefold(), owner)
+        if other != owner:
+            raise InputError(
+                f"{other} and {owner} would both be written to {name}; give the lights names that differ in "
+                "more than case and that do not end like an exposure (_x2)"
+            )
+
+    def claim_images(self, keys: Iterable[ImageKey]) -> None:
+        """Claim the files of images (light, posture, exposure) and of their postures' geometry.
+
+        Raises
+        ------
+        InputError
+            When two images would share a file, or a light's name cannot be a file's name.
+        """
+        for light, posture, exposure in keys:
+            self._check_light(light)
+            where = posture_folder(posture)
+            self.claim(geometry_name(posture), f"the geometry of {where}")
+            self.claim(exr_name(light, posture), f"light {light!r} in {where}")
+            self.claim(
+                png_name(light, posture, exposure), f"light {light!r} at exposure {exposure:g} in {where}"
+            )
+
+    @staticmethod
+    def _check_light(light: str) -> None:
+        bad = not light or _FORBIDDEN.search(light) or _RESERVED.fullmatch(light)
+        if bad or light.startswith(".") or light.endswith((" ", ".")):
+            raise InputError(
+                f"light {light!r}: cannot be part of a file name; expected a name without "
+                '/ \\ : * ? " < > |, without a leading dot, a trailing dot or blank, and none of '
+                "Windows' device names (con, aux, nul, …)"
+            )
+
+
+def inside_problem(name: str) -> str | None:
+    """Why a manifest's path does not name a file inside the set's folder, or None when it does."""
+    windows = PureWindowsPath(name)
+    if "\\" in name:
+        return "expected forward slashes"
+    if not name or windows.drive or windows.root or "\x00" in name:
+        return "expected a path relative to the manifest's folder"
+    if ".." in PurePosixPath(name).parts or PurePosixPath(name) == PurePosixPath():
+        return "expected a file inside the manifest's folder"
+    return None

@@ -1,0 +1,137 @@
+"""What EXR and PNG share of OpenImageIO: opening, error texts, metadata in one JSON attribute."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+
+if TYPE_CHECKING:
+    import OpenImageIO
+
+__all__ = ["METADATA_KEY", "metadata_json", "open_input", "read_metadata", "write_rows"]
+
+METADATA_KEY = "lightopt:json"
+"""The attribute that carries all metadata: the only kind that both EXR and PNG keep."""
+
+_PROBE_BYTES = 1 << 20
+_FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image"}
+
+
+def metadata_json(metadata: Mapping[str, Any]) -> str:
+    """ASCII JSON with sorted keys: equal metadata are equal bytes, and PNG's Latin-1 text holds them."""
+    return json.dumps(dict(metadata), sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def write_rows(
+    path: Path,
+    *,
+    file_format: str,
+    spec: OpenImageIO.ImageSpec,
+    rows: Iterator[NDArray[Any]],
+    whole: Callable[[Path], bool],
+) -> None:
+    """Encode an image block by block into `path`.
+
+    Parameters
+    ----------
+    path
+        A file that exists and is ours to fill.
+    file_format
+        OpenImageIO's name of the format.
+    spec
+        Size, channels, sample type and attributes.
+    rows
+        Blocks from the top down, each (rows, W, C) in the spec's sample type.
+    whole
+        Tells whether a file has its end: a disk that fills up at the last flush is reported by no encoder.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be written, with the system's reason where it tells one.
+    """
+    import OpenImageIO
+
+    output = OpenImageIO.ImageOutput.create(file_format)
+    if output is None:
+        raise OSError(f"OpenImageIO has no {file_format} writer: {OpenImageIO.geterror()}")
+    if not output.open(str(path), spec):  # writing after a failed open crashes the process
+        raise OSError(output.geterror())
+    top, done = 0, True
+    for block in rows:
+        done = output.write_scanlines(top, top + block.shape[0], 0, np.ascontiguousarray(block))
+        if not done:
+            break
+        top += block.shape[0]
+    closed = output.close()
+    # The PNG writer reports success on a full disk; only its error text tells.
+    message = output.geterror()
+    if not (done and closed) or message or not whole(path):
+        _raise_system_reason(path)
+        raise OSError(message.strip().split("\n")[0] or "the file came out incomplete")
+
+
+def _raise_system_reason(path: Path) -> None:
+    """Append to the broken file, so that the system says why it refuses (no space left, quota, …)."""
+    with path.open("ab") as file:
+        file.write(bytes(_PROBE_BYTES))
+
+
+@contextmanager
+def open_input(path: Path, *, file_format: str) -> Generator[OpenImageIO.ImageInput, None, None]:
+    """Open an image of the given format for reading.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, unreadable or of another format.
+    """
+    import OpenImageIO
+
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    source = OpenImageIO.ImageInput.open(str(path))
+    if source is None:
+        reason = OpenImageIO.geterror().strip()
+        raise InputError(
+            f"{path}: expected {_FORMAT_NAMES[file_format]}, found something else or a damaged file: {reason}"
+        )
+    try:
+        if source.format_name() != file_format:
+            raise InputError(f"{path}: expected {_FORMAT_NAMES[file_format]}, found {source.format_name()}")
+        yield source
+    finally:
+        source.close()
+
+
+def read_metadata(path: Path, *, file_format: str) -> dict[str, Any]:
+    """Metadata of an image as written by lightopt; empty for files of others.
+
+    Raises
+    ------
+    InputError
+        When the file is no such image, or its metadata are no JSON object.
+    """
+    with open_input(path, file_format=file_format) as source:
+        text = source.spec().getattribute(METADATA_KEY)
+    if text is None:
+        return {}
+    try:
+        metadata = json.loads(text)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: attribute {METADATA_KEY} is not valid JSON: {error}") from error
+    if not isinstance(metadata, dict):
+        raise InputError(
+            f"{path}: attribute {METADATA_KEY}: expected a JSON object, found {type(metadata).__name__}"
+        )
+    return metadata

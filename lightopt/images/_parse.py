@@ -1,0 +1,180 @@
+"""Reading manifests, lightopt's own and foreign ones: every problem at once, named by file and key."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import NoReturn
+
+from lightopt.errors import InputError
+from lightopt.images._fields import Fields
+from lightopt.images._manifest import FORMAT, GeometryEntry, ImageEntry, Manifest, Posture, SourceFile
+from lightopt.images._names import inside_problem
+
+__all__ = ["parse_manifest", "read_manifest"]
+
+_KINDS = ("simulated", "captured")
+_IMAGE_KEYS = (
+    *("light", "light_elevation_deg", "light_azimuth_deg", "posture", "exposure"),
+    *("png", "exr", "sha256"),
+)
+_GEOMETRY_KEYS = ("posture", "exr", "sha256")
+_TOP_KEYS = (
+    *(
+        "format",
+        "kind",
+        "lightopt",
+        "bit_depth",
+        "full_scale",
+        "saturation_level",
+        "black_level",
+        "rig",
+        "part",
+    ),
+    *("options", "images", "geometry", "patches", "files", "warnings"),
+)
+
+
+def read_manifest(path: str | Path) -> Manifest:
+    """Read a ``manifest.json``; the files it names are not looked at.
+
+    Raises
+    ------
+    InputError
+        With one message per problem: unreadable, no JSON, required keys missing, wrong types or values, paths
+        that leave the folder, an image listed twice.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = json.loads(text, parse_constant=_no_constant)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read: {error.strerror or error}; expected a manifest of images"
+        ) from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}: not valid JSON: {error.msg}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid JSON: {error}") from error
+    return parse_manifest(data, path=path)
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number of JSON")
+
+
+def parse_manifest(data: object, *, path: str | Path) -> Manifest:
+    """Check a manifest's JSON value and make a :class:`Manifest` of it.
+
+    Parameters
+    ----------
+    data
+        The JSON value.
+    path
+        Its file, for messages.
+
+    Raises
+    ------
+    InputError
+        With one message per problem.
+    """
+    fields = Fields(path, data, "")
+    if fields.problems:
+        raise InputError(*fields.problems)
+    if fields.text("format") not in (FORMAT, ""):
+        raise InputError(f"{path}: format: expected {FORMAT}, found {fields.data['format']!r}")
+    manifest = _manifest(fields)
+    if fields.problems:
+        raise InputError(*fields.problems)
+    return manifest
+
+
+def _manifest(fields: Fields) -> Manifest:
+    kind = fields.text("kind")
+    if kind and kind not in _KINDS:
+        fields.problem("kind", " or ".join(_KINDS), kind)
+    bits = fields.number("bit_depth", above=0, upto=16)
+    if bits != int(bits):
+        fields.problem("bit_depth", "a whole number", bits)
+    max_level = 2.0 ** int(bits) - 1
+    images = tuple(_image(item) for item in fields.items("images", required=True))
+    seen: set[tuple[str, Posture, float]] = set()
+    for i, entry in enumerate(images):
+        if entry.key in seen:
+            fields.problem(f"images[{i}]", "each light, posture and exposure once", entry.light)
+        seen.add(entry.key)
+    options = fields.data.get("options") or {}
+    if not isinstance(options, dict):
+        fields.problem("options", "an object", options)
+        options = {}
+    warnings = fields.data.get("warnings") or []
+    if not isinstance(warnings, list) or not all(isinstance(line, str) for line in warnings):
+        fields.problem("warnings", "a list of texts", warnings)
+        warnings = []
+    files = fields.texts("files")
+    for name in files:
+        if problem := inside_problem(name):
+            fields.problems.append(f"{fields.path}: files: {problem}, found {name!r}")
+    saturation = fields.data.get("saturation_level")
+    return Manifest(
+        kind=kind,
+        bit_depth=int(bits),
+        full_scale=fields.number("full_scale", 255.0, above=0),
+        saturation_level=None
+        if saturation is None
+        else fields.number("saturation_level", above=0, upto=max_level),
+        black_level=fields.number("black_level", 0.0, upto=max_level),
+        lightopt=fields.optional_text("lightopt"),
+        rig=_source(fields, "rig"),
+        part=_source(fields, "part"),
+        options=options,
+        images=images,
+        geometry=tuple(_geometry(item) for item in fields.items("geometry")),
+        patches=fields.file("patches"),
+        files=files,
+        warnings=tuple(warnings),
+        extra=fields.unknown(_TOP_KEYS),
+    )
+
+
+def _source(fields: Fields, key: str) -> SourceFile | None:
+    if fields.data.get(key) is None:
+        return None
+    inner = Fields(fields.path, fields.data[key], key, fields.problems)
+    return SourceFile(file=inner.text("file"), sha256=inner.text("sha256"))
+
+
+def _posture(fields: Fields) -> Posture:
+    value = fields.data.get("posture")
+    inner = Fields(fields.path, value, f"{fields.where}.posture", fields.problems)
+    if not isinstance(value, dict):
+        return Posture(0.0, 0.0)
+    return Posture(inner.number("elevation_deg"), inner.number("rotation_deg"))
+
+
+def _image(fields: Fields) -> ImageEntry:
+    entry = ImageEntry(
+        light=fields.text("light"),
+        light_elevation_deg=fields.number("light_elevation_deg"),
+        light_azimuth_deg=fields.number("light_azimuth_deg"),
+        posture=_posture(fields),
+        exposure=fields.number("exposure", above=0),
+        png=fields.file("png"),
+        exr=fields.file("exr"),
+        sha256=fields.texts("sha256"),
+        extra=fields.unknown(_IMAGE_KEYS),
+    )
+    if entry.png is None and entry.exr is None:
+        fields.problem("", "png or exr", None)
+    return entry
+
+
+def _geometry(fields: Fields) -> GeometryEntry:
+    if fields.data.get("exr") is None:
+        fields.problem("exr", "a file", None)
+    return GeometryEntry(
+        posture=_posture(fields),
+        exr=fields.file("exr") or "",
+        sha256=fields.texts("sha256"),
+        extra=fields.unknown(_GEOMETRY_KEYS),
+    )

@@ -1,0 +1,136 @@
+"""PNG images of camera levels (grey, 8 or 16 bit) and of pictures for people (RGB)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+from lightopt.images._atomic import write_atomically
+from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, read_metadata, write_rows
+
+__all__ = ["read_png", "read_png_metadata", "write_png"]
+
+Levels = NDArray[np.uint8] | NDArray[np.uint16]
+
+_COMPRESSION_LEVEL = 1
+"""Of a noisy camera image of 1600 × 1200: 28 ms and 0.47 MB; level 6 takes 110 ms for 0.39 MB."""
+
+_END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
+_COLOUR_TYPES = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
+
+
+def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any]) -> str:
+    """Write a PNG, whole or not at all: values exactly as given, no colour transform, same input same bytes.
+
+    Parameters
+    ----------
+    path
+        The file to make or to replace, in a folder that exists.
+    levels
+        Camera levels (H, W) uint8 or uint16 (10 to 16 bit, right-aligned), or a picture (H, W, 3) uint8; row
+        0 at the top.
+    metadata
+        JSON-able values, kept in one text chunk ``lightopt:json``.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, in hex.
+
+    Raises
+    ------
+    InputError
+        When the array is of another type or shape, or the file cannot be written.
+    """
+    grey = levels.ndim == 2 and str(levels.dtype) in ("uint8", "uint16")
+    picture = levels.ndim == 3 and levels.shape[2] == 3 and levels.dtype == np.uint8
+    if not (grey or picture) or not levels.size:
+        raise InputError(
+            f"{path}: expected uint8 or uint16 of shape (H, W), or uint8 of shape (H, W, 3), "
+            f"found {levels.dtype} of shape {levels.shape}"
+        )
+    text = metadata_json(metadata)
+    pixels = levels if picture else levels[:, :, np.newaxis]
+    import OpenImageIO
+
+    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(levels.dtype))
+    spec.attribute("png:compressionLevel", _COMPRESSION_LEVEL)
+    spec.attribute("oiio:ColorSpace", "unknown")  # else sRGB and gamma chunks are added, which are not true
+    spec.attribute(METADATA_KEY, text)
+
+    def write(temporary: Path) -> None:
+        write_rows(temporary, file_format="png", spec=spec, rows=iter([pixels]), whole=_is_whole)
+
+    return write_atomically(path, write)
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether the file ends as every PNG ends."""
+    size = path.stat().st_size
+    if size < len(_END_CHUNK):
+        return False
+    with path.open("rb") as file:
+        file.seek(size - len(_END_CHUNK))
+        return file.read() == _END_CHUNK
+
+
+def read_png(path: str | Path, *, colour: bool = False) -> Levels:
+    """Levels of a PNG exactly as stored: uint8 or uint16 of shape (H, W), row 0 at the top.
+
+    Parameters
+    ----------
+    path
+        The file.
+    colour
+        Accept RGB as well, as (H, W, 3).
+
+    Raises
+    ------
+    InputError
+        When the file is missing, damaged or no PNG, has fewer than 8 bits, a palette, transparency, or colour
+        that was not asked for.
+    """
+    path = Path(path)
+    with open_input(path, file_format="png") as source:
+        _check_header(path, colour=colour)
+        spec = source.spec()
+        pixels = source.read_image(str(spec.format))
+        if pixels is None or source.has_error:
+            raise InputError(
+                f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; write the file anew"
+            )
+        values = np.ascontiguousarray(pixels).reshape(spec.height, spec.width, -1)
+    if values.shape[2] == 1:
+        return values[:, :, 0]
+    if values.shape[2] == 3 and colour:
+        return values
+    raise InputError(
+        f"{path}: has a transparent colour; expected plain {'grey or RGB' if colour else 'grey'}"
+    )
+
+
+def _check_header(path: Path, *, colour: bool) -> None:
+    """Refuse by PNG's header: the decoder expands 1, 2 and 4 bits and palettes, which changes the levels."""
+    with path.open("rb") as file:
+        header = file.read(26)
+    bits, kind = header[24], header[25]
+    if bits not in (8, 16) or kind not in ((0, 2) if colour else (0,)):
+        found = f"{bits}-bit {_COLOUR_TYPES.get(kind, 'unknown')}"
+        expected = "8- or 16-bit grey" + (" or RGB" if colour else "")
+        raise InputError(f"{path}: expected {expected}, found {found}; convert the image first")
+
+
+def read_png_metadata(path: str | Path) -> dict[str, Any]:
+    """Metadata that :func:`write_png` put into the file; empty for files of others.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or no PNG, or its metadata are damaged.
+    """
+    return read_metadata(Path(path), file_format="png")

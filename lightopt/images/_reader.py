@@ -1,0 +1,174 @@
+"""Reading image sets, rendered or captured alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+from lightopt.images._atomic import file_sha256
+from lightopt.images._exr import read_exr
+from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
+from lightopt.images._parse import read_manifest
+from lightopt.images._png import read_png
+
+__all__ = ["ImageSet", "LoadedImage", "read_image_set"]
+
+
+@dataclass(frozen=True)
+class LoadedImage:
+    """An image as the program works with it; arrays of shape (H, W), read-only.
+
+    Attributes
+    ----------
+    levels
+        float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
+        full scale / ((2^b − 1) · exposure)``, so clipped where `saturated`.
+    saturated
+        Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's
+        exposure.
+    sensor
+        Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
+    source
+        Which file was read.
+    """
+
+    levels: NDArray[np.float32]
+    saturated: NDArray[np.bool_]
+    sensor: NDArray[np.uint8] | NDArray[np.uint16] | None
+    source: Literal["png", "exr"]
+
+
+@dataclass(frozen=True)
+class ImageSet:
+    """An image set on disk: its folder and what its manifest says."""
+
+    folder: Path
+    manifest: Manifest
+
+    @property
+    def images(self) -> tuple[ImageEntry, ...]:
+        """The images, in the manifest's order."""
+        return self.manifest.images
+
+    @property
+    def geometry(self) -> tuple[GeometryEntry, ...]:
+        """The geometry images, in the manifest's order."""
+        return self.manifest.geometry
+
+    def path(self, name: str) -> Path:
+        """Where a file that the manifest names lies."""
+        return self.folder / name
+
+    def load(self, entry: ImageEntry) -> LoadedImage:
+        """Read an image: its PNG with the manifest's exposure, the EXR only where there is no PNG.
+
+        Raises
+        ------
+        InputError
+            When the file is missing, damaged, or has levels beyond the manifest's bit depth.
+        """
+        image = self._load_exr(entry) if entry.png is None else self._load_png(entry, entry.png)
+        for array in (image.levels, image.saturated, image.sensor):
+            if array is not None:
+                array.flags.writeable = False
+        return image
+
+    def load_geometry(self, entry: GeometryEntry) -> dict[str, NDArray[np.float32]]:
+        """Read a geometry image: channels by name, each (H, W), world frame, mm.
+
+        Raises
+        ------
+        InputError
+            When the file is missing or damaged.
+        """
+        return read_exr(self.path(entry.exr))
+
+    def _load_png(self, entry: ImageEntry, name: str) -> LoadedImage:
+        manifest = self.manifest
+        sensor = read_png(self.path(name))
+        highest = int(sensor.max())
+        if highest > manifest.max_level or np.iinfo(sensor.dtype).max < manifest.max_level:
+            raise InputError(
+                f"{self.path(name)}: expected right-aligned levels of {manifest.bit_depth} bits (up to "
+                f"{manifest.max_level}), found {sensor.dtype} up to {highest}; correct bit_depth in the "
+                "manifest or deliver the levels unscaled"
+            )
+        scale = manifest.full_scale / (manifest.max_level * entry.exposure)
+        levels = ((sensor.astype(np.float64) - manifest.black_level) * scale).astype(np.float32)
+        return LoadedImage(
+            levels=levels, saturated=sensor >= manifest.saturated_from, sensor=sensor, source="png"
+        )
+
+    def _load_exr(self, entry: ImageEntry) -> LoadedImage:
+        manifest = self.manifest
+        path = self.path(entry.exr or "")
+        channels = read_exr(path)
+        if "Y" not in channels:
+            raise InputError(f"{path}: expected a channel Y, found {', '.join(channels)}")
+        levels = channels["Y"]
+        if "valid" in channels:
+            saturated = channels["valid"] == 0
+        else:
+            scale = entry.exposure * manifest.max_level / manifest.full_scale
+            sensor = np.floor(levels.astype(np.float64) * scale + manifest.black_level + 0.5)
+            saturated = np.minimum(sensor, manifest.max_level) >= manifest.saturated_from
+        return LoadedImage(levels=levels, saturated=saturated, sensor=None, source="exr")
+
+
+def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
+    """Open an image set.
+
+    Parameters
+    ----------
+    path
+        The set's folder or its ``manifest.json``.
+    verify
+        Check that all files are there, with the hashes listed where there are any.
+
+    Raises
+    ------
+    InputError
+        When the manifest is missing or wrong, or files are missing or changed; with one message per problem.
+    """
+    path = Path(path)
+    manifest_path = path / MANIFEST_NAME if path.is_dir() else path
+    image_set = ImageSet(folder=manifest_path.parent, manifest=read_manifest(manifest_path))
+    if verify and (problems := _file_problems(image_set)):
+        raise InputError(*problems)
+    return image_set
+
+
+def _file_problems(image_set: ImageSet) -> list[str]:
+    manifest = image_set.manifest
+    listed: dict[tuple[str, str | None], None] = {}
+    for image in manifest.images:
+        for kind, name in (("png", image.png), ("exr", image.exr)):
+            if name is not None:
+                listed[name, image.sha256.get(kind)] = None
+    for geometry in manifest.geometry:
+        listed[geometry.exr, geometry.sha256.get("exr")] = None
+    if manifest.patches is not None and manifest.patches not in manifest.files:
+        listed[manifest.patches, None] = None
+    for name, digest in manifest.files.items():
+        listed[name, digest] = None
+    checked = (_file_problem(image_set.path(name), digest) for name, digest in listed)
+    return [problem for problem in checked if problem is not None]
+
+
+def _file_problem(path: Path, digest: str | None) -> str | None:
+    if not path.is_file():
+        return f"{path}: missing; the manifest lists it"
+    if digest is None:
+        return None
+    try:
+        found = file_sha256(path)
+    except OSError as error:
+        return f"{path}: cannot be read: {error.strerror or error}"
+    if found != digest.lower():
+        return f"{path}: changed since it was listed: expected SHA-256 {digest[:12]}…, found {found[:12]}…"
+    return None

@@ -1,0 +1,61 @@
+"""Whether a folder's image set is the same run, to be continued, or another one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from lightopt.errors import InputError
+from lightopt.images._manifest import MANIFEST_NAME, Manifest
+from lightopt.images._parse import read_manifest
+
+__all__ = ["resumable_manifest"]
+
+_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings")
+
+
+def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
+    """Return the manifest to continue, the header's warnings added, or None where the folder holds no set.
+
+    Raises
+    ------
+    InputError
+        When the folder holds the set of another run, or a damaged one.
+    """
+    path = folder / MANIFEST_NAME
+    if not path.exists():
+        return None
+    advice = "use --force to replace it, or choose another output folder"
+    try:
+        existing = read_manifest(path)
+    except InputError as error:
+        raise InputError(*error.messages, f"{folder}: holds a damaged image set; {advice}") from error
+    if differences := _differences(existing, header):
+        raise InputError(f"{folder}: holds the image set of another run ({'; '.join(differences)}); {advice}")
+    return replace(existing, warnings=tuple(dict.fromkeys((*existing.warnings, *header.warnings))))
+
+
+def _differences(existing: Manifest, header: Manifest) -> list[str]:
+    """Say in words what tells two runs apart."""
+    old, new = _flat(existing), _flat(header)
+    return [
+        f"{key}: there {old.get(key, 'absent')}, now {new.get(key, 'absent')}"
+        for key in dict.fromkeys((*old, *new))
+        if old.get(key) != new.get(key)
+    ]
+
+
+def _flat(manifest: Manifest) -> dict[str, str]:
+    """Map header key (``part.sha256``, ``options.points``) to JSON text."""
+    flat: dict[str, str] = {}
+    for key, value in manifest.as_dict().items():
+        if key in _CONTENT_KEYS:
+            continue
+        inner = value if isinstance(value, dict) else None
+        for name, leaf in (inner or {}).items():
+            if (key, name) not in (("rig", "file"), ("part", "file")):
+                flat[f"{key}.{name}"] = json.dumps(leaf, sort_keys=True)
+        if not inner:
+            flat[key] = json.dumps(value, sort_keys=True)
+    return flat

@@ -1,0 +1,321 @@
+"""Writing an image set file by file, so that a killed run leaves a valid set and can be resumed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+from lightopt.images._atomic import file_sha256, write_bytes_atomic, write_npz_atomic, write_text_atomic
+from lightopt.images._exr import write_exr
+from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest, Posture
+from lightopt.images._names import ImageKey, Names, exr_name, geometry_name, inside_problem, png_name
+from lightopt.images._png import write_png
+from lightopt.images._resume import resumable_manifest
+
+__all__ = ["ImageSetWriter"]
+
+_PATCHES_NAME = "patches.npz"
+
+
+class ImageSetWriter:
+    """A folder that is becoming an image set.
+
+    The manifest is on disk from the start and is rewritten after each file that it names, so whenever the run
+    stops the folder holds a valid set of what was finished. Opened again with the same header, it resumes:
+    `done` tells what need not be made again.
+
+    Parameters
+    ----------
+    folder
+        The set's folder; made where it does not exist.
+    header
+        The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
+        same run.
+    force
+        Replace the set of another run, and files that belong to none.
+    plan
+        Light, posture and exposure of the images that the run will make, so that names which clash and files
+        in the way are found before any work.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written, holds the set of another run or files in the way (without `force`),
+        or two images of the plan would share a file.
+    """
+
+    def __init__(
+        self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[ImageKey] = ()
+    ) -> None:
+        self._folder = Path(folder)
+        self._names = Names()
+        self._verified: dict[str, str] = {}
+        plan = tuple(plan)
+        self._names.claim_images(plan)
+        existing = None if force else resumable_manifest(self._folder, header)
+        self._resumed = existing is not None
+        self._may_overwrite = force or self._resumed
+        if not self._may_overwrite:
+            for name in dict.fromkeys(name for key in plan for name in _file_names(key)):
+                self._refuse_stranger(name)
+        self._manifest = existing or replace(header, images=(), geometry=(), patches=None, files={})
+        self._names.claim_images(entry.key for entry in self._manifest.images)
+        self._make_folder(self._folder)
+        self._save()
+
+    @property
+    def folder(self) -> Path:
+        """The set's folder."""
+        return self._folder
+
+    @property
+    def manifest(self) -> Manifest:
+        """What is on disk so far."""
+        return self._manifest
+
+    @property
+    def resumed(self) -> bool:
+        """Whether an earlier run with an equal header is being continued."""
+        return self._resumed
+
+    def done(self, light: str, posture: Posture, exposure: float) -> bool:
+        """Whether an image is listed and its files are there with the hashes listed."""
+        entry = next((e for e in self._manifest.images if e.key == (light, posture, exposure)), None)
+        return entry is not None and all(
+            self._intact(name, entry.sha256.get(kind))
+            for kind, name in (("png", entry.png), ("exr", entry.exr))
+            if name is not None
+        )
+
+    def geometry_done(self, posture: Posture) -> bool:
+        """Whether the geometry of a posture is listed and its file is there with the hash listed."""
+        entry = next((e for e in self._manifest.geometry if e.posture == posture), None)
+        return entry is not None and self._intact(entry.exr, entry.sha256.get("exr"))
+
+    def file_done(self, name: str = _PATCHES_NAME) -> bool:
+        """Whether a further file (the patch table unless named) is listed and there with the hash listed."""
+        return name in self._manifest.files and self._intact(name, self._manifest.files[name])
+
+    def add_image(
+        self,
+        entry: ImageEntry,
+        *,
+        png: NDArray[np.uint8] | NDArray[np.uint16] | None = None,
+        exr: Mapping[str, NDArray[np.float32]] | None = None,
+    ) -> ImageEntry:
+        """Write an image's files, then list it; an entry of the same light, posture and exposure is replaced.
+
+        The linear image belongs to light and posture: all exposures of them list the same EXR.
+
+        Parameters
+        ----------
+        entry
+            What was imaged; its `png`, `exr` and `sha256` are filled in here.
+        png
+            Camera levels (H, W), as :func:`write_png` takes them.
+        exr
+            Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
+
+        Returns
+        -------
+        ImageEntry
+            The entry as listed.
+
+        Raises
+        ------
+        InputError
+            When there is no file to write, a level exceeds the bit depth, a file of others is in the way, or
+            the disk refuses.
+        """
+        self._names.claim_images([entry.key])
+        shared = next(
+            (e for e in self._manifest.images if e.key[:2] == entry.key[:2] and e.exr is not None), None
+        )
+        files: dict[str, str] = {}
+        hashes: dict[str, str] = {}
+        if shared is not None and shared.exr is not None and exr is None:
+            files["exr"] = shared.exr
+            hashes |= {kind: digest for kind, digest in shared.sha256.items() if kind == "exr"}
+        if png is None and exr is None and not files:
+            raise InputError(f"light {entry.light!r}: an image needs camera levels or linear channels")
+        if png is not None:
+            self._check_levels(entry, png)
+            name = files["png"] = png_name(*entry.key)
+            hashes["png"] = write_png(self._place(name), png, metadata=self._metadata(entry, linear=False))
+        if exr is not None:
+            name = files["exr"] = exr_name(entry.light, entry.posture)
+            hashes["exr"] = write_exr(self._place(name), exr, metadata=self._metadata(entry, linear=True))
+        self._verified.update({files[kind]: digest for kind, digest in hashes.items()})
+        listed = replace(
+            entry, png=files.get("png"), exr=files.get("exr"), sha256=dict(sorted(hashes.items()))
+        )
+        entries = {e.key: _with_exr(e, listed) for e in self._manifest.images}
+        self._save(images=tuple({**entries, listed.key: listed}.values()))
+        return listed
+
+    def add_geometry(
+        self,
+        posture: Posture,
+        channels: Mapping[str, NDArray[np.float32]],
+        *,
+        metadata: Mapping[str, Any] | None = None,
+    ) -> GeometryEntry:
+        """Write a posture's geometry image, then list it.
+
+        Parameters
+        ----------
+        posture
+            The stage's posture.
+        channels
+            ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray], ``patch``;
+            float32 (H, W).
+        metadata
+            More to say in the file, JSON-able.
+
+        Raises
+        ------
+        InputError
+            When a file of others is in the way or the disk refuses.
+        """
+        name = geometry_name(posture)
+        self._names.claim(name, f"the geometry of {name.partition('/')[0]}")
+        facts = {**self._origin(), "posture": posture.as_dict(), **(metadata or {})}
+        digest = write_exr(self._place(name), channels, metadata=facts)
+        self._verified[name] = digest
+        listed = GeometryEntry(posture=posture, exr=name, sha256={"exr": digest})
+        entries = {e.posture: e for e in self._manifest.geometry}
+        self._save(geometry=tuple({**entries, posture: listed}.values()))
+        return listed
+
+    def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Write the patch table as ``patches.npz``, then list it.
+
+        Raises
+        ------
+        InputError
+            When a file of others is in the way or the disk refuses.
+        """
+        self._names.claim(_PATCHES_NAME, "the patch table")
+        digest = write_npz_atomic(self._place(_PATCHES_NAME), arrays)
+        self._verified[_PATCHES_NAME] = digest
+        self._save(patches=_PATCHES_NAME, files={**self._manifest.files, _PATCHES_NAME: digest})
+
+    def add_file(self, name: str, data: bytes | str) -> None:
+        """Write a further file of the set (a report, a contact sheet), then list it.
+
+        Parameters
+        ----------
+        name
+            Path relative to the set's folder, POSIX style.
+        data
+            Its content; text is written as UTF-8.
+
+        Raises
+        ------
+        InputError
+            When the path leaves the folder, a file of others is in the way or the disk refuses.
+        """
+        if problem := inside_problem(name):
+            raise InputError(f"{name!r}: {problem}")
+        self._names.claim(name, f"the file {name}")
+        digest = write_bytes_atomic(
+            self._place(name), data.encode("utf-8") if isinstance(data, str) else data
+        )
+        self._verified[name] = digest
+        self._save(files={**self._manifest.files, name: digest})
+
+    def add_warnings(self, warnings: Iterable[str]) -> None:
+        """List warnings that are not listed yet.
+
+        Raises
+        ------
+        InputError
+            When the disk refuses.
+        """
+        merged = tuple(dict.fromkeys((*self._manifest.warnings, *warnings)))
+        if merged != self._manifest.warnings:
+            self._save(warnings=merged)
+
+    def _refuse_stranger(self, name: str) -> None:
+        path = self._folder / name
+        if path.exists():
+            raise InputError(
+                f"{path}: exists but belongs to no image set; "
+                "use --force to overwrite it, or choose another output folder"
+            )
+
+    def _place(self, name: str) -> Path:
+        """Give the path to write a file to, its folder made."""
+        if not self._may_overwrite and name not in self._verified:
+            self._refuse_stranger(name)
+        path = self._folder / name
+        self._make_folder(path.parent)
+        return path
+
+    @staticmethod
+    def _make_folder(folder: Path) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{folder}: cannot be made: {error.strerror or error}; "
+                "choose an output folder that can be written"
+            ) from error
+
+    def _intact(self, name: str, digest: str | None) -> bool:
+        if digest is None:
+            return False
+        if name not in self._verified:
+            try:
+                self._verified[name] = file_sha256(self._folder / name)
+            except OSError:
+                return False
+        return self._verified[name] == digest
+
+    def _check_levels(self, entry: ImageEntry, png: NDArray[Any]) -> None:
+        wanted = np.uint8 if self._manifest.bit_depth <= 8 else np.uint16
+        if png.dtype != wanted or int(png.max()) > self._manifest.max_level:
+            raise InputError(
+                f"light {entry.light!r}: expected {np.dtype(wanted)} levels up to {self._manifest.max_level} "
+                f"({self._manifest.bit_depth} bits), found {png.dtype} up to {png.max()}"
+            )
+
+    def _origin(self) -> dict[str, Any]:
+        return {"lightopt": self._manifest.lightopt, "kind": self._manifest.kind}
+
+    def _metadata(self, entry: ImageEntry, *, linear: bool) -> dict[str, Any]:
+        """Say what a file tells of itself when it is found alone."""
+        facts = {**self._origin(), **replace(entry, png=None, exr=None, sha256={}).as_dict()}
+        facts["full_scale"] = self._manifest.full_scale
+        if linear:  # the same whatever the exposure
+            return {
+                key: value for key, value in facts.items() if key != "exposure" and key not in entry.extra
+            }
+        return facts | {
+            "bit_depth": self._manifest.bit_depth,
+            "saturation_level": self._manifest.saturated_from,
+            "black_level": self._manifest.black_level,
+        }
+
+    def _save(self, **changes: Any) -> None:
+        manifest = replace(self._manifest, **changes)
+        write_text_atomic(self._folder / MANIFEST_NAME, manifest.to_json())
+        self._manifest = manifest
+
+
+def _file_names(key: ImageKey) -> tuple[str, ...]:
+    light, posture, _ = key
+    return png_name(*key), exr_name(light, posture), geometry_name(posture)
+
+
+def _with_exr(entry: ImageEntry, listed: ImageEntry) -> ImageEntry:
+    """Return the entry, pointing to the EXR just written where it is of the same light and posture."""
+    if entry.key[:2] != listed.key[:2] or listed.exr is None:
+        return entry
+    return replace(entry, exr=listed.exr, sha256={**entry.sha256, "exr": listed.sha256["exr"]})

@@ -1,0 +1,119 @@
+"""Which vertices coincide and which edges two faces share: what repairing and smoothing stand on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["EdgePairs", "edge_pairs", "merge_rows"]
+
+
+@dataclass(frozen=True, eq=False)
+class EdgePairs:
+    """Edges that exactly two faces use, and the number of the others.
+
+    Parameters
+    ----------
+    corners
+        The two corners that begin the edge, one in each face, as 3·face + corner, lower face first, shape (e,
+        2), int32.
+    same_direction
+        True where both faces run along the edge in the same direction (their windings disagree), shape (e,).
+    rim
+        True for faces that touch an edge used once or more than twice, shape (m,).
+    open_edges, nonmanifold_edges
+        Number of edges used by one face, and by three or more.
+    """
+
+    corners: NDArray[np.int32]
+    same_direction: NDArray[np.bool_]
+    rim: NDArray[np.bool_]
+    open_edges: int
+    nonmanifold_edges: int
+
+
+def merge_rows(rows: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Find the unique rows of an array by exact value, in order of first occurrence.
+
+    Parameters
+    ----------
+    rows
+        Positions, or positions with normals, shape (n, k).
+
+    Returns
+    -------
+    tuple
+        Row numbers of the first occurrences, shape (u,), and for each row the number of its unique row, shape
+        (n,).
+    """
+    # adding 0.0 turns −0.0 into 0.0, so that equal numbers have equal bits
+    bits = np.ascontiguousarray(rows + 0.0).view(np.uint64)
+    return _merge_bits(bits)
+
+
+def edge_pairs(faces: NDArray[np.int32], vertex_count: int) -> EdgePairs:
+    """Match the edges of all faces.
+
+    Parameters
+    ----------
+    faces
+        Vertex indices after merging coinciding positions, shape (m, 3).
+    vertex_count
+        Number of vertices.
+    """
+    start = faces.reshape(-1).astype(np.int64)
+    end = faces[:, (1, 2, 0)].reshape(-1).astype(np.int64)
+    key = np.minimum(start, end) * vertex_count + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
+    uses = np.diff(np.append(first, len(key)))
+    pair = first[uses == 2]
+    corners = np.stack([order[pair], order[pair + 1]], axis=1).astype(np.int32)
+    rim = np.zeros(len(faces), dtype=np.bool_)
+    rim[order[np.repeat(uses != 2, uses)] // 3] = True
+    return EdgePairs(
+        corners=corners,
+        same_direction=start[corners[:, 0]] == start[corners[:, 1]],
+        rim=rim,
+        open_edges=int(np.count_nonzero(uses == 1)),
+        nonmanifold_edges=int(np.count_nonzero(uses > 2)),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _merge_bits(bits: NDArray[np.uint64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    n, k = bits.shape
+    size = 16
+    while size < 2 * n:
+        size *= 2
+    mask = np.uint64(size - 1)
+    table = np.full(size, -1, dtype=np.int32)
+    first = np.empty(n, dtype=np.int32)
+    inverse = np.empty(n, dtype=np.int32)
+    unique = 0
+    for i in range(n):
+        h = np.uint64(0x9E3779B97F4A7C15)
+        for j in range(k):
+            h = (h ^ bits[i, j]) * np.uint64(0xFF51AFD7ED558CCD)
+            h ^= h >> np.uint64(32)
+        slot = h & mask
+        while True:
+            found = table[slot]
+            if found < 0:
+                table[slot] = unique
+                first[unique] = i
+                inverse[i] = unique
+                unique += 1
+                break
+            same = True
+            for j in range(k):
+                same = same and bits[first[found], j] == bits[i, j]
+            if same:
+                inverse[i] = found
+                break
+            slot = (slot + np.uint64(1)) & mask
+    return first[:unique].copy(), inverse

@@ -1,0 +1,347 @@
+"""Render a posture: blocks of image rows on a pool of threads, every light per block."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.mesh import Patches
+from lightopt.raycast import Hits, RayCaster
+from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
+from lightopt.rendering._points import shade_points
+from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.scene import PanelLight, PartView, Posture, Scene, screen_window, view_from_part
+
+__all__ = [
+    "Geometry",
+    "LightImage",
+    "PostureImages",
+    "Progress",
+    "cast_rays_at",
+    "render",
+    "render_posture",
+]
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Progress = Callable[[float, int], None]
+"""Called with the share of the posture that is done (0 to 1) and the number of rays cast so far."""
+
+BLOCK_SAMPLES = 65_536
+"""Image samples that a thread works on at once: bounds the memory, and is large enough to hide Python's overhead."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightImage:
+    """The part under one light at exposure 1.
+
+    Attributes
+    ----------
+    light
+        Name of the light.
+    level
+        Linear, unclipped, noise-free [grey level], shape (height, width).
+    diffuse, specular
+        Its two components [grey level], or None where not asked for.
+    """
+
+    light: str
+    level: Float32
+    diffuse: Float32 | None = None
+    specular: Float32 | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometry:
+    """What each pixel's centre looks at; world frame, zero where a ray misses the part.
+
+    Attributes
+    ----------
+    points
+        [mm], shape (height, width, 3).
+    normals
+        Interpolated unit normals, shape (height, width, 3).
+    distance
+        From the pinhole along the ray [mm], shape (height, width).
+    patch
+        Patch seen, −1 where none; all −1 without patches; shape (height, width).
+    hit
+        Whether the ray meets the part, shape (height, width).
+    """
+
+    points: Float32
+    normals: Float32
+    distance: Float32
+    patch: NDArray[np.int32]
+    hit: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureImages:
+    """A part in one posture under each light.
+
+    Attributes
+    ----------
+    posture
+        Of the part.
+    lights
+        One image per light, in the scene's order.
+    geometry
+        What the pixels look at.
+    back_faces
+        Number of pixels whose centre sees the back of a face; they are black.
+    rays
+        Number of rays cast.
+    """
+
+    posture: Posture
+    lights: tuple[LightImage, ...]
+    geometry: Geometry
+    back_faces: int
+    rays: int
+
+
+def cast_rays_at(scene: Scene) -> RayCaster:
+    """The ray caster of a scene's part, in the part's frame; serves all postures."""
+    return RayCaster(scene.mesh.vertices, scene.mesh.faces)
+
+
+def render(
+    scene: Scene,
+    *,
+    shadows: bool = True,
+    supersample: int = 1,
+    layers: bool = False,
+    patches: Patches | None = None,
+    threads: int | None = None,
+) -> Iterator[PostureImages]:
+    """Render all postures of a scene under all its lights, one posture after the other.
+
+    Parameters
+    ----------
+    scene
+        From :func:`lightopt.scene.build_scene`.
+    shadows
+        Whether the part casts shadows on itself.
+    supersample
+        n² rays per pixel on a regular n × n grid, averaged.
+    layers
+        Whether to keep the diffuse and the specular component apart as well.
+    patches
+        Of the scene's mesh, to say which patch each pixel sees.
+    threads
+        Number of threads; all the machine's by default. The images do not depend on it.
+
+    Examples
+    --------
+    >>> from lightopt import build_scene, render
+    >>> scene = build_scene("configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")  # doctest: +SKIP
+    >>> for images in render(scene):  # doctest: +SKIP
+    ...     print(images.posture, images.lights[0].level.max())
+    """
+    caster = cast_rays_at(scene)
+    for posture in scene.postures:
+        yield render_posture(
+            scene,
+            posture,
+            caster=caster,
+            shadows=shadows,
+            supersample=supersample,
+            layers=layers,
+            patches=patches,
+            threads=threads,
+        )
+
+
+def render_posture(
+    scene: Scene,
+    posture: Posture,
+    *,
+    caster: RayCaster,
+    shadows: bool = True,
+    supersample: int = 1,
+    layers: bool = False,
+    patches: Patches | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> PostureImages:
+    """Render one posture of a scene under all its lights.
+
+    Parameters as in :func:`render`, and
+
+    Parameters
+    ----------
+    posture
+        Any posture, not only one of the scene's.
+    caster
+        From :func:`cast_rays_at`.
+    progress
+        Called from the calling thread as blocks are finished.
+    """
+    before = caster.rays_cast
+    job = _Job(scene, posture, caster, shadows, supersample, layers, patches)
+    _run_blocks(job, threads or os.cpu_count() or 1, progress)
+    return job.result(caster.rays_cast - before)
+
+
+def _run_blocks(job: _Job, threads: int, progress: Progress | None) -> None:
+    blocks = job.blocks()
+    before = job.caster.rays_cast
+    with ThreadPoolExecutor(threads) as pool:
+        waiting = {pool.submit(job.block, top, bottom) for top, bottom in blocks}
+        try:
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    future.result()
+                if progress is not None:
+                    progress(1.0 - len(waiting) / len(blocks), job.caster.rays_cast - before)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+class _Job:
+    """The images of one posture while they are being made; blocks write to rows of their own."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        posture: Posture,
+        caster: RayCaster,
+        shadows: bool,
+        supersample: int,
+        layers: bool,
+        patches: Patches | None,
+    ) -> None:
+        self.scene = scene
+        self.posture = posture
+        self.caster = caster
+        self.shadows = shadows
+        self.supersample = supersample
+        self.patches = patches
+        self.view: PartView = view_from_part(scene, posture)
+        self.window = screen_window(self.view.camera, scene.mesh)
+        shape = (scene.camera.height, scene.camera.width)
+        self.levels = [np.zeros(shape, np.float32) for _ in scene.lights]
+        self.layers = [(np.zeros(shape, np.float32), np.zeros(shape, np.float32)) for _ in scene.lights if layers]
+        self.points = np.zeros((*shape, 3), np.float32)
+        self.normals = np.zeros((*shape, 3), np.float32)
+        self.distance = np.zeros(shape, np.float32)
+        self.patch = np.full(shape, -1, np.int32)
+        self.hit = np.zeros(shape, np.bool_)
+        self.back = np.zeros(shape, np.bool_)
+        self.panels: list[PanelLight | ConvergedPanel] = [
+            converged_panel(light, centre=caster.centre, radius=caster.radius) if light.points == "auto" else light
+            for light in self.view.lights
+        ]
+        # neighbouring samples tell where penumbrae are, so that blocks then overlap by a row
+        self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
+
+    def blocks(self) -> list[tuple[int, int]]:
+        """Rows [top, bottom) of each block."""
+        left, top, right, bottom = self.window
+        samples_per_row = max(1, right - left) * self.supersample**2
+        step = max(1, BLOCK_SAMPLES // samples_per_row)
+        return [(row, min(row + step, bottom)) for row in range(top, bottom, step)]
+
+    def block(self, top: int, bottom: int) -> None:
+        """Render rows [top, bottom) under every light."""
+        n = self.supersample
+        left, _, right, _ = self.window
+        rows = np.arange(top * n - self.halo, bottom * n + self.halo)
+        columns = np.arange(left * n, right * n)
+        hits, surface = self._trace((columns + 0.5) / n, (rows + 0.5) / n)
+        grid = (len(rows), len(columns))
+        own = slice(self.halo, grid[0] - self.halo)
+        if n == 1:
+            self._store_geometry(hits, surface, grid, own, slice(top, bottom), slice(left, right))
+        else:
+            centre_hits, centres = self._trace(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
+            pixels = (bottom - top, right - left)
+            self._store_geometry(
+                centre_hits, centres, pixels, slice(None), slice(top, bottom), slice(left, right)
+            )
+        reflectance = self.scene.reflectance
+        for index, panel in enumerate(self.panels):
+            d, s = self._shade(surface, panel, hits.ray.astype(np.intp), grid)
+            parts = []
+            for coefficient, values in ((reflectance.R_d, d), (reflectance.R_s, s)):
+                samples = np.zeros(grid)
+                samples.ravel()[hits.ray] = coefficient * values
+                parts.append(_pixel_means(samples[own], n))
+            target = (slice(top, bottom), slice(left, right))
+            self.levels[index][target] = parts[0] + parts[1]
+            if self.layers:
+                self.layers[index][0][target], self.layers[index][1][target] = parts
+
+    def result(self, rays: int) -> PostureImages:
+        """The finished images."""
+        images: list[LightImage] = []
+        for index, light in enumerate(self.scene.lights):
+            diffuse, specular = self.layers[index] if self.layers else (None, None)
+            images.append(
+                LightImage(light=light.name, level=self.levels[index], diffuse=diffuse, specular=specular)
+            )
+        return PostureImages(
+            posture=self.posture,
+            lights=tuple(images),
+            geometry=Geometry(
+                points=self.points, normals=self.normals, distance=self.distance, patch=self.patch, hit=self.hit
+            ),
+            back_faces=int(self.back.sum()),
+            rays=rays,
+        )
+
+    def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
+        x, y = np.meshgrid(columns, rows)
+        return trace_samples(self.caster, self.scene.mesh, self.view.camera, x.ravel(), y.ravel())
+
+    def _shade(
+        self,
+        surface: SurfacePoints,
+        panel: PanelLight | ConvergedPanel,
+        sample: NDArray[np.intp],
+        grid: tuple[int, int],
+    ) -> tuple[Float64, Float64]:
+        caster = self.caster if self.shadows else None
+        sigma = self.scene.reflectance.sigma
+        if isinstance(panel, ConvergedPanel):
+            return shade_converged(surface, panel, sample=sample, shape=grid, sigma=sigma, caster=caster)
+        assert panel.points != "auto"
+        return shade_points(surface, panel, points=panel.points, sigma=sigma, caster=caster)
+
+    def _store_geometry(
+        self,
+        hits: Hits,
+        surface: SurfacePoints,
+        grid: tuple[int, int],
+        own: slice,
+        rows: slice,
+        columns: slice,
+    ) -> None:
+        rotation, translation = self.view.rotation, self.view.translation
+        patch = np.full(len(hits.ray), -1, np.int32)
+        if self.patches is not None:
+            patch = self.patches.patch_at(hits.face, hits.u, hits.v)
+        for image, values in (
+            (self.points, surface.points @ rotation.T + translation),
+            (self.normals, surface.normals @ rotation.T),
+            (self.distance, hits.distance),
+            (self.patch, patch),
+            (self.hit, True),
+            (self.back, ~surface.front),
+        ):
+            block = np.full((grid[0] * grid[1], *image.shape[2:]), -1 if image is self.patch else 0, image.dtype)
+            block[hits.ray] = values
+            image[rows, columns] = block.reshape(*grid, *image.shape[2:])[own]
+
+
+def _pixel_means(samples: Float64, n: int) -> Float64:
+    rows, columns = samples.shape
+    return samples.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3)) if n > 1 else samples

@@ -1,0 +1,106 @@
+"""A panel's numbers as the kernels want them, and the light of one point of it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.reflectance import lambert, torrance_sparrow
+from lightopt.scene import PanelLight
+
+__all__ = ["PanelNumbers", "panel_numbers", "point_terms"]
+
+Float64 = NDArray[np.float64]
+
+
+class PanelNumbers(NamedTuple):
+    """A panel in the part's frame; a point of it is ``centre + s·across + t·along`` with s, t in [−½, ½].
+
+    ``across`` and ``along`` have the panel's sides as lengths [mm]; ``distance`` is that of the panel's centre to the
+    origin of the world [mm].
+    """
+
+    centre: Float64
+    across: Float64
+    along: Float64
+    outward: Float64
+    distance: float
+    inverse_square: bool
+    emission_exponent: float
+
+
+def panel_numbers(light: PanelLight) -> PanelNumbers:
+    """The numbers of a panel, in the frame that its vectors are given in."""
+    return PanelNumbers(
+        light.centre,
+        light.size[0] * light.across,
+        light.size[1] * light.along,
+        light.outward,
+        float(light.distance),
+        light.inverse_square,
+        float(light.emission_exponent),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def point_terms(
+    px: float,
+    py: float,
+    pz: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    n_dot_v: float,
+    qx: float,
+    qy: float,
+    qz: float,
+    panel: PanelNumbers,
+    inverse_two_sigma_squared: float,
+) -> tuple[float, float]:
+    """Diffuse and specular terms, per unit of R_d and R_s, of one point light of weight 1 (paper, equations 2 and 3).
+
+    Parameters
+    ----------
+    px, py, pz
+        Surface point [mm].
+    nx, ny, nz
+        Its unit normal.
+    vx, vy, vz
+        Unit view direction.
+    n_dot_v
+        cosθ_o.
+    qx, qy, qz
+        The point light [mm].
+    panel
+        The panel that it belongs to, for fall-off and emission.
+    inverse_two_sigma_squared
+        1/(2σ²) [rad⁻²].
+    """
+    lx, ly, lz = qx - px, qy - py, qz - pz
+    r2 = lx * lx + ly * ly + lz * lz
+    inverse = 1.0 / math.sqrt(r2)
+    lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
+    n_dot_l = nx * lx + ny * ly + nz * lz
+    if n_dot_l <= 0.0:
+        return 0.0, 0.0
+    weight = 1.0
+    if panel.inverse_square:
+        weight = panel.distance * panel.distance / r2
+    if panel.emission_exponent > 0.0:
+        cosine = panel.outward[0] * lx + panel.outward[1] * ly + panel.outward[2] * lz
+        weight *= max(0.0, cosine) ** panel.emission_exponent
+    diffuse = weight * lambert(n_dot_l)
+    if n_dot_v <= 0.0:
+        return diffuse, 0.0
+    hx, hy, hz = lx + vx, ly + vy, lz + vz
+    inverse = 1.0 / math.sqrt(hx * hx + hy * hy + hz * hz)
+    dx, dy, dz = nx - hx * inverse, ny - hy * inverse, nz - hz * inverse
+    chord_squared = dx * dx + dy * dy + dz * dz
+    return diffuse, weight * torrance_sparrow(chord_squared, n_dot_v, inverse_two_sigma_squared)

@@ -1,0 +1,155 @@
+"""The panel as m point lights (paper, section 4.1, equation 4)."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.raycast import RayCaster
+from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
+from lightopt.rendering._surface import SurfacePoints
+from lightopt.scene import PanelLight, panel_grid
+
+__all__ = ["facing_pairs", "shade_points"]
+
+Float64 = NDArray[np.float64]
+
+
+def shade_points(
+    surface: SurfacePoints,
+    light: PanelLight,
+    *,
+    points: int,
+    sigma: float,
+    caster: RayCaster | None,
+) -> tuple[Float64, Float64]:
+    """Diffuse and specular light of a panel of m points, per unit of R_d and R_s; two arrays of shape (k,).
+
+    Parameters
+    ----------
+    surface
+        k surface points, part frame.
+    light
+        Part frame.
+    points
+        m = k².
+    sigma
+        Of the specular lobe [rad].
+    caster
+        For shadows; None for none.
+    """
+    grid = panel_grid(light, points)
+    point, target = facing_pairs(surface, grid, geometric=caster is not None)
+    if caster is None:
+        clear = np.ones(len(point), np.bool_)
+    else:
+        clear = ~caster.occluded(
+            surface.points, surface.facets, grid, point_index=point, target_index=target
+        )
+    return _accumulate(
+        surface.points,
+        surface.normals,
+        surface.views,
+        grid,
+        point,
+        target,
+        clear,
+        panel_numbers(light),
+        light.total_weight / points,
+        0.5 / sigma**2,
+    )
+
+
+def facing_pairs(
+    surface: SurfacePoints, targets: Float64, *, geometric: bool
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Pairs (surface point, target) for which light can arrive at all, as two index arrays of the same length.
+
+    Parameters
+    ----------
+    surface
+        k surface points.
+    targets
+        Point lights [mm], shape (m, 3).
+    geometric
+        Whether the face's own plane, too, must face the light: below it, the face itself is in the way.
+    """
+    return _facing(
+        surface.points, surface.normals, surface.facets, surface.front, targets, geometric
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _facing(
+    points: Float64,
+    normals: Float64,
+    facets: Float64,
+    front: NDArray[np.bool_],
+    targets: Float64,
+    geometric: bool,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    point = np.empty(len(points) * len(targets), np.int32)
+    target = np.empty(len(points) * len(targets), np.int32)
+    count = 0
+    for i in range(len(points)):
+        if not front[i]:
+            continue
+        for k in range(len(targets)):
+            lx, ly, lz = (
+                targets[k, 0] - points[i, 0],
+                targets[k, 1] - points[i, 1],
+                targets[k, 2] - points[i, 2],
+            )
+            if normals[i, 0] * lx + normals[i, 1] * ly + normals[i, 2] * lz <= 0.0:
+                continue
+            if geometric and facets[i, 0] * lx + facets[i, 1] * ly + facets[i, 2] * lz <= 0.0:
+                continue
+            point[count] = i
+            target[count] = k
+            count += 1
+    return point[:count].copy(), target[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _accumulate(
+    points: Float64,
+    normals: Float64,
+    views: Float64,
+    targets: Float64,
+    point: NDArray[np.int32],
+    target: NDArray[np.int32],
+    clear: NDArray[np.bool_],
+    panel: PanelNumbers,
+    weight: float,
+    inverse_two_sigma_squared: float,
+) -> tuple[Float64, Float64]:
+    diffuse = np.zeros(len(points))
+    specular = np.zeros(len(points))
+    for j in range(len(point)):
+        if not clear[j]:
+            continue
+        i, k = point[j], target[j]
+        # scalars, since slices of arrays cost more than the arithmetic
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
+        d, s = point_terms(
+            points[i, 0],
+            points[i, 1],
+            points[i, 2],
+            nx,
+            ny,
+            nz,
+            vx,
+            vy,
+            vz,
+            nx * vx + ny * vy + nz * vz,
+            targets[k, 0],
+            targets[k, 1],
+            targets[k, 2],
+            panel,
+            inverse_two_sigma_squared,
+        )
+        diffuse[i] += weight * d
+        specular[i] += weight * s
+    return diffuse, specular

@@ -1,0 +1,148 @@
+"""What the camera sees of the part: surface points with normals and view directions, in the part's frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.mesh import TriangleMesh
+from lightopt.raycast import Hits, RayCaster, resolve_hits
+from lightopt.scene import PinholeCamera, pixel_directions
+
+__all__ = ["SurfacePoints", "interpolate_surface", "trace_samples"]
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points of the surface that a camera looks at, k of them, part frame.
+
+    Attributes
+    ----------
+    points
+        [mm], shape (k, 3).
+    normals
+        Interpolated unit normals N that shading uses, shape (k, 3).
+    facets
+        Unit geometric normals of the faces, shape (k, 3).
+    views
+        Unit vectors V towards the camera, shape (k, 3).
+    front
+        False where the camera sees the back of a face, which is black; shape (k,).
+    """
+
+    points: Float64
+    normals: Float64
+    facets: Float64
+    views: Float64
+    front: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, index: NDArray[np.intp]) -> SurfacePoints:
+        """The points at `index`, shape (j,)."""
+        return SurfacePoints(
+            self.points[index], self.normals[index], self.facets[index], self.views[index], self.front[index]
+        )
+
+
+def interpolate_surface(
+    mesh: TriangleMesh, face: NDArray[np.int32], u: Float64, v: Float64, points: Float64, eye: Float64
+) -> SurfacePoints:
+    """Normals and view directions at points of a mesh.
+
+    Parameters
+    ----------
+    mesh
+        Part frame [mm].
+    face, u, v
+        Face index and barycentric coordinates of each point, shape (k,).
+    points
+        [mm], shape (k, 3).
+    eye
+        Pinhole of the camera, part frame [mm], shape (3,).
+    """
+    smooth = mesh.normals is not None
+    vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
+    return SurfacePoints(
+        points, *_interpolate(mesh.vertices, mesh.faces, vertex_normals, smooth, face, u, v, points, eye)
+    )
+
+
+def trace_samples(
+    caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
+) -> tuple[Hits, SurfacePoints]:
+    """Cast camera rays through image points and describe the surface where they meet the part.
+
+    Parameters
+    ----------
+    caster, mesh
+        The part, in its own frame.
+    camera
+        Part frame.
+    columns, rows
+        Image points [px], shape (n,).
+    """
+    directions = pixel_directions(camera, columns, rows)
+    hits = resolve_hits(
+        caster.first_hit(camera.position, directions), camera.position, directions, mesh.vertices, mesh.faces
+    )
+    return hits, interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)
+
+
+@numba.njit(cache=True, nogil=True)
+def _interpolate(
+    vertices: Float64,
+    faces: NDArray[np.int32],
+    vertex_normals: Float64,
+    smooth: bool,
+    face: NDArray[np.int32],
+    u: Float64,
+    v: Float64,
+    points: Float64,
+    eye: Float64,
+) -> tuple[Float64, Float64, Float64, NDArray[np.bool_]]:
+    k = len(face)
+    normals = np.empty((k, 3))
+    facets = np.empty((k, 3))
+    views = np.empty((k, 3))
+    front = np.empty(k, np.bool_)
+    for i in range(k):
+        a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
+        e1x, e1y, e1z = (
+            vertices[b, 0] - vertices[a, 0],
+            vertices[b, 1] - vertices[a, 1],
+            vertices[b, 2] - vertices[a, 2],
+        )
+        e2x, e2y, e2z = (
+            vertices[c, 0] - vertices[a, 0],
+            vertices[c, 1] - vertices[a, 1],
+            vertices[c, 2] - vertices[a, 2],
+        )
+        gx, gy, gz = e1y * e2z - e1z * e2y, e1z * e2x - e1x * e2z, e1x * e2y - e1y * e2x
+        length = np.sqrt(gx * gx + gy * gy + gz * gz)
+        gx, gy, gz = gx / length, gy / length, gz / length
+        vx, vy, vz = eye[0] - points[i, 0], eye[1] - points[i, 1], eye[2] - points[i, 2]
+        length = np.sqrt(vx * vx + vy * vy + vz * vz)
+        vx, vy, vz = vx / length, vy / length, vz / length
+        nx, ny, nz = gx, gy, gz
+        if smooth:
+            w = 1.0 - u[i] - v[i]
+            nx = w * vertex_normals[a, 0] + u[i] * vertex_normals[b, 0] + v[i] * vertex_normals[c, 0]
+            ny = w * vertex_normals[a, 1] + u[i] * vertex_normals[b, 1] + v[i] * vertex_normals[c, 1]
+            nz = w * vertex_normals[a, 2] + u[i] * vertex_normals[b, 2] + v[i] * vertex_normals[c, 2]
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if length > 1e-12:
+                nx, ny, nz = nx / length, ny / length, nz / length
+            else:
+                nx, ny, nz = gx, gy, gz
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
+        facets[i, 0], facets[i, 1], facets[i, 2] = gx, gy, gz
+        views[i, 0], views[i, 1], views[i, 2] = vx, vy, vz
+        front[i] = gx * vx + gy * vy + gz * vz > 0.0
+    return normals, facets, views, front

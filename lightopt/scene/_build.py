@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from lightopt.config import (
+    CameraConfig,
+    LightConfig,
+    LightSourceConfig,
+    PartConfig,
+    PlacementConfig,
+    RigConfig,
+    load_part,
+    load_rig,
+)
+from lightopt.errors import InputError
+from lightopt.mesh import TriangleMesh, load_mesh, transformed
+from lightopt.reflectance import Reflectance
+from lightopt.scene._camera import Distortion, PinholeCamera, pixel_directions, pixel_footprint, place_camera
+from lightopt.scene._framing import frame_part, inside_mesh
+from lightopt.scene._light import PanelLight, place_light
+from lightopt.scene._scene import Posture, Scene, view_from_part
+from lightopt.sensor import Sensor
+from lightopt.transforms import rotation_x, rotation_y, rotation_z
+from lightopt.units import MM_PER_UNIT
+
+__all__ = ["build_scene"]
+
+CHORD_TOLERANCE_MM = 0.01
+CHORD_TOLERANCE_FOOTPRINTS = 0.2
+"""CAD surfaces are tessellated to within the smaller of 10 µm and a fifth of a pixel's footprint."""
+
+
+def build_scene(
+    rig: RigConfig | Path | str,
+    part: PartConfig | Path | str,
+    *,
+    postures: Sequence[Posture] | None = None,
+    lights: Sequence[str] | None = None,
+    points: int | Literal["auto"] | None = None,
+) -> Scene:
+    """Place a rig's camera and lights and a part in the world frame.
+
+    Parameters
+    ----------
+    rig, part
+        Configurations, or the paths of their YAML files.
+    postures
+        Instead of the part's own.
+    lights
+        Names of the lights to keep, instead of all.
+    points
+        Point lights per panel, instead of the rig's.
+
+    Raises
+    ------
+    InputError
+        A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part wholly outside the
+        view, a camera inside the part, a lens that folds the image over.
+    """
+    rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
+    part = part if isinstance(part, PartConfig) else load_part(part)
+    camera = _camera(rig)
+    chosen = _postures(rig, part, postures)
+    placed = _lights(rig, lights, points)
+    mesh, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
+    reflectance = part.reflectance
+    scene = Scene(
+        camera=camera,
+        lights=placed,
+        mesh=mesh,
+        reflectance=Reflectance(
+            R_d=reflectance.R_d,
+            R_s=reflectance.R_s,
+            sigma=reflectance.sigma_rad,
+            full_scale=reflectance.full_scale,
+        ),
+        sensor=_sensor(rig.camera),
+        pivot=np.array(rig.stage.pivot_mm, dtype=np.float64),
+        postures=chosen,
+    )
+    warnings += _check_view(scene, rig, part)
+    return Scene(**{**vars(scene), "warnings": warnings})
+
+
+def _camera(rig: RigConfig) -> PinholeCamera:
+    c = rig.camera
+    if c.image_distance_mm is not None:
+        image_distance = c.image_distance_mm
+    else:
+        assert c.focal_length_mm is not None
+        # thin lens focused at the origin: 1/f = 1/a + 1/b
+        image_distance = c.focal_length_mm * c.distance_mm / (c.distance_mm - c.focal_length_mm)
+    camera = place_camera(
+        distance=c.distance_mm,
+        elevation=math.radians(c.elevation_deg),
+        azimuth=math.radians(c.azimuth_deg),
+        roll=math.radians(c.roll_deg),
+        width=c.resolution_px[0],
+        height=c.resolution_px[1],
+        pixel_size=c.pixel_size_um * 1e-3,
+        image_distance=image_distance,
+        distortion=Distortion(**c.distortion.model_dump()) if c.distortion else Distortion(),
+    )
+    columns = np.linspace(0.0, camera.width, 33)
+    rows = np.linspace(0.0, camera.height, 33)
+    grid = np.meshgrid(columns, rows)
+    if not np.isfinite(pixel_directions(camera, grid[0].ravel(), grid[1].ravel())).all():
+        raise InputError(
+            f"{rig.source.at('camera', 'distortion')}: this lens model folds the image over inside the frame, so that "
+            "some pixels look nowhere; expected coefficients of a calibration that covered the whole image"
+        )
+    return camera
+
+
+def _sensor(camera: CameraConfig) -> Sensor:
+    s = camera.sensor
+    full = 2**s.bit_depth - 1
+    return Sensor(
+        bit_depth=s.bit_depth,
+        saturation_level=full if s.saturation_level is None else s.saturation_level,
+        black_level=s.black_level,
+        read_noise_levels=s.read_noise_levels,
+        electrons_per_level=s.electrons_per_level,
+    )
+
+
+def _postures(rig: RigConfig, part: PartConfig, asked: Sequence[Posture] | None) -> tuple[Posture, ...]:
+    if asked is None:
+        named = [
+            (Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg), part.source.at("postures", i))
+            for i, p in enumerate(part.postures)
+        ]
+    else:
+        named = [(posture, "posture") for posture in asked]
+    limits = (
+        ("elevation", "elevation_range_deg", rig.stage.elevation_range_deg),
+        ("rotation", "rotation_range_deg", rig.stage.rotation_range_deg),
+    )
+    problems = [
+        f"{where}: {axis} {getattr(posture, axis + '_deg'):g}° is outside the stage's range "
+        f"{low:g}° to {high:g}° ({rig.source.at('stage', key)})"
+        for posture, where in named
+        for axis, key, (low, high) in limits
+        if not low <= getattr(posture, axis + "_deg") <= high
+    ]
+    if problems:
+        raise InputError(*problems)
+    return tuple(posture for posture, _ in named)
+
+
+def _lights(
+    rig: RigConfig, names: Sequence[str] | None, points: int | Literal["auto"] | None
+) -> tuple[PanelLight, ...]:
+    known = [light.name for light in rig.lights]
+    unknown = [name for name in names or () if name not in known]
+    if unknown:
+        raise InputError(
+            *(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown)
+        )
+    return tuple(
+        _light(light, rig.light_source, points) for light in rig.lights if names is None or light.name in names
+    )
+
+
+def _light(light: LightConfig, shared: LightSourceConfig, points: int | Literal["auto"] | None) -> PanelLight:
+    own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
+    source = shared.model_copy(update=own)
+    return place_light(
+        name=light.name,
+        distance=light.distance_mm,
+        elevation=math.radians(light.elevation_deg),
+        azimuth=math.radians(light.azimuth_deg),
+        size=source.size_mm,
+        points=source.points if points is None else points,
+        normalisation=source.normalisation,
+        gain=light.gain,
+        inverse_square=source.falloff == "inverse_square",
+        emission_exponent=source.emission_exponent,
+    )
+
+
+def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, tuple[str, ...]]:
+    m = part.mesh
+    loaded = load_mesh(
+        part.source.path.parent / m.file,
+        unit_mm=None if m.units is None else MM_PER_UNIT[m.units],
+        normals=m.normals,
+        crease_angle=math.radians(m.crease_angle_deg),
+        chord_tolerance_mm=min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint),
+        max_triangles=m.max_triangles,
+    )
+    return _place(loaded.mesh, part.placement), loaded.warnings
+
+
+def _place(mesh: TriangleMesh, placement: PlacementConfig) -> TriangleMesh:
+    rx, ry, rz = (math.radians(angle) for angle in placement.rotate_deg)
+    turned = transformed(mesh, rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx), np.zeros(3))
+    low, high = turned.bounds
+    shift = np.zeros(3)
+    if placement.anchor == "rest_on_table":
+        shift = -np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    elif placement.anchor == "centred":
+        shift = -0.5 * (low + high)
+    return transformed(turned, np.eye(3), shift + np.array(placement.translate_mm, dtype=np.float64))
+
+
+def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ...]:
+    size = " × ".join(f"{side:.4g}" for side in np.subtract(*scene.mesh.bounds[::-1]))
+    where = part.source.at("mesh", "file")
+    warnings: list[str] = []
+    outside: list[str] = []
+    for posture in scene.postures:
+        camera = view_from_part(scene, posture).camera
+        if inside_mesh(camera.position, scene.mesh):
+            raise InputError(
+                f"{where}: the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, which "
+                f"measures {size} mm; check the mesh's units and the part's placement"
+            )
+        framing = frame_part(camera, scene.mesh)
+        if framing.outside:
+            outside.append(
+                f"{where}: in posture {posture} the part, {size} mm, lies wholly outside the camera's view of "
+                f"{camera.width} × {camera.height} px; check units and placement"
+            )
+        elif not framing.inside:
+            sides = zip(("left", "top", "right", "bottom"), framing.excess, strict=True)
+            by = ", ".join(
+                f"{excess:.0f} px ({excess * framing.footprint[0]:.3g} mm) at the {side}"
+                for side, excess in sides
+                if excess > 0.0
+            )
+            warnings.append(f"posture {posture}: the part leaves the view by {by or 'reaching behind the camera'}")
+    if outside:
+        raise InputError(*outside)
+    return tuple(warnings)

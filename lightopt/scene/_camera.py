@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.transforms import azimuth_tangent, direction, elevation_tangent
+
+__all__ = ["Distortion", "PinholeCamera", "pixel_directions", "pixel_footprint", "place_camera", "project"]
+
+Float64 = NDArray[np.float64]
+
+_UNDISTORT_STEPS = 50
+_UNDISTORT_TOLERANCE = 1e-13
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distortion:
+    """OpenCV's radial and tangential lens distortion on normalised image coordinates, x right, y down."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether the lens draws straight lines straight."""
+        return not any((self.k1, self.k2, self.p1, self.p2, self.k3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PinholeCamera:
+    """A pinhole with an image plane, in whichever frame its vectors are given (world or part).
+
+    Attributes
+    ----------
+    position
+        Pinhole [mm], shape (3,).
+    right, up, forward
+        Unit vectors of the image, shape (3,).
+    width, height
+        [px].
+    pixel_size
+        Side of a square pixel [mm].
+    image_distance
+        Pinhole to image plane [mm].
+    distortion
+        Of the lens.
+    """
+
+    position: Float64
+    right: Float64
+    up: Float64
+    forward: Float64
+    width: int
+    height: int
+    pixel_size: float
+    image_distance: float
+    distortion: Distortion = Distortion()
+
+    def moved(self, rotation: Float64, translation: Float64) -> PinholeCamera:
+        """The camera after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
+        return PinholeCamera(
+            position=rotation @ self.position + translation,
+            right=rotation @ self.right,
+            up=rotation @ self.up,
+            forward=rotation @ self.forward,
+            width=self.width,
+            height=self.height,
+            pixel_size=self.pixel_size,
+            image_distance=self.image_distance,
+            distortion=self.distortion,
+        )
+
+
+def place_camera(
+    *,
+    distance: float,
+    elevation: float,
+    azimuth: float,
+    roll: float,
+    width: int,
+    height: int,
+    pixel_size: float,
+    image_distance: float,
+    distortion: Distortion = Distortion(),  # noqa: B008  (frozen)
+) -> PinholeCamera:
+    """Camera at ``distance·d(elevation, azimuth)``, looking at the origin; lengths [mm], angles [rad], world frame."""
+    d = direction(elevation=elevation, azimuth=azimuth)
+    e_phi = azimuth_tangent(azimuth=azimuth)
+    e_theta = elevation_tangent(elevation=elevation, azimuth=azimuth)
+    c, s = np.cos(roll), np.sin(roll)
+    return PinholeCamera(
+        position=distance * d,
+        right=c * e_phi + s * e_theta,
+        up=-s * e_phi + c * e_theta,
+        forward=-d,
+        width=width,
+        height=height,
+        pixel_size=pixel_size,
+        image_distance=image_distance,
+        distortion=distortion,
+    )
+
+
+def pixel_directions(camera: PinholeCamera, columns: Float64, rows: Float64) -> Float64:
+    """Directions of the rays through image points, not normalised, shape (k, 3), frame of the camera's vectors.
+
+    Parameters
+    ----------
+    columns, rows
+        Image points [px], shape (k,): pixel (column 0, row 0) has its centre at (0.5, 0.5).
+    """
+    scale = camera.pixel_size / camera.image_distance
+    x = (columns - 0.5 * camera.width) * scale
+    y = (rows - 0.5 * camera.height) * scale
+    if not camera.distortion.is_zero:
+        x, y = _undistort(camera.distortion, x, y)
+    return camera.forward + x[:, None] * camera.right - y[:, None] * camera.up
+
+
+def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, Float64]:
+    """Image points (columns, rows) [px] and depth along the optical axis [mm] of points; each of shape (k,).
+
+    Points at or behind the pinhole have a depth ≤ 0 and image points of NaN.
+
+    Parameters
+    ----------
+    points
+        [mm], shape (k, 3), frame of the camera's vectors.
+    """
+    offset = points - camera.position
+    depth = offset @ camera.forward
+    safe = np.where(depth > 0.0, depth, np.nan)
+    x = (offset @ camera.right) / safe
+    y = -(offset @ camera.up) / safe
+    if not camera.distortion.is_zero:
+        x, y = _distort(camera.distortion, x, y)
+    scale = camera.image_distance / camera.pixel_size
+    return x * scale + 0.5 * camera.width, y * scale + 0.5 * camera.height, depth
+
+
+def pixel_footprint(camera: PinholeCamera, distance: float) -> float:
+    """Side of a pixel's footprint on a plane facing the camera at `distance` [mm] from the pinhole [mm]."""
+    return camera.pixel_size / camera.image_distance * distance
+
+
+def _distort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, Float64]:
+    d = distortion
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3))
+    return (
+        x * radial + 2.0 * d.p1 * x * y + d.p2 * (r2 + 2.0 * x * x),
+        y * radial + d.p1 * (r2 + 2.0 * y * y) + 2.0 * d.p2 * x * y,
+    )
+
+
+def _undistort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, Float64]:
+    # Newton's method on both coordinates; a lens whose model folds over inside the image does not converge and gives NaN,
+    # which the scene's construction refuses
+    d = distortion
+    ux, uy = x.copy(), y.copy()
+    error = np.full(x.shape, np.inf)
+    for _ in range(_UNDISTORT_STEPS):
+        fx, fy = _distort(d, ux, uy)
+        fx, fy = fx - x, fy - y
+        error = np.maximum(np.abs(fx), np.abs(fy))
+        if error.size == 0 or error.max() <= _UNDISTORT_TOLERANCE:
+            break
+        r2 = ux * ux + uy * uy
+        radial = 1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3))
+        slope = 2.0 * (d.k1 + r2 * (2.0 * d.k2 + 3.0 * d.k3 * r2))
+        jxx = radial + slope * ux * ux + 2.0 * d.p1 * uy + 6.0 * d.p2 * ux
+        jxy = slope * ux * uy + 2.0 * d.p1 * ux + 2.0 * d.p2 * uy
+        jyy = radial + slope * uy * uy + 6.0 * d.p1 * uy + 2.0 * d.p2 * ux
+        determinant = jxx * jyy - jxy * jxy
+        ux -= (jyy * fx - jxy * fy) / determinant
+        uy -= (jxx * fy - jxy * fx) / determinant
+    lost = ~(error <= 1e-9)
+    ux[lost] = np.nan
+    uy[lost] = np.nan
+    return ux, uy

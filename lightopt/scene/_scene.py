@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.mesh import TriangleMesh
+from lightopt.reflectance import Reflectance
+from lightopt.scene._camera import PinholeCamera
+from lightopt.scene._light import PanelLight
+from lightopt.sensor import Sensor
+from lightopt.transforms import posture_rotation
+
+__all__ = ["PartView", "Posture", "Scene", "view_from_part"]
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Posture:
+    """How the stage holds the part: tilt θ_j, then rotation φ_j, in degrees as files and people name them."""
+
+    elevation_deg: float
+    rotation_deg: float
+
+    def __str__(self) -> str:
+        return f"({self.elevation_deg:g}°, {self.rotation_deg:g}°)"
+
+    @property
+    def matrix(self) -> Float64:
+        """R = Rx(θ_j)·Rz(φ_j), shape (3, 3)."""
+        return posture_rotation(
+            elevation=math.radians(self.elevation_deg), rotation=math.radians(self.rotation_deg)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A part on its stage, the lights around it, the camera above it.
+
+    Attributes
+    ----------
+    camera, lights
+        World frame.
+    mesh
+        The part at posture (0, 0), world frame [mm].
+    reflectance
+        Of its surface.
+    sensor
+        Of the camera.
+    pivot
+        Point that postures turn about, world frame [mm], shape (3,).
+    postures
+        The postures to look at.
+    warnings
+        What was repaired or is partly wrong, for the person at the machine.
+    """
+
+    camera: PinholeCamera
+    lights: tuple[PanelLight, ...]
+    mesh: TriangleMesh
+    reflectance: Reflectance
+    sensor: Sensor
+    pivot: Float64
+    postures: tuple[Posture, ...]
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartView:
+    """Camera and lights as the part sees them in a posture, so that one ray caster serves all postures.
+
+    Attributes
+    ----------
+    camera, lights
+        Part frame: the world frame at posture (0, 0).
+    rotation, translation
+        Part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,) [mm].
+    """
+
+    camera: PinholeCamera
+    lights: tuple[PanelLight, ...]
+    rotation: Float64
+    translation: Float64
+
+
+def view_from_part(scene: Scene, posture: Posture) -> PartView:
+    """The scene's camera and lights in the part's own frame at a posture: p' = pivot + R·(p − pivot), inverted."""
+    rotation = posture.matrix
+    translation = scene.pivot - rotation @ scene.pivot
+    back = rotation.T
+    back_translation = -back @ translation
+    return PartView(
+        camera=scene.camera.moved(back, back_translation),
+        lights=tuple(light.moved(back, back_translation) for light in scene.lights),
+        rotation=rotation,
+        translation=translation,
+    )
