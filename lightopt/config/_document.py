@@ -49,11 +49,16 @@ class YamlError(Exception):
 
 @dataclass
 class Document:
-    """Plain data of a YAML document, the line of each path of keys, and the problems met."""
+    """Plain data of a YAML document, the line of each path of keys, and the problems met.
+
+    `invalid` are the paths whose value is INVALID, `incomplete` the mappings that lost a key.
+    """
 
     data: object = None
     lines: dict[Keys, int] = field(default_factory=dict[Keys, int])
     problems: list[Problem] = field(default_factory=list[Problem])
+    invalid: set[Keys] = field(default_factory=set[Keys])
+    incomplete: set[Keys] = field(default_factory=set[Keys])
 
 
 @dataclass(frozen=True)
@@ -154,7 +159,12 @@ class _Expansion:
 
     def report(self, line: int, keys: Keys, message: str) -> _Invalid:
         self.document.problems.append(Problem(line, keys, message))
+        self.document.invalid.add(keys)
         return INVALID
+
+    def drop_key(self, line: int, keys: Keys, message: str) -> None:
+        self.document.problems.append(Problem(line, keys, message))
+        self.document.incomplete.add(keys)
 
     def value(self, node: _Node, keys: Keys, line: int) -> object:
         self.count += 1
@@ -187,14 +197,16 @@ class _Expansion:
         for key_node, value_node in node.pairs:
             line, event = key_node.line, key_node.event
             if not isinstance(event, yaml.ScalarEvent) or event.tag is not None:
-                self.report(line, keys, "expected a key of plain text")
+                self.drop_key(line, keys, "expected a key of plain text")
                 continue
             key = self.scalar_key(event, keys, line)
             if key is None:
                 continue
             if key in data:
                 first = self.document.lines[(*keys, key)]
-                self.report(line, keys, f'key "{key[:60]}" is given twice; the first is in line {first}')
+                self.document.problems.append(
+                    Problem(line, keys, f'key "{key[:60]}" is given twice; the first is in line {first}')
+                )
                 continue
             data[key] = self.value(value_node, (*keys, key), line)
         return data
@@ -203,10 +215,10 @@ class _Expansion:
         """Text of a key; keys are never numbers or booleans."""
         key: str = event.value
         if key == "<<" and event.implicit[0]:
-            self.report(line, keys, 'merging with "<<" is not part of YAML 1.2; write the keys out')
+            self.drop_key(line, keys, 'merging with "<<" is not part of YAML 1.2; write the keys out')
             return None
         if any("\ud800" <= c <= "\udfff" for c in key):
-            self.report(line, keys, "half of a surrogate pair is not a character")
+            self.drop_key(line, keys, "half of a surrogate pair is not a character")
             return None
         return key
 

@@ -45,19 +45,22 @@ def model_problems(
     """Problems of a document that does not fit a model, except where they are already reported."""
     meant = _suggestions(model, errors)
     covered = {(*loc[:-1], known) for loc, known in meant.items()}
-    reported = {p.keys for p in document.problems if p.keys}
     problems: list[Problem] = []
     for error in errors:
         keys, kind = tuple(error["loc"]), error["type"]
-        if error["input"] is INVALID or any(keys[:n] in reported for n in range(1, len(keys) + 1)):
+        if error["input"] is INVALID:
             continue
+        if kind == "expected" and any(path[: len(keys)] == keys for path in document.invalid):
+            continue  # a list with an invalid value in it
         if kind == "too_short" and error["input"]:
             continue  # pydantic does not count entries that are wrong themselves; those are reported
         wanted = {keys[-1]} if kind == "missing" else set(error.get("ctx", {}).get("keys", ()))
         if kind in ("missing", "absent", "extra_forbidden"):
             keys = keys[:-1]
-        if kind in ("missing", "absent") and any((*keys, w) in covered for w in wanted):
-            continue  # the misspelt key is reported already
+        if kind in ("missing", "absent") and (
+            keys in document.incomplete or any((*keys, w) in covered for w in wanted)
+        ):
+            continue  # the key that was dropped or misspelt is reported
         problems.append(Problem(_line(document, keys, error), keys, _message(model, error, meant)))
     return problems
 

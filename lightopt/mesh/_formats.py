@@ -49,7 +49,7 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
         check_budget(name, claimed, max_triangles)
     loaded = _trimesh(name, "STL", lambda: load_stl(io.BytesIO(data)))
     parts = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
-    soup = _joined(parts, "binary STL" if is_binary else "ASCII STL", repeats_vertices=True)
+    soup = _joined(name, parts, "binary STL" if is_binary else "ASCII STL", repeats_vertices=True)
     if len(soup.faces) != claimed:
         raise InputError(
             f"{name}: {claimed} triangles in the ASCII STL file, but only {len(soup.faces)} could be read"
@@ -105,7 +105,7 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> Soup:
     )
     if "faces" not in loaded:
         raise InputError(f"{name}: the {kind} file has no triangles ({_listed(counts)})")
-    soup = _joined([loaded], kind, repeats_vertices=False)
+    soup = _joined(name, [loaded], kind, repeats_vertices=False)
     if len(soup.vertices) != counts.get("vertex", 0) or len(soup.faces) < counts.get("face", 0):
         raise InputError(
             f"{name}: the PLY header announces {_listed(counts)}; found {len(soup.vertices)} vertices and "
@@ -147,7 +147,7 @@ def read_obj(name: str, data: bytes, max_triangles: int) -> Soup:
     if not parts:
         raise InputError(f"{name}: the OBJ file has no triangles")
     seams = re.search(rb"^vt\s", data, re.MULTILINE) is not None
-    return _joined(parts, "OBJ", repeats_vertices=seams)
+    return _joined(name, parts, "OBJ", repeats_vertices=seams)
 
 
 def read_glb(name: str, data: bytes, max_triangles: int) -> Soup:
@@ -182,7 +182,7 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> Soup:
             parts.append(placed(matrix, np.asarray(geometry.vertices), np.asarray(geometry.faces), normals))
     if not parts:
         raise InputError(f"{name}: the GLB file has no triangles in its scene")
-    soup = _joined(parts, "GLB", repeats_vertices=seams)
+    soup = _joined(name, parts, "GLB", repeats_vertices=seams)
     z_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     normals = None if soup.normals is None else soup.normals @ z_up.T
     return Soup(
@@ -202,13 +202,18 @@ def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
         ) from error
 
 
-def _joined(parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> Soup:
+def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> Soup:
     vertices: list[NDArray[np.float64]] = []
     faces: list[NDArray[np.int64]] = []
     normals: list[NDArray[np.float64]] = []
     start = 0
     for part in parts:
         vertices.append(np.asarray(part["vertices"], dtype=np.float64))
+        if vertices[-1].ndim != 2 or vertices[-1].shape[1] != 3:
+            raise InputError(
+                f"{name}: the {kind} file has vertices of {vertices[-1].shape[-1]} coordinates, expected 3. "
+                "The file is damaged; export or copy it again"
+            )
         faces.append(_fans(np.asarray(part["faces"], dtype=np.int64)) + start)
         if part.get("vertex_normals") is not None:
             normals.append(np.asarray(part["vertex_normals"], dtype=np.float64))

@@ -162,7 +162,7 @@ def load_mesh(
         unit_mm = 1000.0 if unit_mm is None else unit_mm
     del data
     check_budget(str(path), len(soup.faces), min(max_triangles, _MOST_TRIANGLES))
-    check_soup(str(path), soup)
+    check_soup(str(path), soup, unit_mm)
     return _finish(str(path), soup, unit_mm, crease_angle if normals == "smooth" else None)
 
 
@@ -170,10 +170,6 @@ def _finish(name: str, soup: Soup, unit_mm: float, crease_angle: float | None) -
     """Repaired mesh with normals; facets where there is no crease angle."""
     warnings = list(soup.warnings)
     placed = soup.vertices * unit_mm
-    if not np.isfinite(placed).all():
-        raise InputError(
-            f"{name}: coordinates overflow in mm; one unit of the file was taken as {unit_mm:g} mm"
-        )
     first, number = merge_rows(placed)
     vertices, faces = placed[first], number[soup.faces]
     keep = keep_faces_with_area(vertices, faces)

@@ -18,6 +18,9 @@ BYTES_PER_TRIANGLE = 700
 # direction.
 _FLAT = 1e-12
 
+# Farther from the origin rounding eats the part, and no part is that large.
+_FARTHEST_MM = 1e9
+
 
 @dataclass(frozen=True, eq=False)
 class Soup:
@@ -63,13 +66,13 @@ def check_budget(name: str, triangles: int, max_triangles: int) -> None:
         )
 
 
-def check_soup(name: str, soup: Soup) -> None:
+def check_soup(name: str, soup: Soup, unit_mm: float) -> None:
     """Refuse triangles that cannot be repaired.
 
     Raises
     ------
     InputError
-        No triangles, a vertex that is not finite, or a vertex index out of range.
+        No triangles, a vertex that is not finite or beyond all reason, or a vertex index out of range.
     """
     if not len(soup.faces):
         raise InputError(f"{name}: the {soup.format} file has no triangles ({len(soup.vertices)} vertices)")
@@ -87,6 +90,12 @@ def check_soup(name: str, soup: Soup) -> None:
         raise InputError(
             f"{name}: {np.count_nonzero(bad)} vertices have coordinates that are not finite, the first is "
             f"vertex {where} (counted from 0): {soup.vertices[where].tolist()}. Export the file again"
+        )
+    farthest = float(np.abs(soup.vertices).max())
+    if farthest > _FARTHEST_MM / unit_mm:
+        raise InputError(
+            f"{name}: coordinates up to {farthest:g} units of {unit_mm:g} mm, at most {_FARTHEST_MM:g} mm "
+            "are accepted; the file is damaged or its unit is wrong"
         )
 
 

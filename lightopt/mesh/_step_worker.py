@@ -22,6 +22,8 @@ def main(arguments: list[str]) -> int:
     """Tessellate; the exit status is 0, `EXIT_READ` (the kernel refused the file) or `EXIT_MEMORY`."""
     step, glb, linear, angular, relative, memory = arguments
     _limit_memory(int(memory))
+    # cascadio imports trimesh, which takes longer than most parts, only to register itself there if it can
+    sys.modules["trimesh"] = None  # type: ignore[assignment]
     try:
         import cascadio
 

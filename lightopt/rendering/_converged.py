@@ -1,14 +1,13 @@
 """``points: auto``: the panel as the continuous surface it is.
 
 Per pixel and light five rays, to the panel's corners and centre, tell lit from shaded. Where they agree among themselves
-and with those of the neighbouring pixels, the panel is wholly visible or wholly hidden. In the penumbrae that remain, a
-quadtree over the panel finds the edge of the shadow, and only its visible leaves give light.
+and with those of the neighbouring pixels, the panel is wholly visible or wholly hidden; the penumbrae that remain are
+worked out by :mod:`lightopt.rendering._penumbra`.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass
 
 import numba
@@ -16,8 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.raycast import RayCaster
-from lightopt.rendering._lobe import gauss_legendre_table, rectangle_diffuse, rectangle_specular
+from lightopt.rendering._lobe import (
+    gauss_legendre_table,
+    out_of_reach,
+    rectangle_diffuse,
+    rectangle_specular,
+)
 from lightopt.rendering._panel import PanelNumbers, panel_numbers
+from lightopt.rendering._penumbra import HORIZON_NODES, shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
@@ -29,24 +34,14 @@ Float64 = NDArray[np.float64]
 DIFFUSE_TOLERANCE = 2e-4
 """Error of the diffuse quadrature per unit of R_d: 0.05 level of 255."""
 
-HORIZON_NODES = 6
-"""Gauss–Legendre nodes a side where the panel is partly below the surface's horizon."""
-
-COARSE_CELLS = 4
-FINE_CELLS = 64
-"""In a penumbra the panel is divided in COARSE_CELLS² cells; those that the shadow's edge crosses, by their corners, are
-quartered down to FINE_CELLS a side."""
-
 PROBE_INSET = 0.98
 """The rays to the corners go this far from the panel's centre towards them."""
 
-PENUMBRA_BATCH = 512
-"""Penumbra pixels that are worked on at once; their quadtrees take 4 KiB each."""
+PENUMBRA_BATCH = 2048
+"""Penumbra pixels that are worked on at once: some 10 MiB of rays."""
 
 # what the coarse rays of a pixel and a light say
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
-# state of a corner of the quadtree's cells
-_UNKNOWN, _BELOW, _VISIBLE, _BLOCKED = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -154,9 +149,8 @@ def shade_converged(
             for start in range(0, len(index), PENUMBRA_BATCH):
                 batch = index[start : start + PENUMBRA_BATCH]
                 some = surface.take(batch)
-                state = _shadow_quadtrees(some, panel, caster)
-                diffuse[batch], specular[batch], penumbra[batch] = _visible_leaves(
-                    some.points, some.normals, some.views, state, panel, inverse, nodes, weights
+                diffuse[batch], specular[batch], penumbra[batch] = shade_penumbra(
+                    some, panel, caster, inverse_two_sigma_squared=inverse, rules=converged.rules
                 )
             # a penumbra goes on until its neighbours, too, see the whole panel or none of it
             looked_at |= uncertain
@@ -232,6 +226,8 @@ def _whole_panel(
         count = diffuse_nodes if least > 0.0 else HORIZON_NODES
         diffuse[i] = rectangle_diffuse(p, n, v, panel, -0.5, 0.5, -0.5, 0.5, count, nodes, weights)
         n_dot_v = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+        if out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
+            continue
         specular[i] = rectangle_specular(
             p, n, v, n_dot_v, panel, -0.5, 0.5, -0.5, 0.5, inverse_two_sigma_squared, nodes, weights
         )
@@ -250,158 +246,3 @@ def _horizon(p: Float64, n: Float64, panel: PanelNumbers) -> tuple[float, float]
     return middle - half, middle + half
 
 
-def _shadow_quadtrees(surface: SurfacePoints, panel: PanelNumbers, caster: RayCaster) -> NDArray[np.uint8]:
-    # state of the corners of the quadtrees' cells, on a grid of FINE_CELLS + 1 points a side, shape (k, side, side)
-    k = len(surface)
-    state = np.zeros((k, FINE_CELLS + 1, FINE_CELLS + 1), np.uint8)
-    count = COARSE_CELLS
-    point, row, column = (
-        a.ravel().astype(np.int32)
-        for a in np.meshgrid(np.arange(k), np.arange(count), np.arange(count), indexing="ij")
-    )
-    while len(point) > 0:
-        asked, y, x, targets = _unknown_corners(
-            surface.points, surface.normals, surface.facets, panel, point, row, column, count, state
-        )
-        blocked = caster.occluded_from(surface.points, surface.facets, targets, point_index=asked)
-        state[asked, y, x] = np.where(blocked, _BLOCKED, _VISIBLE)
-        if count == FINE_CELLS:
-            break
-        point, row, column = _split_mixed(point, row, column, count, state)
-        count *= 2
-    return state
-
-
-@numba.njit(cache=True, nogil=True)
-def _unknown_corners(
-    points: Float64,
-    normals: Float64,
-    facets: Float64,
-    panel: PanelNumbers,
-    point: NDArray[np.int32],
-    row: NDArray[np.int32],
-    column: NDArray[np.int32],
-    count: int,
-    state: NDArray[np.uint8],
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], Float64]:
-    # the corners of these cells that need a ray; those that the horizon decides are written down at once
-    most = 4 * len(point)
-    asked, ys, xs = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
-    targets = np.empty((most, 3))
-    side = FINE_CELLS // count
-    m = 0
-    for j in range(len(point)):
-        i = point[j]
-        for corner in range(4):
-            y, x = (row[j] + corner // 2) * side, (column[j] + corner % 2) * side
-            if state[i, y, x] != _UNKNOWN:
-                continue
-            s, t = x / FINE_CELLS - 0.5, y / FINE_CELLS - 0.5
-            height = plane = 0.0
-            for a in range(3):
-                q = panel.centre[a] + s * panel.across[a] + t * panel.along[a]
-                targets[m, a] = q
-                height += normals[i, a] * (q - points[i, a])
-                plane += facets[i, a] * (q - points[i, a])
-            if height <= 0.0:
-                state[i, y, x] = _BELOW
-                continue
-            # blocked until the ray says otherwise, and for good below the face's own plane
-            state[i, y, x] = _BLOCKED
-            if plane > 0.0:
-                asked[m], ys[m], xs[m] = i, y, x
-                m += 1
-    return asked[:m].copy(), ys[:m].copy(), xs[:m].copy(), targets[:m].copy()
-
-
-@numba.njit(cache=True, nogil=True)
-def _corner_counts(
-    state: NDArray[np.uint8], i: int, row: int, column: int, side: int
-) -> tuple[int, int, int]:
-    # how many corners of a cell are visible, blocked and below the horizon
-    visible = blocked = below = 0
-    for corner in range(4):
-        value = state[i, (row + corner // 2) * side, (column + corner % 2) * side]
-        if value == _VISIBLE:
-            visible += 1
-        elif value == _BLOCKED:
-            blocked += 1
-        else:
-            below += 1
-    return visible, blocked, below
-
-
-@numba.njit(cache=True, nogil=True)
-def _split_mixed(
-    point: NDArray[np.int32],
-    row: NDArray[np.int32],
-    column: NDArray[np.int32],
-    count: int,
-    state: NDArray[np.uint8],
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    # the quarters of the cells that a shadow's edge crosses
-    most = 4 * len(point)
-    points, rows, columns = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
-    m = 0
-    for j in range(len(point)):
-        visible, blocked, _ = _corner_counts(state, point[j], row[j], column[j], FINE_CELLS // count)
-        if visible == 0 or blocked == 0:
-            continue
-        for quarter in range(4):
-            points[m] = point[j]
-            rows[m] = 2 * row[j] + quarter // 2
-            columns[m] = 2 * column[j] + quarter % 2
-            m += 1
-    return points[:m].copy(), rows[:m].copy(), columns[:m].copy()
-
-
-@numba.njit(cache=True, nogil=True)
-def _visible_leaves(
-    points: Float64,
-    normals: Float64,
-    views: Float64,
-    state: NDArray[np.uint8],
-    panel: PanelNumbers,
-    inverse_two_sigma_squared: float,
-    nodes: Float64,
-    weights: Float64,
-) -> tuple[Float64, Float64, NDArray[np.bool_]]:
-    # light of the leaves of each quadtree, and whether it has both visible and blocked corners
-    diffuse = np.zeros(len(points))
-    specular = np.zeros(len(points))
-    mixed = np.zeros(len(points), np.bool_)
-    stack = np.empty((4 * COARSE_CELLS * COARSE_CELLS + 64, 3), np.int32)
-    for i in range(len(points)):
-        p, n, v = points[i], normals[i], views[i]
-        n_dot_v = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
-        seen = hidden = False
-        height = 0
-        for row in range(COARSE_CELLS):
-            for column in range(COARSE_CELLS):
-                stack[height, 0], stack[height, 1], stack[height, 2] = COARSE_CELLS, row, column
-                height += 1
-        while height > 0:
-            height -= 1
-            count, row, column = stack[height, 0], stack[height, 1], stack[height, 2]
-            visible, blocked, below = _corner_counts(state, i, row, column, FINE_CELLS // count)
-            seen |= visible > 0
-            hidden |= blocked > 0
-            if visible == 0:
-                continue
-            if blocked > 0 and count < FINE_CELLS:
-                for quarter in range(4):
-                    stack[height, 0] = 2 * count
-                    stack[height, 1] = 2 * row + quarter // 2
-                    stack[height, 2] = 2 * column + quarter % 2
-                    height += 1
-                continue
-            share = visible / (visible + blocked)
-            s0, s1 = column / count - 0.5, (column + 1) / count - 0.5
-            t0, t1 = row / count - 0.5, (row + 1) / count - 0.5
-            order = 2 if below == 0 else HORIZON_NODES
-            diffuse[i] += share * rectangle_diffuse(p, n, v, panel, s0, s1, t0, t1, order, nodes, weights)
-            specular[i] += share * rectangle_specular(
-                p, n, v, n_dot_v, panel, s0, s1, t0, t1, inverse_two_sigma_squared, nodes, weights
-            )
-        mixed[i] = seen and hidden
-    return diffuse, specular, mixed

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lightopt.rendering._panel import PanelNumbers, point_terms
 
-__all__ = ["MAX_NODES", "gauss_legendre_table", "rectangle_diffuse", "rectangle_specular"]
+__all__ = ["MAX_NODES", "gauss_legendre_table", "out_of_reach", "rectangle_diffuse", "rectangle_specular"]
 
 Float64 = NDArray[np.float64]
 
@@ -124,7 +124,7 @@ def rectangle_specular(
 
     Parameters as in :func:`rectangle_diffuse`; `n_dot_v` is cosθ_o, `inverse_two_sigma_squared` 1/(2σ²) [rad⁻²].
     """
-    if n_dot_v <= 0.0 or _out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
+    if n_dot_v <= 0.0:
         return 0.0
     s, t = _mirror_point(p, n, v, n_dot_v, panel)
     s, t = min(max(s, s0), s1), min(max(t, t0), t1)
@@ -200,11 +200,13 @@ def rectangle_specular(
 
 
 @numba.njit(cache=True, nogil=True)
-def _out_of_reach(
+def out_of_reach(
     p: Float64, n: Float64, v: Float64, panel: PanelNumbers, inverse_two_sigma_squared: float
 ) -> bool:
-    # whether the lobe is negligible all over the panel, from its centre alone: while L turns by α, H turns by no more than
-    # α / (2·cos(half the angle between L and V))
+    """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone.
+
+    While L turns by α, H turns by no more than α / (2·cos(half the angle between L and V)).
+    """
     lx, ly, lz = panel.centre[0] - p[0], panel.centre[1] - p[1], panel.centre[2] - p[2]
     r = math.sqrt(lx * lx + ly * ly + lz * lz)
     lx, ly, lz = lx / r, ly / r, lz / r

@@ -421,6 +421,27 @@ def test_all_errors_at_once_sorted_by_line(tmp_path: Path) -> None:
     assert len(found) == 8
 
 
+def test_what_is_unreadable_hides_nothing_else(tmp_path: Path) -> None:
+    text = (
+        RIG.replace("points: 4 ", "points: 5 ")
+        .replace("falloff: none ", "points: 4\n  falloff: none ")
+        .replace("[1600, 1200]", "[.nan, 1200]")
+        .replace("pixel_size_um: 4.4", "pixel_size_um: -1")
+        .replace("pivot_mm: [0, 0, 0]", "<<: {}\n  pivot_mm: 0")
+        .replace("bit_depth: 8 ", "!!str bit_depth: 8 ")
+    )
+    found = errors(load_rig, write(tmp_path, text))
+    assert [f.split(": ")[1] for f in found] == [
+        "camera.resolution_px[0]",
+        "camera.pixel_size_um",
+        "camera.sensor",
+        "light_source.points",
+        "light_source",
+        "stage",
+        "stage.pivot_mm",
+    ]
+
+
 # ---- one thing wrong with a part
 
 BAD_PARTS = [

@@ -1,0 +1,241 @@
+"""STEP files: through the worker process, with the CAD surface's normals, units, assemblies and limits."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.errors import InputError
+from lightopt.mesh import LoadedMesh, _step_worker, load_mesh
+from lightopt.mesh._step import declared_unit_mm
+
+KNOB = Path(__file__).parents[2] / "configs" / "parts" / "cover-knob.step"
+
+MILLIMETRE = "#30=(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.));"
+INCH = """#30=(CONVERSION_BASED_UNIT('INCH',#35)LENGTH_UNIT()NAMED_UNIT(#34));
+#34=DIMENSIONAL_EXPONENTS(1.,0.,0.,0.,0.,0.,0.);
+#35=LENGTH_MEASURE_WITH_UNIT(LENGTH_MEASURE(25.4),#36);
+#36=(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.));"""
+
+
+def si(prefix: str) -> str:
+    return MILLIMETRE.replace(".MILLI.", prefix)
+
+
+def ball(*, unit: str = MILLIMETRE, radius: float = 10.0, centre=(1.0, 2.0, 3.0), more: str = "") -> str:
+    """STEP text of a solid bounded by one whole spherical face, the smallest solid there is."""
+    x, y, z = centre
+    return f"""ISO-10303-21;
+HEADER;
+FILE_DESCRIPTION(('ball'),'2;1');
+FILE_NAME('ball','2020-01-01T00:00:00',(''),(''),'','','');
+FILE_SCHEMA(('AUTOMOTIVE_DESIGN {{ 1 0 10303 214 1 1 1 1 }}'));
+ENDSEC;
+DATA;
+#1=APPLICATION_CONTEXT('core data');
+#2=APPLICATION_PROTOCOL_DEFINITION('international standard','automotive_design',2000,#1);
+#3=PRODUCT_CONTEXT('',#1,'mechanical');
+#4=PRODUCT('ball','ball','',(#3));
+#5=PRODUCT_DEFINITION_FORMATION('','',#4);
+#6=PRODUCT_DEFINITION_CONTEXT('part definition',#1,'design');
+#7=PRODUCT_DEFINITION('design','',#5,#6);
+#8=PRODUCT_DEFINITION_SHAPE('','',#7);
+#9=SHAPE_DEFINITION_REPRESENTATION(#8,#10);
+#10=ADVANCED_BREP_SHAPE_REPRESENTATION('',(#11,#20),#29);
+#11=AXIS2_PLACEMENT_3D('',#12,#13,#14);
+#12=CARTESIAN_POINT('',(0.,0.,0.));
+#13=DIRECTION('',(0.,0.,1.));
+#14=DIRECTION('',(1.,0.,0.));
+#20=MANIFOLD_SOLID_BREP('',#21);
+#21=CLOSED_SHELL('',(#22));
+#22=ADVANCED_FACE('',(#23),#26,.T.);
+#23=FACE_BOUND('',#24,.T.);
+#24=VERTEX_LOOP('',#25);
+#25=VERTEX_POINT('',#28);
+#26=SPHERICAL_SURFACE('',#27,{radius});
+#27=AXIS2_PLACEMENT_3D('',#37,#13,#14);
+#37=CARTESIAN_POINT('',({x},{y},{z}));
+#28=CARTESIAN_POINT('',({x},{y},{z - radius}));
+#29=(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT((#33))
+GLOBAL_UNIT_ASSIGNED_CONTEXT((#30,#31,#32))REPRESENTATION_CONTEXT('',''));
+{unit}
+#31=(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.));
+#32=(NAMED_UNIT(*)SI_UNIT($,.STERADIAN.)SOLID_ANGLE_UNIT());
+#33=UNCERTAINTY_MEASURE_WITH_UNIT(LENGTH_MEASURE(1.E-06),#30,'distance_accuracy_value','');
+{more}ENDSEC;
+END-ISO-10303-21;
+"""
+
+
+def two_balls() -> str:
+    """Assembly that places the ball of radius 2 at (10, 0, 0), and turned and moved to (0, 20, 5)."""
+    more = """#100=PRODUCT('pair','pair','',(#3));
+#101=PRODUCT_DEFINITION_FORMATION('','',#100);
+#102=PRODUCT_DEFINITION('design','',#101,#6);
+#103=PRODUCT_DEFINITION_SHAPE('','',#102);
+#104=SHAPE_DEFINITION_REPRESENTATION(#103,#105);
+#105=SHAPE_REPRESENTATION('',(#11,#110,#120),#29);
+"""
+    places = {110: ("10.,0.,0.", "0.,0.,1.", "1.,0.,0."), 120: ("0.,20.,5.", "1.,0.,0.", "0.,1.,0.")}
+    for n, (origin, axis, reference) in places.items():
+        more += f"""#{n}=AXIS2_PLACEMENT_3D('',#{n + 1},#{n + 2},#{n + 3});
+#{n + 1}=CARTESIAN_POINT('',({origin}));
+#{n + 2}=DIRECTION('',({axis}));
+#{n + 3}=DIRECTION('',({reference}));
+#{n + 4}=NEXT_ASSEMBLY_USAGE_OCCURRENCE('{n}','','',#102,#7,$);
+#{n + 5}=PRODUCT_DEFINITION_SHAPE('','',#{n + 4});
+#{n + 6}=CONTEXT_DEPENDENT_SHAPE_REPRESENTATION(#{n + 7},#{n + 5});
+#{n + 7}=(REPRESENTATION_RELATIONSHIP('','',#10,#105)
+REPRESENTATION_RELATIONSHIP_WITH_TRANSFORMATION(#{n + 8})SHAPE_REPRESENTATION_RELATIONSHIP());
+#{n + 8}=ITEM_DEFINED_TRANSFORMATION('','',#11,#{n});
+"""
+    return ball(radius=2.0, centre=(1.0, 0.0, 0.0), more=more)
+
+
+def load(tmp_path: Path, text: str, name: str = "part.step", **changes) -> LoadedMesh:
+    path = tmp_path / name
+    path.write_text(text)
+    options = {"unit_mm": None, "normals": "smooth", "crease_angle": 0.5, **changes}
+    return load_mesh(path, **options)
+
+
+def refused(tmp_path: Path, text: str, match: str, **changes) -> None:
+    with pytest.raises(InputError, match=match) as caught:
+        load(tmp_path, text, **changes)
+    assert "part.step" in str(caught.value)
+
+
+def test_ball_keeps_the_normals_of_the_cad_surface(tmp_path):
+    loaded = load(tmp_path, ball(), chord_tolerance_mm=0.05, angular_tolerance=0.3, unit_mm=1.0)
+    assert loaded.warnings == ()
+    assert loaded.description.format == "STEP"
+    assert loaded.description.normals == "CAD surface"
+    assert loaded.description.watertight
+    from_centre = loaded.mesh.vertices - (1, 2, 3)
+    distance = np.linalg.norm(from_centre, axis=1)
+    assert distance == pytest.approx(10.0, abs=1e-5)
+    # coarse triangles, exact normals: nothing that averages facets comes near
+    assert loaded.mesh.normals == pytest.approx(from_centre / distance[:, None], abs=1e-6)
+    middle = loaded.mesh.vertices[loaded.mesh.faces].mean(axis=1) - (1, 2, 3)
+    assert np.linalg.norm(middle, axis=1).min() > 10 - 0.05
+
+
+def test_tolerances_reach_the_kernel(tmp_path):
+    coarse = load(tmp_path, ball(), chord_tolerance_mm=0.5, angular_tolerance=0.5).description.triangles
+    fine = load(tmp_path, ball(), chord_tolerance_mm=0.02, angular_tolerance=0.5).description.triangles
+    assert fine > 3 * coarse
+
+
+@pytest.mark.parametrize(
+    ("unit", "radius", "mm"), [(INCH, 0.5, 12.7), (si(".CENTI."), 1.0, 10.0), (si("$"), 0.01, 10.0)]
+)
+def test_declared_unit_is_converted(tmp_path, unit, radius, mm):
+    loaded = load(tmp_path, ball(unit=unit, radius=radius, centre=(0.0, 0.0, 0.0)), chord_tolerance_mm=0.1)
+    assert np.linalg.norm(loaded.mesh.vertices, axis=1) == pytest.approx(mm, rel=1e-6)
+
+
+def test_declared_unit_is_read_without_the_kernel():
+    assert declared_unit_mm(ball().encode()) == 1.0
+    assert declared_unit_mm(ball(unit=INCH).encode()) == 25.4
+    assert declared_unit_mm(ball(unit=si("$")).replace("=(", "= ( ").encode()) == 1000.0
+    assert declared_unit_mm(ball(unit=si(".ATTO.")).encode()) is None
+    assert declared_unit_mm(b"") is None
+
+
+def test_unit_that_contradicts_the_file_is_refused(tmp_path):
+    refused(tmp_path, ball(unit=INCH), "declares inch, the part says mm; leave the unit out", unit_mm=1.0)
+    refused(tmp_path, ball(unit=si(".ATTO.")), "declares no length unit, several", unit_mm=1.0)
+
+
+def test_size_that_looks_like_a_unit_mistake_is_refused_quickly(tmp_path):
+    refused(
+        tmp_path, ball(unit=si("$")), r"2e\+04 mm \(the file declares m\).* 20 mm with a unit mistake of 1000"
+    )
+    refused(tmp_path, ball(radius=0.01), "declares mm.* 20 mm with a unit mistake of 1000")
+
+
+def test_assembly_is_put_together(tmp_path):
+    loaded = load(tmp_path, two_balls(), chord_tolerance_mm=0.01)
+    assert loaded.description.components == 2
+    # the second placement takes x to +Y: the ball's centre (1, 0, 0) goes to (0, 21, 5)
+    centres = np.array([[11.0, 0, 0], [0, 21, 5]])
+    from_centre = loaded.mesh.vertices[:, None] - centres
+    distance = np.linalg.norm(from_centre, axis=2)
+    assert distance.min(axis=1) == pytest.approx(2.0, abs=1e-5)
+    own = np.argmin(distance, axis=1)
+    rows = np.arange(len(own))
+    assert loaded.mesh.normals == pytest.approx(from_centre[rows, own] / 2.0, abs=1e-5)
+    assert set(own) == {0, 1}
+
+
+def test_facets_of_a_step_file(tmp_path):
+    loaded = load(tmp_path, ball(), normals="facet", chord_tolerance_mm=0.5, angular_tolerance=0.5)
+    assert loaded.mesh.normals is None
+
+
+def test_stp_and_names_that_need_care(tmp_path):
+    assert load(tmp_path, ball(), name="-part ü.STP", chord_tolerance_mm=0.5).description.format == "STEP"
+
+
+def test_sample_part_same_bytes_twice():
+    first, second = (
+        load_mesh(
+            KNOB,
+            unit_mm=1.0,
+            normals="smooth",
+            crease_angle=0.5,
+            chord_tolerance_mm=0.1,
+            angular_tolerance=0.3,
+        )
+        for _ in range(2)
+    )
+    assert first.mesh.vertices.tobytes() == second.mesh.vertices.tobytes()
+    assert first.mesh.faces.tobytes() == second.mesh.faces.tobytes()
+    assert first.mesh.normals is not None
+    assert max(first.description.size_mm) == pytest.approx(50, rel=0.2)
+    assert first.description.watertight
+
+
+def test_cut_off_damaged_and_empty_files(tmp_path):
+    text = ball()
+    refused(tmp_path, text[: len(text) // 2], "cut off: .* bytes without END-ISO-10303-21")
+    refused(tmp_path, "solid x\nendsolid x\n", "not a STEP file: expected it to begin with ISO-10303-21")
+    refused(
+        tmp_path, "ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "could not be read"
+    )
+    refused(tmp_path, text.replace("SPHERICAL_SURFACE", "NO_SUCH_SURFACE"), "no surfaces or solids")
+
+
+def test_complaints_of_the_kernel_are_passed_on(tmp_path):
+    loaded = load(tmp_path, ball(more="#99=((;\n"), chord_tolerance_mm=0.5)
+    assert len(loaded.warnings) == 1
+    assert "the CAD kernel reported while reading the STEP file: ERR StepFile" in loaded.warnings[0]
+
+
+def test_timeout_says_what_was_tried_and_what_to_do(tmp_path):
+    refused(
+        tmp_path,
+        ball(),
+        r"(fine tessellation \(chord tolerance 1e-06 mm|coarse).* stopped after 1.5 s in all. Use a coarser",
+        step_timeout_s=1.5,
+        chord_tolerance_mm=1e-6,
+        angular_tolerance=1e-3,
+    )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit that a process can set for itself")
+def test_memory_limit(tmp_path):
+    refused(tmp_path, ball(), "memory", step_memory_gb=0.05)
+
+
+def test_too_many_triangles(tmp_path):
+    refused(tmp_path, ball(), "triangles, at most 100 are accepted", max_triangles=100)
+
+
+def test_worker_reports_a_file_that_the_kernel_refuses(tmp_path):
+    command = [sys.executable, _step_worker.__file__, str(tmp_path / "none.step"), str(tmp_path / "o.glb")]
+    done = subprocess.run([*command, "0.1", "0.5", "0", str(4 * 10**9)], capture_output=True, check=False)
+    assert done.returncode == _step_worker.EXIT_READ
+    assert not (tmp_path / "o.glb").exists()
