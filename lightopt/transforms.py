@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Posture",
     "azimuth_tangent",
     "direction",
     "elevation_tangent",
@@ -85,3 +89,31 @@ def rigid_transform(points: NDArray[np.float64], rotation: Matrix, pivot: Vector
         [mm], shape (3,).
     """
     return (points - pivot) @ rotation.T + pivot
+
+
+@dataclass(frozen=True)
+class Posture:
+    """How the stage holds the part: tilt θ_j, then rotation φ_j, in degrees as files and people name them.
+
+    Attributes
+    ----------
+    elevation_deg, rotation_deg
+        θ_j and φ_j [°].
+    """
+
+    elevation_deg: float
+    rotation_deg: float
+
+    def __str__(self) -> str:
+        return f"({self.elevation_deg:g}°, {self.rotation_deg:g}°)"
+
+    @property
+    def matrix(self) -> Matrix:
+        """R = Rx(θ_j)·Rz(φ_j), shape (3, 3)."""
+        return posture_rotation(
+            elevation=math.radians(self.elevation_deg), rotation=math.radians(self.rotation_deg)
+        )
+
+    def as_dict(self) -> dict[str, float]:
+        """JSON form."""
+        return {"elevation_deg": self.elevation_deg, "rotation_deg": self.rotation_deg}

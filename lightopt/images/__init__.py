@@ -13,7 +13,6 @@ from lightopt.images._manifest import (
     GeometryEntry,
     ImageEntry,
     Manifest,
-    Posture,
     SourceFile,
 )
 from lightopt.images._names import exr_name, geometry_name, png_name, posture_folder
@@ -21,6 +20,7 @@ from lightopt.images._parse import parse_manifest, read_manifest
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, LoadedImage, read_image_set
 from lightopt.images._writer import ImageSetWriter
+from lightopt.transforms import Posture
 
 __all__ = [
     "MANIFEST_NAME",

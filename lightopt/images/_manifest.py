@@ -7,22 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["FORMAT", "MANIFEST_NAME", "GeometryEntry", "ImageEntry", "Manifest", "Posture", "SourceFile"]
+from lightopt.transforms import Posture
+
+__all__ = ["FORMAT", "MANIFEST_NAME", "GeometryEntry", "ImageEntry", "Manifest", "SourceFile"]
 
 FORMAT = "lightopt-images/1"
 MANIFEST_NAME = "manifest.json"
-
-
-@dataclass(frozen=True)
-class Posture:
-    """Tilt and rotation of the stage, in degrees as in files."""
-
-    elevation_deg: float
-    rotation_deg: float
-
-    def as_dict(self) -> dict[str, float]:
-        """JSON form."""
-        return {"elevation_deg": self.elevation_deg, "rotation_deg": self.rotation_deg}
 
 
 @dataclass(frozen=True)

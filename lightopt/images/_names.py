@@ -9,7 +9,8 @@ from pathlib import PurePosixPath, PureWindowsPath
 import numpy as np
 
 from lightopt.errors import InputError
-from lightopt.images._manifest import MANIFEST_NAME, Posture
+from lightopt.images._manifest import MANIFEST_NAME
+from lightopt.transforms import Posture
 
 __all__ = ["Names", "exr_name", "geometry_name", "inside_problem", "png_name", "posture_folder"]
 

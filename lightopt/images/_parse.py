@@ -8,8 +8,9 @@ from typing import NoReturn
 
 from lightopt.errors import InputError
 from lightopt.images._fields import Fields
-from lightopt.images._manifest import FORMAT, GeometryEntry, ImageEntry, Manifest, Posture, SourceFile
+from lightopt.images._manifest import FORMAT, GeometryEntry, ImageEntry, Manifest, SourceFile
 from lightopt.images._names import inside_problem
+from lightopt.transforms import Posture
 
 __all__ = ["parse_manifest", "read_manifest"]
 

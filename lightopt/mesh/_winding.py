@@ -117,7 +117,7 @@ def _inside_out(
             continue
         point = corners[int(np.argmax(label == c)), 0]
         others = corners[in_closed & around[label]]
-        result[c] = abs(_winding_number(others, point)) < 9.5
+        result[c] = abs(_winding_number(others, point)) < 0.5
     return result
 
 

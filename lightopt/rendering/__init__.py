@@ -1,6 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
+from lightopt.rendering._image_set import RenderedSet, RenderOptions, render_image_set
 from lightopt.rendering._images import (
     Geometry,
     LightImage,
@@ -10,20 +11,37 @@ from lightopt.rendering._images import (
     render,
     render_posture,
 )
+from lightopt.rendering._patches import (
+    DEFAULT_PATCH_BUDGET,
+    PatchPixels,
+    PatchTable,
+    build_patches,
+    patch_pixels,
+    patch_positions,
+)
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
 
 __all__ = [
+    "DEFAULT_PATCH_BUDGET",
     "ConvergedPanel",
     "Geometry",
     "LightImage",
+    "PatchPixels",
+    "PatchTable",
     "PostureImages",
     "Progress",
+    "RenderOptions",
+    "RenderedSet",
     "SurfacePoints",
+    "build_patches",
     "cast_rays_at",
     "converged_panel",
     "interpolate_surface",
+    "patch_pixels",
+    "patch_positions",
     "render",
+    "render_image_set",
     "render_posture",
     "shade_converged",
     "shade_points",

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import Patches
+from lightopt.mesh import Patches, TriangleMesh
 from lightopt.raycast import Hits, RayCaster
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
-from lightopt.scene import PanelLight, PartView, Posture, Scene, screen_window, view_from_part
+from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
+from lightopt.transforms import Posture
 
 __all__ = [
     "Geometry",
@@ -25,6 +26,7 @@ __all__ = [
     "cast_rays_at",
     "render",
     "render_posture",
+    "trace_posture",
 ]
 
 Float32 = NDArray[np.float32]
@@ -109,6 +111,20 @@ class PostureImages:
 def cast_rays_at(scene: Scene) -> RayCaster:
     """The ray caster of a scene's part, in the part's frame; serves all postures."""
     return RayCaster(scene.mesh.vertices, scene.mesh.faces)
+
+
+def trace_posture(mesh: TriangleMesh, view: PartView, caster: RayCaster) -> Hits:
+    """Where the rays through all pixel centres meet the part; part frame.
+
+    Parameters
+    ----------
+    mesh, view, caster
+        The part, the camera as it sees it, and the part's ray caster.
+    """
+    left, top, right, bottom = screen_window(view.camera, mesh)
+    columns, rows = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
+    hits, _ = trace_samples(caster, mesh, view.camera, columns.ravel(), rows.ravel())
+    return hits
 
 
 def render(

@@ -14,7 +14,8 @@ from lightopt.scene._camera import (
 )
 from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
-from lightopt.scene._scene import PartView, Posture, Scene, view_from_part
+from lightopt.scene._scene import PartView, Scene, view_from_part
+from lightopt.transforms import Posture
 
 __all__ = [
     "Distortion",

@@ -18,14 +18,14 @@ from lightopt.config import (
     load_rig,
 )
 from lightopt.errors import InputError
-from lightopt.mesh import TriangleMesh, load_mesh, transformed
+from lightopt.mesh import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, transformed
 from lightopt.reflectance import Reflectance
 from lightopt.scene._camera import Distortion, PinholeCamera, pixel_directions, pixel_footprint, place_camera
 from lightopt.scene._framing import frame_part, inside_mesh
 from lightopt.scene._light import PanelLight, place_light
-from lightopt.scene._scene import Posture, Scene, view_from_part
+from lightopt.scene._scene import Scene, view_from_part
 from lightopt.sensor import Sensor
-from lightopt.transforms import rotation_x, rotation_y, rotation_z
+from lightopt.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.units import MM_PER_UNIT
 
 __all__ = ["build_scene"]
@@ -186,9 +186,11 @@ def _light(light: LightConfig, shared: LightSourceConfig, points: int | Literal[
 
 def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, tuple[str, ...]]:
     m = part.mesh
+    path = part.source.resolve(m.file)
     loaded = load_mesh(
-        part.source.path.parent / m.file,
-        unit_mm=None if m.units is None else MM_PER_UNIT[m.units],
+        path,
+        # formats that carry their unit are checked against `units` when the file is read
+        unit_mm=MM_PER_UNIT[m.units] if m.units and path.suffix.lower() in UNITLESS_SUFFIXES else None,
         normals=m.normals,
         crease_angle=math.radians(m.crease_angle_deg),
         chord_tolerance_mm=min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint),

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,29 +10,11 @@ from lightopt.reflectance import Reflectance
 from lightopt.scene._camera import PinholeCamera
 from lightopt.scene._light import PanelLight
 from lightopt.sensor import Sensor
-from lightopt.transforms import posture_rotation
+from lightopt.transforms import Posture
 
-__all__ = ["PartView", "Posture", "Scene", "view_from_part"]
+__all__ = ["PartView", "Scene", "view_from_part"]
 
 Float64 = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Posture:
-    """How the stage holds the part: tilt θ_j, then rotation φ_j, in degrees as files and people name them."""
-
-    elevation_deg: float
-    rotation_deg: float
-
-    def __str__(self) -> str:
-        return f"({self.elevation_deg:g}°, {self.rotation_deg:g}°)"
-
-    @property
-    def matrix(self) -> Float64:
-        """R = Rx(θ_j)·Rz(φ_j), shape (3, 3)."""
-        return posture_rotation(
-            elevation=math.radians(self.elevation_deg), rotation=math.radians(self.rotation_deg)
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,9 @@
 """Loading meshes of all faceted formats: what arrives, what is repaired and what is said about it."""
 
 import dataclasses
+import json
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,7 @@ from lightopt.mesh import (
     load_mesh,
     transformed,
 )
+from lightopt.mesh._glb import parse_glb
 from lightopt.transforms import rotation_x
 
 CREASE = math.radians(30)
@@ -213,6 +216,16 @@ def test_both_windings_wrong_at_once(tmp_path):
     assert signed_volume(loaded.mesh) > 0
 
 
+def test_the_smaller_share_of_an_open_surface_is_turned(tmp_path):
+    vertices = [(x, y, 0) for x in range(4) for y in range(4)]
+    cells = [(4 * x + y, 4 * x + y + 4, 4 * x + y + 5, 4 * x + y + 1) for x in range(3) for y in range(3)]
+    faces = [t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))]
+    faces[0] = faces[0][::-1]  # the very first: nothing but the majority says which way is right
+    loaded = load(soup_stl(tmp_path, vertices, faces))
+    assert loaded.warnings == ("1 of 18 triangles wound against their neighbours: turned",)
+    assert (face_normals(loaded.mesh) == (0, 0, 1)).all()
+
+
 def test_open_and_nonmanifold_meshes_are_fine(tmp_path):
     vertices = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1)]
     loaded = load(soup_stl(tmp_path, vertices, [(0, 1, 2), (1, 0, 3), (0, 1, 4)]))
@@ -237,6 +250,77 @@ def test_moebius_strip_is_kept_with_a_warning(tmp_path):
     loaded = load(soup_stl(tmp_path, vertices, faces))
     assert any("cannot be made to agree" in w for w in loaded.warnings)
     assert loaded.description.triangles == 2 * n
+
+
+@pytest.mark.parametrize("mirror", [1, -1])
+def test_closed_one_sided_surface_has_no_inside(tmp_path, mirror):
+    # Klein bottle (figure 8): once around, the other angle runs backwards
+    n, k = 24, 16
+    u = (np.arange(n) * 2 * np.pi / n)[:, None]
+    v = (np.arange(k) + 0.3) * 2 * np.pi / k
+    r = 3 + np.cos(u / 2) * np.sin(v) - np.sin(u / 2) * np.sin(2 * v)
+    z = np.sin(u / 2) * np.sin(v) + np.cos(u / 2) * np.sin(2 * v)
+    grid = np.stack([mirror * r * np.cos(u), r * np.sin(u), z], axis=-1)
+    number = np.arange(n * k).reshape(n, k)
+    number = np.vstack([number, number[:1, ::-1]])
+    faces = []
+    for i in range(n):
+        for j in range(k):
+            a, b = number[i, j], number[i, (j + 1) % k]
+            c, d = number[i + 1, (j + 1) % k], number[i + 1, j]
+            faces += [(a, b, c), (a, c, d)]
+    loaded = load(soup_stl(tmp_path, grid.reshape(-1, 3), faces))
+    assert loaded.description.watertight
+    assert any("cannot be made to agree" in w for w in loaded.warnings)
+    assert not any("inside out" in w for w in loaded.warnings)
+
+
+def glb(tree: dict, blob: bytes) -> bytes:
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+def nested_tree() -> tuple[dict, bytes]:
+    """One triangle with normals under three nodes: a shift, a quarter turn about z with a scale, a matrix."""
+    half = math.sqrt(0.5)
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
+    normals = np.array([[0, 0, 1]] * 3, "<f4")
+    blob = points.tobytes() + normals.tobytes() + np.array([0, 1, 2, 0], "<u2").tobytes()
+    matrix = np.eye(4)
+    matrix[:3, 3] = (0, 0, 7)
+    tree = {
+        "scenes": [{"nodes": [0]}],
+        "nodes": [
+            {"translation": [10, 0, 0], "children": [1]},
+            {"rotation": [0, 0, half, half], "scale": [2, 2, 2], "children": [2]},
+            {"matrix": matrix.T.reshape(-1).tolist(), "mesh": 0},
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}, "indices": 2}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 0, "byteOffset": 36, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": 72}, {"buffer": 0, "byteOffset": 72, "byteLength": 6}],
+    }
+    return tree, blob
+
+
+def test_own_glb_parser_follows_nested_nodes():
+    (part,) = parse_glb("x.glb", glb(*nested_tree()))
+    assert part["vertices"] == pytest.approx(np.array([[10, 0, 14], [10, 2, 14], [8, 0, 14]]), abs=1e-12)
+    assert part["vertex_normals"] / 4 == pytest.approx(np.array([[0, 0, 1]] * 3), abs=1e-12)
+    assert part["faces"].tolist() == [[0, 1, 2]]
+
+
+def test_own_glb_parser_refuses_what_it_cannot_read():
+    for change in ({"sparse": {}}, {"count": 99}, {"componentType": 1}, {"bufferView": 5}):
+        tree, blob = nested_tree()
+        tree["accessors"][0].update(change)
+        with pytest.raises(InputError, match="GLB data is damaged"):
+            parse_glb("x.glb", glb(tree, blob))
 
 
 def test_mesh_value_object_is_read_only_and_checked():

@@ -1,0 +1,1 @@
+"""Sample rigs and parts; installed as the package ``lightopt.samples``, from which ``lightopt init`` copies."""

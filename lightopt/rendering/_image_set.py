@@ -1,0 +1,313 @@
+"""From two YAML files to an image set on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt import __version__
+from lightopt.config import PartConfig, RigConfig, load_part, load_rig
+from lightopt.errors import InputError
+from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile, file_sha256
+from lightopt.rendering._images import (
+    Geometry,
+    LightImage,
+    PostureImages,
+    cast_rays_at,
+    render_posture,
+)
+from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
+from lightopt.scene import PanelLight, Scene, build_scene, coarse_points
+from lightopt.sensor import expose, image_rng
+from lightopt.transforms import Posture
+
+__all__ = ["RenderOptions", "RenderedSet", "render_image_set"]
+
+Report = Callable[[Posture, float, int], None]
+"""Called with the posture at work, its share done (0 to 1) and the number of its rays cast so far."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions:
+    """What to render and how.
+
+    Attributes
+    ----------
+    lights
+        Names of the lights to render; all by default.
+    postures
+        Instead of the part's own.
+    points
+        Point lights per panel, instead of the rig's.
+    exposures
+        Exposures of the camera's PNGs; the linear images are at exposure 1.
+    noise
+        Seed of the sensor's noise in the PNGs; None for none.
+    layers
+        Whether the EXRs get the diffuse and the specular component as channels of their own.
+    shadows
+        Whether the part casts shadows on itself.
+    supersample
+        n² rays per pixel.
+    patch_budget
+        About how many patches may be visible.
+    threads
+        Number of threads; all the machine's by default. The files do not depend on it.
+    """
+
+    lights: tuple[str, ...] | None = None
+    postures: tuple[Posture, ...] | None = None
+    points: int | Literal["auto"] | None = None
+    exposures: tuple[float, ...] = (1.0,)
+    noise: int | None = None
+    layers: bool = False
+    shadows: bool = True
+    supersample: int = 1
+    patch_budget: int = DEFAULT_PATCH_BUDGET
+    threads: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderedSet:
+    """What :func:`render_image_set` left on disk.
+
+    Attributes
+    ----------
+    folder
+        Of the image set.
+    images
+        Number of images in the set.
+    resumed
+        Number of those that an earlier run with the same inputs had finished.
+    rays
+        Number of rays cast for images.
+    patches
+        What the patch refinement reached.
+    warnings
+        What was repaired or is partly wrong.
+    """
+
+    folder: Path
+    images: int
+    resumed: int
+    rays: int
+    patches: str
+    warnings: tuple[str, ...]
+
+
+def render_image_set(
+    rig: RigConfig | Path | str,
+    part: PartConfig | Path | str,
+    folder: Path | str,
+    *,
+    options: RenderOptions = RenderOptions(),  # noqa: B008  (frozen)
+    force: bool = False,
+    warn: Callable[[str], None] | None = None,
+    report: Report | None = None,
+) -> RenderedSet:
+    """Render a part on a rig into a folder: EXR and PNG per light, geometry, patches, manifest.
+
+    Each file is on disk and in the manifest before the next is made; a run that was killed is resumed by running it
+    again.
+
+    Parameters
+    ----------
+    rig, part
+        Configurations, or the paths of their YAML files.
+    folder
+        Made where it does not exist.
+    options
+        What to render.
+    force
+        Replace a set made from other inputs.
+    warn
+        Called with each warning as it comes up.
+    report
+        Called as rendering goes on.
+
+    Raises
+    ------
+    InputError
+        Whatever is wrong with the files, the options or the folder; nothing is written before all inputs are read.
+    """
+    rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
+    part = part if isinstance(part, PartConfig) else load_part(part)
+    _check_options(options)
+    scene = build_scene(
+        rig, part, postures=options.postures, lights=options.lights, points=options.points
+    )
+    plan = [
+        (light.name, posture, exposure)
+        for posture in scene.postures
+        for light in scene.lights
+        for exposure in options.exposures
+    ]
+    writer = ImageSetWriter(folder, _header(rig, part, scene, options), force=force, plan=plan)
+    warnings = _Warnings(writer, warn)
+    warnings.add(*scene.warnings)
+    warnings.add(*(text for light in scene.lights if (text := coarse_points(light, scene.reflectance.sigma))))
+    resumed = sum(writer.done(*key) for key in plan)
+    caster = cast_rays_at(scene)
+    table = build_patches(scene, caster=caster, budget=options.patch_budget)
+    if not writer.file_done():
+        writer.add_patches(table.arrays())
+    names = [light.name for light in rig.lights]
+    rays = 0
+    for index, posture in enumerate(scene.postures):
+        todo = [key for key in plan if key[1] == posture and not writer.done(*key)]
+        if not todo and writer.geometry_done(posture):
+            continue
+        images = render_posture(
+            scene,
+            posture,
+            caster=caster,
+            shadows=options.shadows,
+            supersample=options.supersample,
+            layers=options.layers,
+            patches=table.patches,
+            threads=options.threads,
+            progress=None if report is None else lambda share, cast, p=posture: report(p, share, cast),
+        )
+        rays += images.rays
+        if images.back_faces:
+            warnings.add(
+                f"posture {posture}: {images.back_faces:,} pixels see the back of a face and are black; the mesh is open or "
+                "its winding is wrong there"
+            )
+        if not writer.geometry_done(posture):
+            writer.add_geometry(posture, _geometry_channels(images.geometry))
+        for light, image in zip(scene.lights, images.lights, strict=True):
+            for exposure in options.exposures:
+                if not writer.done(light.name, posture, exposure):
+                    seeds = None if options.noise is None else (options.noise, names.index(light.name), index)
+                    _add_image(writer, scene, images, light, image, exposure, seeds)
+    return RenderedSet(
+        folder=Path(folder),
+        images=len(plan),
+        resumed=resumed,
+        rays=rays,
+        patches=table.message,
+        warnings=warnings.texts,
+    )
+
+
+class _Warnings:
+    """Warnings go to the manifest and to the person at the machine, each once."""
+
+    def __init__(self, writer: ImageSetWriter, warn: Callable[[str], None] | None) -> None:
+        self._writer = writer
+        self._warn = warn
+        self.texts: tuple[str, ...] = ()
+
+    def add(self, *texts: str) -> None:
+        for text in texts:
+            if text not in self.texts:
+                self.texts += (text,)
+                if self._warn is not None:
+                    self._warn(text)
+        self._writer.add_warnings(self.texts)
+
+
+def _check_options(options: RenderOptions) -> None:
+    problems: list[str] = []
+    for exposure in options.exposures:
+        if not (np.isfinite(exposure) and exposure > 0.0):
+            problems.append(f"exposure: expected a number above 0, found {exposure:g}")
+    if len(set(options.exposures)) < len(options.exposures):
+        problems.append("exposure: the same exposure was given twice")
+    if not 1 <= options.supersample <= 16:
+        problems.append(f"supersample: expected 1 to 16, found {options.supersample}")
+    if options.patch_budget < 1:
+        problems.append(f"patch budget: expected at least 1, found {options.patch_budget}")
+    if options.threads is not None and options.threads < 1:
+        problems.append(f"threads: expected at least 1, found {options.threads}")
+    if options.noise is not None and options.noise < 0:
+        problems.append(f"noise: expected a seed of 0 or more, found {options.noise}")
+    if options.postures is not None and len(set(options.postures)) < len(options.postures):
+        problems.append("posture: the same posture was given twice")
+    points = options.points
+    if isinstance(points, int) and (points < 1 or round(points**0.5) ** 2 != points or points > 65536):
+        problems.append(f"points: expected a square (1, 4, 9, 16, …) or auto, found {points}")
+    if problems:
+        raise InputError(*problems)
+
+
+def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptions) -> Manifest:
+    asked: dict[str, Any] = {
+        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+        "postures": [posture.as_dict() for posture in scene.postures],
+        "points": options.points,
+        "noise": options.noise,
+        "layers": options.layers,
+        "shadows": options.shadows,
+        "supersample": options.supersample,
+        "patch_budget": options.patch_budget,
+    }
+    return Manifest(
+        kind="simulated",
+        bit_depth=scene.sensor.bit_depth,
+        full_scale=scene.reflectance.full_scale,
+        saturation_level=scene.sensor.saturation_level,
+        black_level=scene.sensor.black_level,
+        lightopt=__version__,
+        # names only, so that the same files give the same manifest wherever they lie
+        rig=SourceFile(rig.source.path.name, rig.source.sha256),
+        part=SourceFile(part.source.path.name, part.source.sha256),
+        options=asked,
+    )
+
+
+def _add_image(
+    writer: ImageSetWriter,
+    scene: Scene,
+    images: PostureImages,
+    light: PanelLight,
+    image: LightImage,
+    exposure: float,
+    seeds: tuple[int, int, int] | None,
+) -> None:
+    rng = None
+    if seeds is not None:
+        seed, light_index, posture_index = seeds
+        # an exposure's noise must not depend on which others are asked for: its bits are its number
+        bits = int(np.float64(exposure).view(np.uint64))
+        rng = image_rng(seed, light=light_index, posture=posture_index, exposure=bits)
+    levels = expose(
+        image.level,
+        sensor=scene.sensor,
+        exposure=exposure,
+        full_scale=scene.reflectance.full_scale,
+        rng=rng,
+    )
+    entry = ImageEntry(
+        light=light.name,
+        light_elevation_deg=_degrees(light.elevation),
+        light_azimuth_deg=_degrees(light.azimuth),
+        posture=images.posture,
+        exposure=exposure,
+    )
+    linear: dict[str, NDArray[np.float32]] = {"Y": image.level}
+    if image.diffuse is not None and image.specular is not None:
+        linear |= {"diffuse.Y": image.diffuse, "specular.Y": image.specular}
+    known = any(e.key[:2] == entry.key[:2] for e in writer.manifest.images)
+    writer.add_image(entry, png=levels, exr=None if known else linear)
+
+
+def _degrees(angle: float) -> float:
+    # radians came from degrees of at most a few decimals; rounding gives those back
+    return round(float(np.degrees(angle)), 9)
+
+
+def _geometry_channels(geometry: Geometry) -> dict[str, NDArray[np.float32]]:
+    channels = {f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")}
+    channels |= {f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")}
+    return {
+        **{name: np.ascontiguousarray(values) for name, values in channels.items()},
+        "Z": geometry.distance,
+        "patch": geometry.patch.astype(np.float32),
+    }
