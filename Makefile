@@ -1,0 +1,50 @@
+# lightopt: everything a developer or a batch run needs. `make help` lists the targets.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+OUT    ?= out
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test test-all check golden golden-check bench docs clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+$(BIN)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch $@
+
+install: $(BIN)/.installed  ## a virtual environment in .venv with lightopt and the tools to develop it
+
+demo: $(BIN)/.installed  ## render the sample rig and part into out/demo, with a contact sheet
+	$(BIN)/lightopt render configs/rigs/four-panel.yaml configs/parts/cover-knob.yaml -o $(OUT)/demo --sheet
+
+test: $(BIN)/.installed  ## the tests that take less than ten minutes
+	$(BIN)/python -m pytest -m "not slow"
+
+test-all: $(BIN)/.installed  ## all tests
+	$(BIN)/python -m pytest
+
+check: $(BIN)/.installed  ## formatting, lint, types, layers
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+golden-check: $(BIN)/.installed  ## render the golden scenes anew and compare them with what is committed
+	$(BIN)/python scripts/goldens.py check --out $(OUT)/golden
+
+golden: $(BIN)/.installed  ## renew the committed golden images
+	$(BIN)/python scripts/goldens.py renew
+
+bench: $(BIN)/.installed  ## speed against the raw ray caster and peers; prints ratios
+	$(BIN)/python -m pip install --quiet '.[bench]'
+	$(BIN)/python -m benchmarks.run
+
+docs: $(BIN)/.installed  ## make the pictures and figures of docs/ anew
+	$(BIN)/python scripts/make_docs.py
+
+clean:  ## remove what was made, but not the virtual environment
+	rm -rf $(OUT) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lightopt.cli._options import Quiet, RigFile
+from lightopt.cli._terminal import say
+from lightopt.errors import CheckFailed
+
+__all__ = ["check"]
+
+
+def check(
+    rig: RigFile,
+    part: Annotated[
+        Path | None, typer.Argument(metavar="[PART]", help="Part file (YAML); without it only the rig is checked.")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all findings as JSON.")
+    ] = None,
+    drawing: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the rig with its frames and angles (PNG).")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Say everything that is wrong with RIG and PART, and what they amount to, before anything is rendered.
+
+    Pixel footprint, field of view, size, panel points and facets against the lobe, lights in the camera's view,
+    surface that no camera ray reaches. Exit status 1 where a finding is an error, 2 where a file cannot be used.
+
+    Example: lightopt check rig.yaml part.yaml --drawing rig.png
+    """
+    import json
+
+    from lightopt.config import load_part, load_rig
+    from lightopt.errors import InputError
+    from lightopt.preflight import check_rig, check_scene
+
+    problems: list[str] = []
+    loaded_rig = loaded_part = None
+    # both files' errors at once
+    try:
+        loaded_rig = load_rig(rig)
+    except InputError as error:
+        problems += error.messages
+    if part is not None:
+        try:
+            loaded_part = load_part(part)
+        except InputError as error:
+            problems += error.messages
+    if problems or loaded_rig is None:
+        raise InputError(*problems)
+    report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
+    if json_file is not None:
+        from lightopt.images import write_text_atomic
+
+        write_text_atomic(json_file, json.dumps(report.as_dict(), indent=2, ensure_ascii=False) + "\n")
+    for finding in report.findings:
+        if quiet and finding.level in ("ok", "note"):
+            continue
+        where = f" ({finding.where})" if finding.where else ""
+        say(f"{finding.level + ':':9}{finding.topic}: {finding.text}{where}")
+    if drawing is not None:
+        if loaded_part is None:
+            raise InputError("--drawing: needs a part file, too")
+        from lightopt.report import rig_drawing
+        from lightopt.scene import build_scene
+
+        say(f"{rig_drawing(build_scene(loaded_rig, loaded_part), drawing)}")
+    errors = sum(finding.level == "error" for finding in report.findings)
+    if errors:
+        raise CheckFailed(f"{errors} of {len(report.findings)} findings must be mended before rendering")

@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lightopt.cli._terminal import say, show_table
+from lightopt.errors import CheckFailed, InputError
+
+if TYPE_CHECKING:
+    from lightopt.compare import FileComparison, SetComparison, Thresholds
+
+__all__ = ["compare"]
+
+
+def compare(
+    golden: Annotated[Path, typer.Argument(metavar="A", help="Golden EXR, PNG or image set (folder).")],
+    new: Annotated[Path, typer.Argument(metavar="B", help="New EXR, PNG or image set.")],
+    absolute: Annotated[
+        float, typer.Option(metavar="LEVEL", help="A pixel differs by more than this level …")
+    ] = 0.05,
+    relative: Annotated[
+        float, typer.Option(metavar="SHARE", help="… plus this share of the golden level.")
+    ] = 0.001,
+    max_share: Annotated[
+        float, typer.Option(metavar="SHARE", help="Share of pixels that may differ.")
+    ] = 0.001,
+    geometry_absolute: Annotated[
+        float, typer.Option(metavar="MM", help="Threshold in geometry images and patch tables.")
+    ] = 0.001,
+    min_iou: Annotated[
+        float | None,
+        typer.Option(metavar="IOU", help="Least overlap of the saturated areas, intersection over union."),
+    ] = None,
+    saturation: Annotated[
+        float | None, typer.Option(metavar="LEVEL", help="Saturated from this level on. [what the files say]")
+    ] = None,
+    diff: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="Difference picture (PNG); a folder of them for image sets."),
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
+    ] = None,
+) -> None:
+    """Compare two images or image sets, golden A against new B; exit status 1 where they differ too much.
+
+    Per channel: greatest and rms difference, 99th percentile, share of differing pixels, and overlap (IoU) of the
+    saturated areas. A missing golden file is a failure.
+
+    Example: lightopt compare golden/ out/ --diff differences/
+    """
+    import json
+
+    from lightopt.compare import Thresholds, compare_files, compare_sets
+    from lightopt.images import write_text_atomic
+
+    thresholds = Thresholds(
+        absolute=absolute,
+        relative=relative,
+        max_share=max_share,
+        geometry_absolute=geometry_absolute,
+        min_iou=min_iou,
+        saturation=saturation,
+    )
+    sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
+    result = compare_sets(golden, new, thresholds) if sets else compare_files(golden, new, thresholds)
+    if json_file is not None:
+        write_text_atomic(json_file, json.dumps(result.as_dict(), indent=2) + "\n")
+    _show(result)
+    if diff is not None:
+        _draw(result, diff, thresholds)
+    if not result.passed:
+        raise CheckFailed(*(f"differs: {reason}" for reason in result.reasons))
+    say("no difference beyond the thresholds")
+
+
+def _files(result: FileComparison | SetComparison) -> tuple[FileComparison, ...]:
+    from lightopt.compare import SetComparison
+
+    return result.files if isinstance(result, SetComparison) else (result,)
+
+
+def _show(result: FileComparison | SetComparison) -> None:
+    from lightopt.compare import SetComparison
+
+    rows: list[list[str]] = []
+    for file in _files(result):
+        for channel in file.channels:
+            p99 = None if channel.percentiles is None else channel.percentiles.get("p99")
+            rows.append(
+                [
+                    Path(file.b).name if not isinstance(result, SetComparison) else "/".join(Path(file.b).parts[-2:]),
+                    channel.name,
+                    *("-" if value is None else f"{value:.4g}" for value in (channel.max, channel.rms, p99)),
+                    f"{100.0 * channel.share:.3f} %",
+                    "-" if channel.iou is None else f"{channel.iou:.4f}",
+                    "ok" if channel.passed else "DIFFERS",
+                ]
+            )
+    if rows:
+        show_table(["file", "channel", "max", "rms", "p99", "differing", "IoU", ""], rows, numbers_from=2)
+    if isinstance(result, SetComparison):
+        for note in (*result.notes, *(f"only in the new set: {name}" for name in result.extra)):
+            say(f"note: {note}")
+
+
+def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thresholds) -> None:
+    from lightopt.compare import SetComparison, difference_picture
+
+    drawn = 0
+    for file in _files(result):
+        if not file.channels:
+            continue
+        path = target
+        if isinstance(result, SetComparison):
+            if Path(file.a).suffix not in (".exr", ".png"):
+                continue
+            name = "_".join(Path(file.b).parts[-2:])
+            path = target / f"{name}.diff.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+        picture = difference_picture(file.a, file.b, path, saturation=thresholds.saturation)
+        drawn += 1
+        if not isinstance(result, SetComparison):
+            say(f"{picture.path}: blue lower, red higher, full colour at {picture.scale:.4g}")
+    if isinstance(result, SetComparison):
+        say(f"{drawn} difference pictures in {target}")
+    elif not drawn:
+        raise InputError(f"{target}: no difference picture, since the files cannot be compared", *result.reasons)

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lightopt.cli._options import Force
+from lightopt.cli._terminal import say
+from lightopt.errors import InputError
+
+__all__ = ["init"]
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to write them; made if missing.")],
+    force: Force = False,
+) -> None:
+    """Write a commented rig, part and sample mesh to start from.
+
+    Then: lightopt check DIR/rig.yaml DIR/part.yaml
+    """
+    import json
+    from importlib.resources import files
+
+    from lightopt.config import json_schema
+    from lightopt.images import write_bytes_atomic
+
+    samples = files("lightopt.samples")
+
+    def text(name: str, **changes: str) -> bytes:
+        content = samples.joinpath(name).read_text(encoding="utf-8")
+        for old, new in changes.values():
+            content = content.replace(old, new)
+        return content.encode()
+
+    # the schemas lie beside the files, and the mesh is the faceted one, the kind that most people start from
+    outputs = {
+        "rig.yaml": text("rigs/four-panel.yaml", schema=("../schema/", "")),
+        "part.yaml": text(
+            "parts/cover-knob.yaml", schema=("../schema/", ""), mesh=("cover-knob.step  ", "cover-knob.stl   ")
+        ),
+        "cover-knob.stl": samples.joinpath("parts/cover-knob.stl").read_bytes(),
+        "rig.json": (json.dumps(json_schema("rig"), indent=2, ensure_ascii=False) + "\n").encode(),
+        "part.json": (json.dumps(json_schema("part"), indent=2, ensure_ascii=False) + "\n").encode(),
+    }
+    taken = [name for name in outputs if (folder / name).exists()]
+    if taken and not force:
+        raise InputError(
+            f"{folder} already has {', '.join(taken)}; use --force to replace them, or choose another folder"
+        )
+    for name, content in outputs.items():
+        write_bytes_atomic(folder / name, content)
+        say(f"{folder / name}")
+    say(f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}")

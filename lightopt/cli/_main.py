@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from lightopt.cli._check import check
+from lightopt.cli._compare import compare
+from lightopt.cli._init import init
+from lightopt.cli._render import render
+from lightopt.cli._schema import schema
+from lightopt.cli._terminal import say_error, version_wanted
+from lightopt.errors import LightoptError
+
+__all__ = ["app", "main"]
+
+INTERRUPTED = 130
+
+# what typer raises for a wrong command line; it does not export the class itself
+_UsageError = typer.BadParameter.__mro__[2]
+
+app = typer.Typer(
+    name="lightopt",
+    help="Decide where the lights go in an appearance-inspection machine.",
+    epilog="Start with: lightopt init DIR. Exit status: 0 done, 1 a check said no, 2 wrong input, 3 hardware failed, "
+    "130 interrupted.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+
+@app.callback()
+def _common(
+    version: bool = typer.Option(  # noqa: ARG001  (acted on by its callback)
+        False, "--version", callback=version_wanted, is_eager=True, help="Show the version and leave."
+    ),
+) -> None:
+    pass
+
+
+app.command(short_help="Write a commented rig, part and mesh to start from.")(init)
+app.command(short_help="Say what is wrong with the files, and what they amount to.")(check)
+app.command(short_help="Render what the camera would see.")(render)
+app.command(short_help="Compare images or image sets, golden against new.")(compare)
+app.command(short_help="Print the JSON schema of rig or part files.")(schema)
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run a command line and return its exit status; errors are said on standard error."""
+    try:
+        status = app(arguments, prog_name="lightopt", standalone_mode=False)
+    except LightoptError as error:
+        say_error(*error.messages)
+        return error.exit_status
+    except _UsageError as error:
+        context = getattr(error, "ctx", None)
+        say_error(error.format_message())  # pyright: ignore[reportAttributeAccessIssue]
+        if context is not None:
+            say_error(f"see: {context.command_path} --help", label="")
+        return 2
+    except (KeyboardInterrupt, typer.Abort):
+        say_error("interrupted; what was finished is complete on disk", label="")
+        return INTERRUPTED
+    except typer.Exit as leave:
+        return leave.exit_code
+    except BrokenPipeError:
+        # the reader of our output went away (| head); not an error of ours
+        sys.stderr.close()
+        return 0
+    return status if isinstance(status, int) else 0

@@ -1,0 +1,58 @@
+"""Options that several commands take, and how their texts are read."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from lightopt.errors import InputError
+
+if TYPE_CHECKING:
+    from lightopt.transforms import Posture
+
+__all__ = ["Force", "Out", "PartFile", "Quiet", "RigFile", "parse_exposure", "parse_points", "parse_posture"]
+
+RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
+PartFile = Annotated[Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
+Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace results that were made from other inputs.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
+
+
+def parse_posture(text: str) -> Posture:
+    """Read ``θ,φ`` in degrees."""
+    from lightopt.transforms import Posture
+
+    parts = text.split(",")
+    try:
+        elevation, rotation = (float(part) for part in parts)
+    except ValueError:
+        elevation = rotation = math.nan
+    if not (math.isfinite(elevation) and math.isfinite(rotation)):
+        raise InputError(f'--posture: expected elevation,rotation in degrees such as 0,82, found "{text}"')
+    return Posture(elevation, rotation)
+
+
+def parse_exposure(text: str) -> float:
+    """Read a number or a fraction such as 1/16."""
+    try:
+        value = float(Fraction(text))
+    except (ValueError, ZeroDivisionError, OverflowError):
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f'--exposure: expected a number above 0 or a fraction such as 1/16, found "{text}"')
+    return value
+
+
+def parse_points(text: str) -> int | Literal["auto"]:
+    """Read the number of point lights of a panel."""
+    if text == "auto":
+        return "auto"
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f'--points: expected a square (1, 4, 9, 16, …) or auto, found "{text}"') from None

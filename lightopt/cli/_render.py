@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from lightopt.cli._options import (
+    Force,
+    Out,
+    PartFile,
+    Quiet,
+    RigFile,
+    parse_exposure,
+    parse_points,
+    parse_posture,
+)
+from lightopt.cli._terminal import say, say_warning, show_progress
+
+__all__ = ["render"]
+
+
+def render(
+    rig: RigFile,
+    part: PartFile,
+    out: Out,
+    light: Annotated[
+        list[str] | None, typer.Option("--light", metavar="NAME", help="Only this light; repeatable.")
+    ] = None,
+    posture: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
+        ),
+    ] = None,
+    points: Annotated[
+        str | None,
+        typer.Option(metavar="M", help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel."),
+    ] = None,
+    exposure: Annotated[
+        list[str] | None,
+        typer.Option("--exposure", metavar="X", help="Exposure of the PNGs, such as 1 or 1/16; repeatable. [1]"),
+    ] = None,
+    noise: Annotated[
+        int | None, typer.Option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs.")
+    ] = None,
+    layers: Annotated[
+        bool, typer.Option("--layers", help="EXR channels diffuse.Y and specular.Y as well.")
+    ] = False,
+    no_shadows: Annotated[bool, typer.Option("--no-shadows", help="The part casts no shadows.")] = False,
+    supersample: Annotated[int, typer.Option(metavar="N", help="N × N rays per pixel.")] = 1,
+    patches: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="About how many surface patches may be visible. [200000]"),
+    ] = None,
+    sheet: Annotated[
+        bool, typer.Option("--sheet", help="Also a labelled contact sheet of all images, contact-sheet.png.")
+    ] = False,
+    threads: Annotated[
+        int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Render what the camera would see of PART on RIG: every light, every posture.
+
+    Writes a linear EXR and the camera's PNG per light and posture, the geometry of each posture (points, normals,
+    depth, patch), patches.npz, and manifest.json. Running the same command again continues where it was
+    interrupted.
+
+    Example: lightopt render rig.yaml part.yaml -o out --exposure 1 --exposure 1/16
+    """
+    chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
+    exposures = tuple(parse_exposure(text) for text in exposure) if exposure else (1.0,)
+    chosen_points = None if points is None else parse_points(points)
+
+    from lightopt.config import load_part
+    from lightopt.rendering import DEFAULT_PATCH_BUDGET, RenderOptions, render_image_set
+
+    loaded = load_part(part)
+    options = RenderOptions(
+        lights=tuple(light) if light else None,
+        postures=chosen_postures,
+        points=chosen_points,
+        exposures=exposures,
+        noise=noise,
+        layers=layers,
+        shadows=not no_shadows,
+        supersample=supersample,
+        patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
+        threads=threads,
+    )
+    total = len(chosen_postures or loaded.postures)
+    with show_progress("rendering", total, quiet=quiet) as report:
+        done = render_image_set(
+            rig, loaded, out, options=options, force=force, warn=say_warning, report=report
+        )
+    if not quiet:
+        resumed = f" ({done.resumed} of them were there already)" if done.resumed else ""
+        say(f"{done.images} images{resumed}, {done.rays / 1e6:.1f} million rays; {done.patches}")
+        say(f"{done.folder / 'manifest.json'}")
+    if sheet:
+        from lightopt.images import read_image_set
+        from lightopt.report import contact_sheet
+
+        path = contact_sheet(read_image_set(out), out / "contact-sheet.png")
+        say(f"{path}")

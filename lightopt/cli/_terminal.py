@@ -1,0 +1,88 @@
+"""What the person at the terminal sees: messages, tables, progress."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from lightopt.rendering import Report
+    from lightopt.transforms import Posture
+
+__all__ = ["say", "say_error", "say_warning", "show_progress", "show_table", "version_wanted"]
+
+
+def say(text: str) -> None:
+    """One line of results on standard output."""
+    typer.echo(text)
+
+
+def say_error(*messages: str, label: str = "error: ") -> None:
+    """Messages on standard error, one line each."""
+    for message in messages:
+        typer.echo(f"{label}{message}", err=True)
+
+
+def say_warning(message: str) -> None:
+    """A warning on standard error."""
+    typer.echo(f"warning: {message}", err=True)
+
+
+def version_wanted(wanted: bool) -> None:
+    """Say the version and leave."""
+    if wanted:
+        from lightopt import __version__
+
+        say(f"lightopt {__version__}")
+        raise typer.Exit
+
+
+def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_from: int = 1) -> None:
+    """A table on standard output; columns from `numbers_from` on are aligned to the right."""
+    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
+    for row in (header, *rows):
+        cells = [
+            cell.rjust(width) if i >= numbers_from else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        say("  ".join(cells).rstrip())
+
+
+@contextmanager
+def show_progress(label: str, total: int, *, quiet: bool) -> Iterator[Report | None]:
+    """A progress bar with rays per second while rendering `total` postures; None where nobody looks at it."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[rays]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=float(total), rays="")
+        finished: dict[Posture, float] = {}
+        rays: dict[Posture, int] = {}
+
+        def report(posture: Posture, share: float, cast: int) -> None:
+            finished[posture], rays[posture] = share, cast
+            elapsed = bar.tasks[0].elapsed or 1e-9
+            speed = sum(rays.values()) / elapsed / 1e6
+            bar.update(
+                task,
+                completed=sum(finished.values()),
+                description=f"{label} {posture}",
+                rays=f"{speed:.1f} Mray/s",
+            )
+
+        yield report
