@@ -49,6 +49,10 @@ def init(
         raise InputError(
             f"{folder} already has {', '.join(taken)}; use --force to replace them, or choose another folder"
         )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error.strerror}; choose another folder") from error
     for name, content in outputs.items():
         write_bytes_atomic(folder / name, content)
         say(f"{folder / name}")

@@ -96,7 +96,9 @@ def render(
         )
     if not quiet:
         resumed = f" ({done.resumed} of them were there already)" if done.resumed else ""
-        say(f"{done.images} images{resumed}, {done.rays / 1e6:.1f} million rays; {done.patches}")
+        say(f"{done.images} images{resumed}, {done.rays / 1e6:.1f} million rays")
+        if done.patches is not None:
+            say(done.patches)
         say(f"{done.folder / 'manifest.json'}")
     if sheet:
         from lightopt.images import read_image_set

@@ -32,6 +32,11 @@ Report = Callable[[Posture, float, int], None]
 """Called with the posture at work, its share done (0 to 1) and the number of its rays cast so far."""
 
 
+BACK_FACE_SHARE = 1e-4
+"""Share of the part's pixels that may see back faces without a warning: at the silhouette of a closed mesh, where a ray
+only grazes a face, rounding turns one now and then."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
     """What to render and how.
@@ -84,20 +89,20 @@ class RenderedSet:
         Number of images in the set.
     resumed
         Number of those that an earlier run with the same inputs had finished.
+    warnings
+        What was repaired or is partly wrong.
     rays
         Number of rays cast for images.
     patches
-        What the patch refinement reached.
-    warnings
-        What was repaired or is partly wrong.
+        What the patch refinement reached; None where nothing was left to do.
     """
 
     folder: Path
     images: int
     resumed: int
-    rays: int
-    patches: str
     warnings: tuple[str, ...]
+    rays: int = 0
+    patches: str | None = None
 
 
 def render_image_set(
@@ -152,6 +157,8 @@ def render_image_set(
     warnings.add(*scene.warnings)
     warnings.add(*(text for light in scene.lights if (text := coarse_points(light, scene.reflectance.sigma))))
     resumed = sum(writer.done(*key) for key in plan)
+    if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
+        return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=warnings.texts)
     caster = cast_rays_at(scene)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
     if not writer.file_done():
@@ -174,13 +181,14 @@ def render_image_set(
             progress=None if report is None else lambda share, cast, p=posture: report(p, share, cast),
         )
         rays += images.rays
-        if images.back_faces:
+        if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
             warnings.add(
                 f"posture {posture}: {images.back_faces:,} pixels see the back of a face and are black; the mesh is open or "
                 "its winding is wrong there"
             )
         if not writer.geometry_done(posture):
-            writer.add_geometry(posture, _geometry_channels(images.geometry))
+            facts = {"back_face_pixels": images.back_faces}
+            writer.add_geometry(posture, _geometry_channels(images.geometry), metadata=facts)
         for light, image in zip(scene.lights, images.lights, strict=True):
             for exposure in options.exposures:
                 if not writer.done(light.name, posture, exposure):

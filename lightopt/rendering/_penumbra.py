@@ -24,10 +24,10 @@ State = NDArray[np.uint8]
 CELLS = 6
 """Cells along each side of the panel."""
 
-BISECTIONS = 3
-"""Rays that halve the side of a cell in search of the shadow's edge: it is known to 1/16 of a side."""
+BISECTIONS = 4
+"""Rays that halve the side of a cell in search of the shadow's edge: it is known to 1/32 of a side."""
 
-STRIPS = 4
+STRIPS = 3
 """Strips that the visible area of a crossed cell is integrated in."""
 
 HORIZON_NODES = 6
@@ -222,7 +222,9 @@ def _cell_kind(state: State, i: int, row: int, column: int) -> tuple[int, int]:
     order = HORIZON_NODES if below > 0 else 2
     if visible == 0:
         return _BLOCKED, order
-    return (_VISIBLE, order) if blocked == 0 else (0, order)
+    if blocked == 0:
+        return _VISIBLE, order
+    return 0, HORIZON_NODES if below > 0 else 1
 
 
 @numba.njit(cache=True, nogil=True)

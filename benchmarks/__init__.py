@@ -1,0 +1,14 @@
+"""How fast and how exact lightopt is, as ratios measured in one run: ``python -m benchmarks.run [NAMES] [--quick]``.
+
+``bare``
+    lightopt against the ray caster it stands on: one BVH and a replay of the very same rays, nothing else.
+``peers``
+    The same scene in Open3D, Mitsuba 3 and trimesh (the ``bench`` extra), pictures compared before times.
+``auto``
+    ``points: auto`` against m = 4, and against 64 × 64 points.
+``command``
+    The whole command line: seconds, peak memory, and how long ``--help`` takes.
+
+Ratios are given twice: of the least times, and the median of the ratios of the rounds. In a round everything that is
+compared runs once, one after the other, so that a busy machine slows down both sides alike.
+"""

@@ -1,0 +1,93 @@
+"""The scene that everything is measured on: the cover knob at 1.4 million triangles under the four-panel rig."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lightopt import build_scene
+from lightopt.mesh import TriangleMesh, load_mesh, transformed
+from lightopt.scene import PinholeCamera, Scene
+
+__all__ = ["CONFIGS", "FULL", "QUICK", "TOY", "Size", "case_scene", "resized", "spout_scene", "with_sigma"]
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+RIG = CONFIGS / "rigs" / "four-panel.yaml"
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large the case is.
+
+    Attributes
+    ----------
+    name
+        For the tables.
+    width
+        Of the image [px]; the height is three quarters of it.
+    chord_mm, angle
+        Tolerances of the STEP file's tessellation [mm], [rad].
+    repeats
+        Rounds of every comparison.
+    reference_width
+        Of the image that is compared pixel by pixel with a panel of many points [px].
+    reference_points
+        Points along a side of that panel.
+    """
+
+    name: str
+    width: int
+    chord_mm: float
+    angle: float
+    repeats: int
+    reference_width: int
+    reference_points: int
+
+
+FULL = Size("full", 1600, 0.000_15, 0.012, 7, 320, 64)
+QUICK = Size("quick", 800, 0.001, 0.03, 3, 120, 64)
+TOY = Size("toy", 64, 0.05, 0.3, 1, 32, 8)
+
+
+def case_scene(size: Size) -> Scene:
+    """The cover knob, tessellated by its CAD kernel to the size's tolerances with the CAD surface's normals, posture (0, 0)."""
+    return _scene("cover-knob", size)
+
+
+def spout_scene(size: Size) -> Scene:
+    """The spout, which shades itself, as finely as the case."""
+    return _scene("spout", size)
+
+
+def _scene(part: str, size: Size) -> Scene:
+    scene = build_scene(RIG, CONFIGS / "parts" / f"{part}.yaml")
+    loaded = load_mesh(
+        CONFIGS / "parts" / f"{part}.step",
+        unit_mm=None,
+        normals="smooth",
+        crease_angle=math.radians(30.0),
+        chord_tolerance_mm=size.chord_mm,
+        angular_tolerance=size.angle,
+    )
+    scene = replace(scene, mesh=_rest_on_table(loaded.mesh), postures=scene.postures[:1])
+    return replace(scene, camera=resized(scene.camera, size.width))
+
+
+def resized(camera: PinholeCamera, width: int) -> PinholeCamera:
+    """The same view with another number of pixels, `width` by three quarters of it."""
+    height = width * 3 // 4
+    return replace(camera, width=width, height=height, pixel_size=camera.pixel_size * camera.width / width)
+
+
+def with_sigma(scene: Scene, sigma: float) -> Scene:
+    """The scene with another width of the specular lobe [rad]."""
+    return replace(scene, reflectance=replace(scene.reflectance, sigma=sigma))
+
+
+def _rest_on_table(mesh: TriangleMesh) -> TriangleMesh:
+    low, high = mesh.bounds
+    shift = -np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    return transformed(mesh, np.eye(3), shift)

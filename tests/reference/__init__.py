@@ -1,0 +1,28 @@
+"""A slow, plain NumPy float64 renderer, written from the equations alone, that the fast one must match.
+
+It takes numbers and arrays, knows nothing of lightopt, and keeps every choice in sight: lengths in mm, angles in
+degrees, triangles as (F, 3, 3) corners in the world frame with (F, 3, 3) unit normals at those corners.
+"""
+
+from __future__ import annotations
+
+from ._casting import Hits, blocked, closest, trace
+from ._frames import Camera, Light, posed, posed_normals
+from ._panel import convex_occluder_mask, panel_radiance
+from ._shading import LayerImage, point_terms, render
+
+__all__ = [
+    "Camera",
+    "Hits",
+    "LayerImage",
+    "Light",
+    "blocked",
+    "closest",
+    "convex_occluder_mask",
+    "panel_radiance",
+    "point_terms",
+    "posed",
+    "posed_normals",
+    "render",
+    "trace",
+]
