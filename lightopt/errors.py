@@ -32,7 +32,7 @@ class InputError(LightoptError):
     """The user's input (a file, an option, a folder) is wrong. Exit status 2."""
 
 
-class CheckFailed(LightoptError):
+class CheckFailed(LightoptError):  # noqa: N818  (the check failed, not the program)
     """A check said no (a difference, a missing golden). Exit status 1."""
 
     exit_status = 1

@@ -15,7 +15,8 @@ __all__ = ["check"]
 def check(
     rig: RigFile,
     part: Annotated[
-        Path | None, typer.Argument(metavar="[PART]", help="Part file (YAML); without it only the rig is checked.")
+        Path | None,
+        typer.Argument(metavar="[PART]", help="Part file (YAML); without it only the rig is checked."),
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write all findings as JSON.")

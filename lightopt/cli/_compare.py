@@ -91,7 +91,9 @@ def _show(result: FileComparison | SetComparison) -> None:
             p99 = None if channel.percentiles is None else channel.percentiles.get("p99")
             rows.append(
                 [
-                    Path(file.b).name if not isinstance(result, SetComparison) else "/".join(Path(file.b).parts[-2:]),
+                    Path(file.b).name
+                    if not isinstance(result, SetComparison)
+                    else "/".join(Path(file.b).parts[-2:]),
                     channel.name,
                     *("-" if value is None else f"{value:.4g}" for value in (channel.max, channel.rms, p99)),
                     f"{100.0 * channel.share:.3f} %",
@@ -127,4 +129,6 @@ def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thre
     if isinstance(result, SetComparison):
         say(f"{drawn} difference pictures in {target}")
     elif not drawn:
-        raise InputError(f"{target}: no difference picture, since the files cannot be compared", *result.reasons)
+        raise InputError(
+            f"{target}: no difference picture, since the files cannot be compared", *result.reasons
+        )

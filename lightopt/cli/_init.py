@@ -28,7 +28,7 @@ def init(
 
     samples = files("lightopt.samples")
 
-    def text(name: str, **changes: str) -> bytes:
+    def text(name: str, **changes: tuple[str, str]) -> bytes:
         content = samples.joinpath(name).read_text(encoding="utf-8")
         for old, new in changes.values():
             content = content.replace(old, new)
@@ -38,7 +38,9 @@ def init(
     outputs = {
         "rig.yaml": text("rigs/four-panel.yaml", schema=("../schema/", "")),
         "part.yaml": text(
-            "parts/cover-knob.yaml", schema=("../schema/", ""), mesh=("cover-knob.step  ", "cover-knob.stl   ")
+            "parts/cover-knob.yaml",
+            schema=("../schema/", ""),
+            mesh=("cover-knob.step  ", "cover-knob.stl   "),
         ),
         "cover-knob.stl": samples.joinpath("parts/cover-knob.stl").read_bytes(),
         "rig.json": (json.dumps(json_schema("rig"), indent=2, ensure_ascii=False) + "\n").encode(),

@@ -17,7 +17,7 @@ __all__ = ["app", "main"]
 INTERRUPTED = 130
 
 # what typer raises for a wrong command line; it does not export the class itself
-_UsageError = typer.BadParameter.__mro__[2]
+_UsageError: type[Exception] = typer.BadParameter.__mro__[2]  # pyright: ignore[reportAssignmentType]
 
 app = typer.Typer(
     name="lightopt",
@@ -34,7 +34,7 @@ app = typer.Typer(
 
 @app.callback()
 def _common(
-    version: bool = typer.Option(  # noqa: ARG001  (acted on by its callback)
+    version: bool = typer.Option(
         False, "--version", callback=version_wanted, is_eager=True, help="Show the version and leave."
     ),
 ) -> None:

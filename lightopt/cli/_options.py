@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["Force", "Out", "PartFile", "Quiet", "RigFile", "parse_exposure", "parse_points", "parse_posture"]
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
-PartFile = Annotated[Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
+PartFile = Annotated[
+    Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")
+]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace results that were made from other inputs.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]

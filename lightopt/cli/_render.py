@@ -34,11 +34,15 @@ def render(
     ] = None,
     points: Annotated[
         str | None,
-        typer.Option(metavar="M", help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel."),
+        typer.Option(
+            metavar="M", help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel."
+        ),
     ] = None,
     exposure: Annotated[
         list[str] | None,
-        typer.Option("--exposure", metavar="X", help="Exposure of the PNGs, such as 1 or 1/16; repeatable. [1]"),
+        typer.Option(
+            "--exposure", metavar="X", help="Exposure of the PNGs, such as 1 or 1/16; repeatable. [1]"
+        ),
     ] = None,
     noise: Annotated[
         int | None, typer.Option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs.")

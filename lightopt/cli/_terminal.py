@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -53,7 +53,7 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_
 
 
 @contextmanager
-def show_progress(label: str, total: int, *, quiet: bool) -> Iterator[Report | None]:
+def show_progress(label: str, total: int, *, quiet: bool) -> Generator[Report | None]:
     """A progress bar with rays per second while rendering `total` postures; None where nobody looks at it."""
     if quiet or not sys.stderr.isatty():
         yield None

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Protocol
+from typing import Any, Protocol
 
 import numba
 import numpy as np
@@ -21,9 +21,7 @@ within 1e-7 of the radius of the surface, and an offset 100 times smaller alread
 class RayRecorder(Protocol):
     """What a benchmark passes to :class:`RayCaster` to keep the rays exactly as Embree saw them."""
 
-    def __call__(
-        self, query: str, origins: NDArray[np.float32], directions: NDArray[np.float32]
-    ) -> None: ...
+    def __call__(self, query: str, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> None: ...
 
 
 class RayCaster:
@@ -52,7 +50,7 @@ class RayCaster:
         self._rays_cast = 0
         # float32 keeps 7 digits, so the mesh is centred and scaled to unit size before it is given to Embree
         local = ((vertices - self.centre) / self.radius).astype(np.float32)
-        self._scene = rtcore_scene.EmbreeScene(robust=True)
+        self._scene: Any = rtcore_scene.EmbreeScene(robust=True)  # pyright: ignore[reportAttributeAccessIssue]
         self._mesh = EmbreeMesh(self._scene, local, np.ascontiguousarray(faces, dtype=np.int32))
         # the first query commits the scene; done here, so that threads only ever read it
         self._run("INTERSECT", np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
@@ -129,8 +127,8 @@ class RayCaster:
 def _primary_rays(
     origin: Float64, directions: Float64, centre: Float64, radius: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    # each ray starts where it comes nearest to the mesh's bounding sphere, not at the far camera: the rounding of its origin to
-    # float32 then is that of the part's size, not of the camera's distance
+    # each ray starts near the mesh's bounding sphere, not at the far camera: the rounding of its origin to float32
+    # then is that of the part's size, not of the camera's distance
     n = len(directions)
     origins32 = np.empty((n, 3), np.float32)
     directions32 = np.empty((n, 3), np.float32)

@@ -46,7 +46,8 @@ def resolve_hits(
 ) -> Hits:
     """Solve the hits that :meth:`RayCaster.first_hit` found, leaving out the rays that met nothing.
 
-    Embree's float32 answer is good to about 1e-5 of the distance, which is not enough for the normals of a glossy surface.
+    Embree's float32 answer is good to about 1e-5 of the distance, which is not enough for the normals of a glossy
+    surface.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
-from lightopt.rendering._image_set import RenderedSet, RenderOptions, render_image_set
+from lightopt.rendering._image_set import RenderedSet, RenderOptions, Report, render_image_set
 from lightopt.rendering._images import (
     Geometry,
     LightImage,
@@ -33,6 +33,7 @@ __all__ = [
     "Progress",
     "RenderOptions",
     "RenderedSet",
+    "Report",
     "SurfacePoints",
     "build_patches",
     "cast_rays_at",

@@ -1,8 +1,8 @@
 """``points: auto``: the panel as the continuous surface it is.
 
-Per pixel and light five rays, to the panel's corners and centre, tell lit from shaded. Where they agree among themselves
-and with those of the neighbouring pixels, the panel is wholly visible or wholly hidden; the penumbrae that remain are
-worked out by :mod:`lightopt.rendering._penumbra`.
+Per pixel and light five rays, to the panel's corners and centre, tell lit from shaded. Where they agree among
+themselves and with those of the neighbouring pixels, the panel is wholly visible or wholly hidden; the penumbrae that
+remain are worked out by :mod:`lightopt.rendering._penumbra`.
 """
 
 from __future__ import annotations
@@ -244,5 +244,3 @@ def _horizon(p: Float64, n: Float64, panel: PanelNumbers) -> tuple[float, float]
         along += n[a] * panel.along[a]
     half = 0.5 * (abs(across) + abs(along))
     return middle - half, middle + half
-
-

@@ -26,7 +26,7 @@ from lightopt.scene import PanelLight, Scene, build_scene, coarse_points
 from lightopt.sensor import expose, image_rng
 from lightopt.transforms import Posture
 
-__all__ = ["RenderOptions", "RenderedSet", "render_image_set"]
+__all__ = ["RenderOptions", "RenderedSet", "Report", "render_image_set"]
 
 Report = Callable[[Posture, float, int], None]
 """Called with the posture at work, its share done (0 to 1) and the number of its rays cast so far."""
@@ -110,7 +110,7 @@ def render_image_set(
     part: PartConfig | Path | str,
     folder: Path | str,
     *,
-    options: RenderOptions = RenderOptions(),  # noqa: B008  (frozen)
+    options: RenderOptions = RenderOptions(),
     force: bool = False,
     warn: Callable[[str], None] | None = None,
     report: Report | None = None,
@@ -143,9 +143,7 @@ def render_image_set(
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
-    scene = build_scene(
-        rig, part, postures=options.postures, lights=options.lights, points=options.points
-    )
+    scene = build_scene(rig, part, postures=options.postures, lights=options.lights, points=options.points)
     plan = [
         (light.name, posture, exposure)
         for posture in scene.postures
@@ -183,8 +181,8 @@ def render_image_set(
         rays += images.rays
         if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
             warnings.add(
-                f"posture {posture}: {images.back_faces:,} pixels see the back of a face and are black; the mesh is open or "
-                "its winding is wrong there"
+                f"posture {posture}: {images.back_faces:,} pixels see the back of a face and are black; the mesh is "
+                "open or its winding is wrong there"
             )
         if not writer.geometry_done(posture):
             facts = {"back_face_pixels": images.back_faces}
@@ -223,9 +221,11 @@ class _Warnings:
 
 def _check_options(options: RenderOptions) -> None:
     problems: list[str] = []
-    for exposure in options.exposures:
-        if not (np.isfinite(exposure) and exposure > 0.0):
-            problems.append(f"exposure: expected a number above 0, found {exposure:g}")
+    problems += [
+        f"exposure: expected a number above 0, found {exposure:g}"
+        for exposure in options.exposures
+        if not (np.isfinite(exposure) and exposure > 0.0)
+    ]
     if len(set(options.exposures)) < len(options.exposures):
         problems.append("exposure: the same exposure was given twice")
     if not 1 <= options.supersample <= 16:

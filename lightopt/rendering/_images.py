@@ -122,7 +122,7 @@ def trace_posture(mesh: TriangleMesh, view: PartView, caster: RayCaster) -> Hits
         The part, the camera as it sees it, and the part's ray caster.
     """
     left, top, right, bottom = screen_window(view.camera, mesh)
-    columns, rows = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
+    columns, rows = np.meshgrid(_centres(left, right), _centres(top, bottom))
     hits, _ = trace_samples(caster, mesh, view.camera, columns.ravel(), rows.ravel())
     return hits
 
@@ -245,7 +245,9 @@ class _Job:
         self.window = screen_window(self.view.camera, scene.mesh)
         shape = (scene.camera.height, scene.camera.width)
         self.levels = [np.zeros(shape, np.float32) for _ in scene.lights]
-        self.layers = [(np.zeros(shape, np.float32), np.zeros(shape, np.float32)) for _ in scene.lights if layers]
+        self.layers = [
+            (np.zeros(shape, np.float32), np.zeros(shape, np.float32)) for _ in scene.lights if layers
+        ]
         self.points = np.zeros((*shape, 3), np.float32)
         self.normals = np.zeros((*shape, 3), np.float32)
         self.distance = np.zeros(shape, np.float32)
@@ -253,7 +255,9 @@ class _Job:
         self.hit = np.zeros(shape, np.bool_)
         self.back = np.zeros(shape, np.bool_)
         self.panels: list[PanelLight | ConvergedPanel] = [
-            converged_panel(light, centre=caster.centre, radius=caster.radius) if light.points == "auto" else light
+            converged_panel(light, centre=caster.centre, radius=caster.radius)
+            if light.points == "auto"
+            else light
             for light in self.view.lights
         ]
         # neighbouring samples tell where penumbrae are, so that blocks then overlap by a row
@@ -270,15 +274,15 @@ class _Job:
         """Render rows [top, bottom) under every light."""
         n = self.supersample
         left, _, right, _ = self.window
-        rows = np.arange(top * n - self.halo, bottom * n + self.halo)
-        columns = np.arange(left * n, right * n)
-        hits, surface = self._trace((columns + 0.5) / n, (rows + 0.5) / n)
+        rows = _centres(top * n - self.halo, bottom * n + self.halo) / n
+        columns = _centres(left * n, right * n) / n
+        hits, surface = self._trace(columns, rows)
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
         if n == 1:
             self._store_geometry(hits, surface, grid, own, slice(top, bottom), slice(left, right))
         else:
-            centre_hits, centres = self._trace(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
+            centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             pixels = (bottom - top, right - left)
             self._store_geometry(
                 centre_hits, centres, pixels, slice(None), slice(top, bottom), slice(left, right)
@@ -308,7 +312,11 @@ class _Job:
             posture=self.posture,
             lights=tuple(images),
             geometry=Geometry(
-                points=self.points, normals=self.normals, distance=self.distance, patch=self.patch, hit=self.hit
+                points=self.points,
+                normals=self.normals,
+                distance=self.distance,
+                patch=self.patch,
+                hit=self.hit,
             ),
             back_faces=int(self.back.sum()),
             rays=rays,
@@ -353,9 +361,15 @@ class _Job:
             (self.hit, True),
             (self.back, ~surface.front),
         ):
-            block = np.full((grid[0] * grid[1], *image.shape[2:]), -1 if image is self.patch else 0, image.dtype)
+            block = np.full(
+                (grid[0] * grid[1], *image.shape[2:]), -1 if image is self.patch else 0, image.dtype
+            )
             block[hits.ray] = values
             image[rows, columns] = block.reshape(*grid, *image.shape[2:])[own]
+
+
+def _centres(first: int, end: int) -> Float64:
+    return np.arange(first, end, dtype=np.float64) + 0.5
 
 
 def _pixel_means(samples: Float64, n: int) -> Float64:

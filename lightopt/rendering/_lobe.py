@@ -1,8 +1,8 @@
 """The light of a whole rectangle of a panel: the specular lobe integrated where it matters, at a cost free of σ.
 
-The lobe's exponent δ²/(2σ²) is nearly a quadratic form over the panel. Its least value on the rectangle and its shape there
-give a window outside which the lobe is negligible; a tensor Gauss–Legendre rule with just enough nodes for how much the
-exponent varies integrates the exact expression inside the window. A narrow lobe has a small window, a wide one
+The lobe's exponent δ²/(2σ²) is nearly a quadratic form over the panel. Its least value on the rectangle and its shape
+there give a window outside which the lobe is negligible; a tensor Gauss–Legendre rule with just enough nodes for how
+much the exponent varies integrates the exact expression inside the window. A narrow lobe has a small window, a wide one
 varies little: neither needs many nodes.
 """
 
@@ -330,7 +330,7 @@ def _least_in_box(
     t0: float,
     t1: float,
 ) -> tuple[float, float]:
-    # least value of ½(a·s² + 2b·s·t + c·t²) + gs·s + gt·t on a box, one coordinate after the other: convex, so it converges
+    # least value of ½(a·s² + 2b·s·t + c·t²) + gs·s + gt·t on a box, one coordinate after the other: it is convex
     if a <= 0.0 or c <= 0.0:
         return s, t
     for _ in range(_BOX_STEPS):
@@ -341,8 +341,8 @@ def _least_in_box(
 
 @numba.njit(cache=True, nogil=True)
 def _node_count(curvature: float, gradient: float, low: float, high: float) -> int:
-    # nodes that integrate exp(−q), q = curvature·x² + 2·gradient·x on [low, high], to 2e-4 of the integral: found by trying;
-    # one more, since the exponent is only nearly quadratic
+    # nodes that integrate exp(−q), q = curvature·x² + 2·gradient·x on [low, high], to 2e-4 of the integral: found by
+    # trying; one more, since the exponent is only nearly quadratic
     at_low = curvature * low * low + 2.0 * gradient * low
     at_high = curvature * high * high + 2.0 * gradient * high
     spread = max(at_low, at_high, 0.0)
@@ -358,5 +358,5 @@ def _node_count(curvature: float, gradient: float, low: float, high: float) -> i
     else:
         count = 6
     if width > 2.0:
-        count = max(count, int(math.ceil(3.0 + 0.9 * width)))
+        count = max(count, math.ceil(3.0 + 0.9 * width))
     return min(count + 1, MAX_NODES)

@@ -90,7 +90,17 @@ class PatchTable:
     @staticmethod
     def from_arrays(arrays: Mapping[str, NDArray[Any]]) -> PatchTable:
         """The table that :meth:`arrays` described."""
-        names = ("vertices", "triangles", "centroids", "normals", "areas", "face", "roots", "children", "cut_edge")
+        names = (
+            "vertices",
+            "triangles",
+            "centroids",
+            "normals",
+            "areas",
+            "face",
+            "roots",
+            "children",
+            "cut_edge",
+        )
         return PatchTable(
             patches=Patches(**{name: arrays[name] for name in names}),
             postures=tuple(Posture(float(e), float(r)) for e, r in arrays["postures_deg"]),

@@ -1,8 +1,8 @@
 """The part of a panel that a surface point sees when the part's own shadow edge crosses it.
 
-Rays to the corners of a grid of cells tell visible cells from hidden ones; where the edge of the shadow crosses the side of a
-cell is found by bisection, and between two such crossings the edge is taken as straight. The light of the visible
-area is then integrated in strips.
+Rays to the corners of a grid of cells tell visible cells from hidden ones; where the edge of the shadow crosses the
+side of a cell is found by bisection, and between two such crossings the edge is taken as straight. The light of the
+visible area is then integrated in strips.
 """
 
 from __future__ import annotations
@@ -141,8 +141,8 @@ def _horizon_state(
 def _edge_crossings(
     surface: SurfacePoints, panel: PanelNumbers, caster: RayCaster, state: State, *, vertical: bool
 ) -> Float64:
-    # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the side
-    # from its first corner, shape as the sides; NaN where it does not cross
+    # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the
+    # side from its first corner; NaN where it does not cross
     blocked = state == _BLOCKED
     first, second = (blocked[:, :-1], blocked[:, 1:]) if vertical else (blocked[:, :, :-1], blocked[:, :, 1:])
     # sides between the horizon and a visible corner are not crossed by anything that matters
@@ -231,8 +231,8 @@ def _cell_kind(state: State, i: int, row: int, column: int) -> tuple[int, int]:
 def _crossed_cell(
     state: State, across: Float64, along: Float64, i: int, row: int, column: int, runs: Float64
 ) -> int:
-    # strips [s0, s1] × [t0, t1], in cells, that cover the visible area of a cell; returns their number. Corners and sides go
-    # round the cell: corner c is followed by side c; crossings are in the cell's own coordinates x, y in [0, 1]
+    # strips [s0, s1] × [t0, t1], in cells, that cover the visible area of a cell; returns their number. Corners and
+    # sides go round the cell: corner c is followed by side c; x and y in [0, 1] are the cell's own coordinates
     corner_x = (0.0, 1.0, 1.0, 0.0)
     corner_y = (0.0, 0.0, 1.0, 1.0)
     seen = (
@@ -245,7 +245,7 @@ def _crossed_cell(
     side_y = (0.0, along[i, row, column + 1], 1.0, along[i, row, column])
     count = 0
     for first in range(4):
-        # a visible stretch of the boundary begins at the side before its first corner and ends at the side after its last
+        # a visible stretch of the boundary begins on the side before its first corner and ends on that after its last
         if not seen[first] or seen[(first + 3) % 4]:
             continue
         last = first

@@ -44,9 +44,7 @@ def shade_points(
     if caster is None:
         clear = np.ones(len(point), np.bool_)
     else:
-        clear = ~caster.occluded(
-            surface.points, surface.facets, grid, point_index=point, target_index=target
-        )
+        clear = ~caster.occluded(surface.points, surface.facets, grid, point_index=point, target_index=target)
     return _accumulate(
         surface.points,
         surface.normals,
@@ -75,9 +73,7 @@ def facing_pairs(
     geometric
         Whether the face's own plane, too, must face the light: below it, the face itself is in the way.
     """
-    return _facing(
-        surface.points, surface.normals, surface.facets, surface.front, targets, geometric
-    )
+    return _facing(surface.points, surface.normals, surface.facets, surface.front, targets, geometric)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -3,6 +3,8 @@
 :func:`build_scene` is the only code that knows both the YAML's words and the physics.
 """
 
+from lightopt.scene._build import _camera as build_camera
+from lightopt.scene._build import _lights as build_lights
 from lightopt.scene._build import build_scene
 from lightopt.scene._camera import (
     Distortion,
@@ -14,24 +16,32 @@ from lightopt.scene._camera import (
 )
 from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
+from lightopt.scene._sampling import COARSE_SHARE, PointSpacing, coarse_points, point_spacing, points_advice
 from lightopt.scene._scene import PartView, Scene, view_from_part
 from lightopt.transforms import Posture
 
 __all__ = [
+    "COARSE_SHARE",
     "Distortion",
     "Framing",
     "PanelLight",
     "PartView",
     "PinholeCamera",
+    "PointSpacing",
     "Posture",
     "Scene",
+    "build_camera",
+    "build_lights",
     "build_scene",
+    "coarse_points",
     "frame_part",
     "panel_grid",
     "pixel_directions",
     "pixel_footprint",
     "place_camera",
     "place_light",
+    "point_spacing",
+    "points_advice",
     "project",
     "screen_window",
     "view_from_part",

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -84,7 +85,7 @@ def build_scene(
         postures=chosen,
     )
     warnings += _check_view(scene, rig, part)
-    return Scene(**{**vars(scene), "warnings": warnings})
+    return replace(scene, warnings=warnings)
 
 
 def _camera(rig: RigConfig) -> PinholeCamera:
@@ -132,7 +133,10 @@ def _sensor(camera: CameraConfig) -> Sensor:
 def _postures(rig: RigConfig, part: PartConfig, asked: Sequence[Posture] | None) -> tuple[Posture, ...]:
     if asked is None:
         named = [
-            (Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg), part.source.at("postures", i))
+            (
+                Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg),
+                part.source.at("postures", i),
+            )
             for i, p in enumerate(part.postures)
         ]
     else:
@@ -163,7 +167,9 @@ def _lights(
             *(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown)
         )
     return tuple(
-        _light(light, rig.light_source, points) for light in rig.lights if names is None or light.name in names
+        _light(light, rig.light_source, points)
+        for light in rig.lights
+        if names is None or light.name in names
     )
 
 
@@ -236,7 +242,9 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
                 for side, excess in sides
                 if excess > 0.0
             )
-            warnings.append(f"posture {posture}: the part leaves the view by {by or 'reaching behind the camera'}")
+            warnings.append(
+                f"posture {posture}: the part leaves the view by {by or 'reaching behind the camera'}"
+            )
     if outside:
         raise InputError(*outside)
     return tuple(warnings)

@@ -86,7 +86,7 @@ def place_camera(
     height: int,
     pixel_size: float,
     image_distance: float,
-    distortion: Distortion = Distortion(),  # noqa: B008  (frozen)
+    distortion: Distortion = Distortion(),
 ) -> PinholeCamera:
     """Camera at ``distance·d(elevation, azimuth)``, looking at the origin; lengths [mm], angles [rad], world frame."""
     d = direction(elevation=elevation, azimuth=azimuth)
@@ -159,8 +159,8 @@ def _distort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, F
 
 
 def _undistort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, Float64]:
-    # Newton's method on both coordinates; a lens whose model folds over inside the image does not converge and gives NaN,
-    # which the scene's construction refuses
+    # Newton's method on both coordinates; a lens whose model folds over inside the image does not converge and gives
+    # NaN, which the scene's construction refuses
     d = distortion
     ux, uy = x.copy(), y.copy()
     error = np.full(x.shape, np.inf)

@@ -63,7 +63,7 @@ class PanelLight:
 
     @property
     def total_weight(self) -> float:
-        """Sum of the weights of the panel's point lights (1/m each for ``mean``, 1 each for ``sum``), times the gain."""
+        """Sum of the weights of the panel's points (1/m each for ``mean``, 1 each for ``sum``), times the gain."""
         if self.normalisation == "sum" and self.points != "auto":
             return self.gain * self.points
         return self.gain
@@ -92,7 +92,7 @@ def place_light(
     inverse_square: bool = False,
     emission_exponent: float = 0.0,
 ) -> PanelLight:
-    """Panel centred at ``distance·d(elevation, azimuth)``, facing the origin; lengths [mm], angles [rad], world frame."""
+    """Panel centred at ``distance·d(elevation, azimuth)``, facing the origin; [mm], [rad], world frame."""
     d = direction(elevation=elevation, azimuth=azimuth)
     return PanelLight(
         name=name,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from ._casting import Hits, blocked, closest, trace
 from ._frames import Camera, Light, posed, posed_normals
-from ._panel import convex_occluder_mask, panel_radiance
+from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
 from ._shading import LayerImage, point_terms, render
 
 __all__ = [
@@ -18,11 +18,13 @@ __all__ = [
     "Light",
     "blocked",
     "closest",
-    "convex_occluder_mask",
+    "equally_spaced",
     "panel_radiance",
     "point_terms",
     "posed",
     "posed_normals",
+    "product_rule",
     "render",
+    "subtract_convex",
     "trace",
 ]

@@ -1,0 +1,146 @@
+"""The part itself in a drawing: ray cast, softly shaded, with its outline and its edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.raycast import RayCaster
+from lightopt.rendering import trace_samples
+from lightopt.report._canvas import FINE
+from lightopt.report._view import ParallelView
+from lightopt.scene import PinholeCamera, Scene
+from lightopt.transforms import Posture
+
+__all__ = ["PartPicture", "draw_part"]
+
+Float64 = NDArray[np.float64]
+
+_BASE = np.array([206.0, 212.0, 220.0])
+_EDGE = np.array([58.0, 66.0, 78.0])
+_FAR = 1e4
+"""Distance of the eye in radii of the part: as good as infinite."""
+
+_BLOCK = 200_000
+"""Rays at once: bounds the memory."""
+
+_CREASE_COS = 0.94
+"""Neighbouring pixels whose normals differ by more than 20° have an edge between them."""
+
+
+@dataclass(frozen=True)
+class PartPicture:
+    """The part seen from one side.
+
+    Attributes
+    ----------
+    view
+        From where.
+    left, top
+        Corner of the arrays on the picture [px of :data:`FINE` times the resolution].
+    picture
+        RGBA, shape (rows, columns, 4).
+    nearness
+        Of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface.
+    """
+
+    view: ParallelView
+    left: int
+    top: int
+    picture: NDArray[np.uint8]
+    nearness: Float64
+
+    def hides(self, points: Float64) -> NDArray[np.bool_]:
+        """Whether the part stands before world points [mm], shape (n, 3); shape (n,)."""
+        flat = self.view.place(points) * FINE
+        columns = np.floor(flat[:, 0]).astype(int) - self.left
+        rows = np.floor(flat[:, 1]).astype(int) - self.top
+        height, width = self.nearness.shape
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        hidden = np.zeros(len(points), dtype=bool)
+        surface = self.nearness[rows[inside], columns[inside]]
+        hidden[inside] = surface > self.view.nearness(points[inside])
+        return hidden
+
+
+def draw_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelView) -> PartPicture:
+    """The scene's part at a posture, as a view shows it.
+
+    Parameters
+    ----------
+    caster
+        Of the part, in its own frame.
+    """
+    rotation = posture.matrix
+    translation = scene.pivot - rotation @ scene.pivot
+    centre = rotation @ caster.centre + translation
+    half = int(np.ceil(caster.radius * view.scale * FINE)) + 2
+    middle = np.round(view.place(centre) * FINE).astype(int)
+    distance = _FAR * caster.radius
+    camera = PinholeCamera(
+        position=centre + distance * view.toward,
+        right=view.right,
+        up=view.up,
+        forward=-view.toward,
+        width=2 * half,
+        height=2 * half,
+        pixel_size=1.0 / (view.scale * FINE),
+        image_distance=distance,
+    ).moved(rotation.T, -rotation.T @ translation)
+    # the middle of this image is the centre exactly; on the picture it lies up to half a fine pixel beside a corner of four
+    nearness = np.full(4 * half * half, -np.inf)
+    normals = np.zeros((4 * half * half, 3))
+    for start in range(0, len(nearness), _BLOCK):
+        index = np.arange(start, min(start + _BLOCK, len(nearness)))
+        hits, surface = trace_samples(
+            caster, scene.mesh, camera, index % (2 * half) + 0.5, index // (2 * half) + 0.5
+        )
+        found = index[hits.ray]
+        nearness[found] = view.nearness(surface.points @ rotation.T + translation)
+        # backs of faces are shown like fronts: this is a drawing, not an image
+        facing = np.where(np.einsum("ij,ij->i", surface.normals, surface.views) < 0.0, -1.0, 1.0)
+        normals[found] = (surface.normals * facing[:, None]) @ rotation.T
+    nearness = nearness.reshape(2 * half, 2 * half)
+    picture = _shade(view, nearness, normals.reshape(2 * half, 2 * half, 3))
+    return PartPicture(view, int(middle[0]) - half, int(middle[1]) - half, picture, nearness)
+
+
+def _shade(view: ParallelView, nearness: Float64, normals: Float64) -> NDArray[np.uint8]:
+    hit = np.isfinite(nearness)
+    lamp = view.toward + 0.9 * view.up - 0.7 * view.right
+    light = 0.62 + 0.38 * np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
+    edge = _edges(hit, nearness, normals, step=3.0 / (view.scale * FINE))
+    colours = np.where(edge[..., None], _EDGE, _BASE * light[..., None])
+    alpha = np.where(hit | edge, 255.0, 0.0)
+    return np.floor(np.concatenate([colours, alpha[..., None]], axis=2) + 0.5).astype(np.uint8)
+
+
+def _edges(hit: NDArray[np.bool_], nearness: Float64, normals: Float64, *, step: float) -> NDArray[np.bool_]:
+    """Outline, jumps in depth and creases, FINE pixels wide."""
+    edge = np.zeros(hit.shape, dtype=bool)
+    depth = np.where(hit, nearness, 0.0)
+    for axis in (0, 1):
+        a, b = _neighbours(hit.shape, axis)
+        both = hit[a] & hit[b]
+        facing = np.einsum("ijk,ijk->ij", normals[a], normals[b])
+        # what lies farther back than the slope of the surface explains is another surface
+        jump = np.abs(depth[a] - depth[b]) > 12.0 * step
+        edge[a] |= (hit[a] != hit[b]) | (both & ((facing < _CREASE_COS) | jump))
+    wide = edge.copy()
+    for axis in (0, 1):
+        a, b = _neighbours(hit.shape, axis)
+        grown = wide.copy()
+        grown[a] |= wide[b]
+        grown[b] |= wide[a]
+        wide = grown
+    return wide
+
+
+def _neighbours(
+    shape: tuple[int, ...], axis: int
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    before, after = [slice(None)] * 2, [slice(None)] * 2
+    before[axis], after[axis] = slice(0, shape[axis] - 1), slice(1, shape[axis])
+    return (before[0], before[1]), (after[0], after[1])

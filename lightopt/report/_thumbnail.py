@@ -1,0 +1,83 @@
+"""A camera image made small without losing its highlights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["SATURATED_COLOUR", "Thumbnail", "shade_of_saturation", "thumbnail", "thumbnail_size"]
+
+SATURATED_COLOUR = (225, 29, 42)
+"""Of a cell all of whose pixels are saturated."""
+
+FAINTEST_MARK = 0.4
+"""How much of that colour a cell with hardly any saturated pixels gets, so that a single one still shows."""
+
+
+@dataclass(frozen=True)
+class Thumbnail:
+    """A small picture of an image.
+
+    Attributes
+    ----------
+    picture
+        RGB, row 0 at the top, shape (rows, columns, 3), read-only.
+    saturated, pixels
+        Number of saturated pixels and of all pixels in the image.
+    """
+
+    picture: NDArray[np.uint8]
+    saturated: int
+    pixels: int
+
+
+def thumbnail_size(width: int, height: int, limit: int) -> tuple[int, int]:
+    """Width and height that :func:`thumbnail` gives an image of `width` × `height` pixels [px]."""
+    shrink, enlarge = _factors(width, height, limit)
+    return math.ceil(width / shrink) * enlarge, math.ceil(height / shrink) * enlarge
+
+
+def thumbnail(level: NDArray[np.floating], saturated: NDArray[np.bool_], *, limit: int) -> Thumbnail:
+    """Shrink an image by averaging square cells of whole pixels; small images are enlarged by repeating pixels.
+
+    Parameters
+    ----------
+    level
+        Share of full scale, shown linearly as grey from black (0 and below) to white (1 and above), shape
+        (rows, columns).
+    saturated
+        Where the camera is saturated, same shape. The share of saturated pixels in a cell tints it.
+    limit
+        Neither side becomes longer [px].
+    """
+    height, width = level.shape
+    shrink, enlarge = _factors(width, height, limit)
+    grey = _cell_means(np.clip(np.nan_to_num(level), 0.0, 1.0), shrink)
+    tint = shade_of_saturation(_cell_means(saturated, shrink))[..., None]
+    blend = (1.0 - tint) * (255.0 * grey[..., None]) + tint * np.array(SATURATED_COLOUR)
+    picture = np.floor(blend + 0.5).astype(np.uint8).repeat(enlarge, axis=0).repeat(enlarge, axis=1)
+    picture.flags.writeable = False
+    return Thumbnail(picture, int(np.count_nonzero(saturated)), saturated.size)
+
+
+def shade_of_saturation(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How strongly :data:`SATURATED_COLOUR` covers a cell, 0 to 1, by the share of its pixels that are saturated."""
+    return np.where(share > 0.0, FAINTEST_MARK + (1.0 - FAINTEST_MARK) * share, 0.0)
+
+
+def _factors(width: int, height: int, limit: int) -> tuple[int, int]:
+    longest = max(width, height)
+    return max(1, math.ceil(longest / limit)), max(1, limit // longest)
+
+
+def _cell_means(values: NDArray[np.floating] | NDArray[np.bool_], side: int) -> NDArray[np.float64]:
+    """Means over cells of side × side pixels; cells cut by the right or lower border are averaged over what is there."""
+    rows = np.arange(0, values.shape[0], side)
+    columns = np.arange(0, values.shape[1], side)
+    sums = np.add.reduceat(np.add.reduceat(values, rows, axis=0, dtype=np.float64), columns, axis=1)
+    heights = np.diff(np.append(rows, values.shape[0]))
+    widths = np.diff(np.append(columns, values.shape[1]))
+    return sums / (heights[:, None] * widths[None, :])

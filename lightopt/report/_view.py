@@ -1,0 +1,87 @@
+"""A parallel view of the world: what is parallel stays parallel, and lengths along a direction keep their ratio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.transforms import azimuth_tangent, direction, elevation_tangent
+
+__all__ = ["ParallelView", "arc", "fit_view"]
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParallelView:
+    """Orthographic view from (elevation, azimuth).
+
+    Attributes
+    ----------
+    elevation, azimuth
+        From where one looks, world frame [rad].
+    scale
+        [px/mm].
+    offset
+        Where the world's origin lies on the picture [px], shape (2,).
+    """
+
+    elevation: float
+    azimuth: float
+    scale: float
+    offset: Float64
+
+    @property
+    def right(self) -> Float64:
+        """Unit vector to the right on the picture, world frame, shape (3,)."""
+        return azimuth_tangent(azimuth=self.azimuth)
+
+    @property
+    def up(self) -> Float64:
+        """Unit vector up on the picture, world frame, shape (3,)."""
+        return elevation_tangent(elevation=self.elevation, azimuth=self.azimuth)
+
+    @property
+    def toward(self) -> Float64:
+        """Unit vector towards the viewer, world frame, shape (3,)."""
+        return direction(elevation=self.elevation, azimuth=self.azimuth)
+
+    def place(self, points: Float64) -> Float64:
+        """Where world points [mm], shape (..., 3), lie on the picture [px], x right and y down, shape (..., 2)."""
+        points = np.asarray(points, dtype=np.float64)
+        return self.offset + self.scale * np.stack([points @ self.right, -(points @ self.up)], axis=-1)
+
+    def nearness(self, points: Float64) -> Float64:
+        """How near world points [mm], shape (..., 3), are to the viewer [mm], shape (...)."""
+        return np.asarray(points, dtype=np.float64) @ self.toward
+
+
+def fit_view(
+    points: Float64, *, elevation: float, azimuth: float, box: tuple[float, float, float, float]
+) -> ParallelView:
+    """The largest view that shows all points [mm], shape (n, 3), centred in a box (left, top, right, bottom) [px]."""
+    unit = ParallelView(elevation=elevation, azimuth=azimuth, scale=1.0, offset=np.zeros(2))
+    flat = unit.place(points)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    corners = np.array(box).reshape(2, 2)
+    room = corners[1] - corners[0]
+    scale = float(np.min(room / np.maximum(high - low, 1e-9)))
+    return replace(unit, scale=scale, offset=corners.mean(axis=0) - scale * 0.5 * (low + high))
+
+
+def arc(centre: Float64, start: Float64, towards: Float64, angle: float, radius: float) -> Float64:
+    """Points of a circular arc [mm], shape (n, 3): from `start` through `angle` [rad] in the direction of `towards`.
+
+    Parameters
+    ----------
+    centre
+        [mm], shape (3,).
+    start, towards
+        Orthonormal vectors, shape (3,).
+    radius
+        [mm].
+    """
+    turns = np.linspace(0.0, angle, max(2, int(abs(angle) * 24)))[:, None]
+    return centre + radius * (np.cos(turns) * start + np.sin(turns) * towards)

@@ -1,0 +1,134 @@
+"""Make the pictures and tables of docs/ anew, through the same commands and functions that a user calls.
+
+Tables go between ``<!-- begin NAME -->`` and ``<!-- end NAME -->`` in the pages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from lightopt import build_scene, render
+from lightopt.images import read_exr, read_image_set
+from lightopt.report import contact_sheet, frames_drawing, rig_drawing
+from lightopt.sensor import expose, saturated_region
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PICTURES = DOCS / "pictures"
+RIGS = ROOT / "configs" / "rigs"
+PARTS = ROOT / "configs" / "parts"
+
+# the paper's Table 1; R_s of m = 1 as printed and as it is read (docs/reflection-model.md)
+TABLE_1 = [
+    (1, 1_180_000.0, 0.0525),
+    (1, 11_800.0, 0.0525),
+    (4, 12_500.0, 0.0475),
+    (9, 16_200.0, 0.045),
+    (16, 23_000.0, 0.0425),
+]
+
+
+def lightopt(*arguments: str | Path) -> str:
+    """Run the command and return what it printed."""
+    command = [sys.executable, "-m", "lightopt", *map(str, arguments)]
+    return subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout
+
+
+def replace_block(page: Path, name: str, text: str) -> None:
+    """Put text between a page's markers."""
+    content = page.read_text(encoding="utf-8")
+    begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
+    if begin not in content or end not in content:
+        sys.exit(f"{page}: no markers for {name}")
+    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
+    page.write_text(pattern.sub(lambda _: f"{begin}\n{text}\n{end}", content), encoding="utf-8")
+
+
+def saturated_table() -> str:
+    """Each row of the paper's Table 1 on the cover knob: area and perimeter of the saturated region, and converged."""
+    lines = [
+        "| m | R_s | σ [rad] | saturated area [px], lights 1–4 | sum | perimeter [px], sum | sum with `points: auto` |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    posture = None
+    for m, coefficient, sigma in TABLE_1:
+        figures = {}
+        for points in (m, "auto"):
+            scene = build_scene(RIGS / "paper.yaml", PARTS / "cover-knob.yaml", points=points)
+            posture = posture or scene.postures[0]
+            scene = _with_reflectance(scene, coefficient, sigma, posture)
+            images = next(iter(render(scene)))
+            figures[points] = [
+                saturated_region(
+                    expose(
+                        image.level,
+                        sensor=scene.sensor,
+                        exposure=1.0,
+                        full_scale=scene.reflectance.full_scale,
+                    ),
+                    scene.sensor.saturation_level,
+                ).area
+                for image in images.lights
+            ]
+            if points == m:
+                perimeter = sum(saturated_region(image.level, 254.5).perimeter for image in images.lights)
+        own = figures[m]
+        lines.append(
+            f"| {m} | {coefficient:,.0f} | {sigma} | {', '.join(f'{area:,}' for area in own)} | {sum(own):,} "
+            f"| {perimeter:,.0f} | {sum(figures['auto']):,} |"
+        )
+    return "\n".join(lines)
+
+
+def _with_reflectance(scene, coefficient, sigma, posture):
+    from dataclasses import replace
+
+    reflectance = replace(scene.reflectance, R_d=45.0, R_s=coefficient, sigma=sigma)
+    return replace(scene, reflectance=reflectance, postures=(posture,))
+
+
+def side_by_side(target: Path, images: list[np.ndarray], gain: float = 1.0) -> None:
+    """Crops of linear images next to each other, as the camera would show them."""
+    tiles = [np.clip(np.floor(image * gain + 0.5), 0, 255).astype(np.uint8) for image in images]
+    gap = np.full((tiles[0].shape[0], 12), 255, np.uint8)
+    row = [part for tile in tiles for part in (tile, gap)][:-1]
+    Image.fromarray(np.concatenate(row, axis=1)).save(target, optimize=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="pictures only, no tables")
+    quick = parser.parse_args().quick
+    PICTURES.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        frames_drawing(PICTURES / "frames.png")
+        scene = build_scene(RIGS / "four-panel.yaml", PARTS / "cover-knob.yaml")
+        rig_drawing(scene, PICTURES / "four-panel.png")
+        print(
+            lightopt("render", RIGS / "four-panel.yaml", PARTS / "cover-knob.yaml", "-o", out / "knob", "-q")
+        )
+        contact_sheet(read_image_set(out / "knob"), PICTURES / "cover-knob-sheet.png")
+        crops = []
+        for points in ("4", "auto"):
+            target = out / f"spout-{points}"
+            lightopt(
+                "render", RIGS / "four-panel.yaml", PARTS / "spout.yaml", "-o", target, "-q",
+                "--light", "light2", "--posture", "0,0", "--points", points,
+            )  # fmt: skip
+            crops.append(read_exr(target / "posture_0_0" / "light2.exr")["Y"][100:1100, 200:1400][::2, ::2])
+        side_by_side(PICTURES / "spout-4-auto.png", crops, gain=3.0)
+    if not quick:
+        replace_block(DOCS / "reflection-model.md", "table-1", saturated_table())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""The converged panel: the reflected light integrated over the panel's area instead of summed over m points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ._casting import blocked
+from ._shading import dot, point_terms, shadow_point
+
+CHUNK = 64  # pixels shaded together, times n² nodes
+
+
+def product_rule(n, cells=1):
+    """Gauss–Legendre nodes u, v in -1/2 … 1/2 and weights (sum 1), n × n in each of cells × cells equal cells."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    x = ((x[None] / 2 + 0.5 + np.arange(cells)[:, None]) / cells - 0.5).ravel()
+    w = np.tile(w / 2 / cells, cells)
+    u, v = np.meshgrid(x, x)
+    return u.ravel(), v.ravel(), np.outer(w, w).ravel()
+
+
+def equally_spaced(n):
+    """Cell centres of an n × n grid: the rule of m = n² point lights."""
+    x = (np.arange(n) + 0.5) / n - 0.5
+    u, v = np.meshgrid(x, x)
+    return u.ravel(), v.ravel(), np.full(n * n, 1 / n**2)
+
+
+def panel_radiance(hits, light, *, R_d, R_s, sigma, triangles=None, rule=None):
+    """I_d and I_s (N,) of a panel with its output spread evenly, at front-facing hits.
+
+    `triangles` cast shadows, tested by a ray to every node; without them only the horizons do. Where a shadow's edge
+    crosses the panel a product rule is itself off by about a node's weight; `subtract_convex` is exact there.
+    """
+    u, v, weights = product_rule(64) if rule is None else rule
+    sources = light.at(u, v)
+    diffuse, specular = np.zeros(len(hits.face)), np.zeros(len(hits.face))
+    for start in range(0, len(hits.face), CHUNK):
+        part = slice(start, start + CHUNK)
+        seen = hits[part]
+        visible = dot(sources - seen.point[:, None], seen.geometric[:, None]) > 0
+        if triangles is not None:
+            ends = shadow_point(seen, triangles)
+            for i in range(len(ends)):  # from the surface point, which all its rays share, to the nodes
+                visible[i] &= ~blocked(ends[i], sources, triangles)
+        I_d, I_s = point_terms(seen, light, sources, R_d=R_d, R_s=R_s, sigma=sigma)
+        diffuse[part] = light.gain * (np.where(visible, I_d, 0) @ weights)
+        specular[part] = light.gain * (np.where(visible, I_s, 0) @ weights)
+    return diffuse, specular
+
+
+def convex_hull(points):
+    """Corners of the hull of points (N, 2), counter-clockwise (Andrew's monotone chain)."""
+    order = points[np.lexsort((points[:, 1], points[:, 0]))]
+
+    def chain(sequence):
+        hull = []
+        for p in sequence:
+            while len(hull) > 1 and cross2(hull[-1] - hull[-2], p - hull[-2]) <= 0:
+                hull.pop()
+            hull.append(p)
+        return hull[:-1]
+
+    return np.array(chain(order) + chain(order[::-1]))
+
+
+def cross2(a, b):
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def clip_to_square(polygon):
+    """The part of a convex polygon (N, 2) inside -1/2 … 1/2 (Sutherland–Hodgman); may be empty."""
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        kept = []
+        for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+            inside_a, inside_b = 0.5 - sign * a[axis], 0.5 - sign * b[axis]
+            if inside_a >= 0:
+                kept.append(a)
+            if inside_a * inside_b < 0:
+                kept.append(a + (b - a) * inside_a / (inside_a - inside_b))
+        polygon = np.array(kept).reshape(-1, 2)
+        if len(polygon) < 3:
+            return np.zeros((0, 2))
+    return polygon
+
+
+def hidden_polygon(light, point, corners):
+    """The part of the panel (u, v) that a convex body with these corners hides from a surface point.
+
+    Every corner must lie nearer to the panel's plane than the point does.
+    """
+    d = light.axis
+    ahead = light.distance - dot(corners, d)
+    far = light.distance - dot(point, d)
+    assert (ahead > 0).all(), "the body reaches behind the panel"
+    assert (ahead < far - 1e-9).all(), "the body reaches behind the surface point"
+    projected = point + (corners - point) * (far / (far - ahead))[:, None]
+    u_axis, v_axis = light.at(1.0, 0.0) - light.at(0.0, 0.0), light.at(0.0, 1.0) - light.at(0.0, 0.0)
+    relative = projected - light.at(0.0, 0.0)
+    uv = np.stack([relative @ u_axis / dot(u_axis, u_axis), relative @ v_axis / dot(v_axis, v_axis)], axis=1)
+    return clip_to_square(convex_hull(uv))
+
+
+def triangle_rule(a, b, c, n):
+    """Nodes and weights (sum: the triangle's area) of a collapsed n × n Gauss–Legendre rule."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    s, t = np.meshgrid(x / 2 + 0.5, x / 2 + 0.5)
+    w = np.outer(w, w).ravel() / 4 * abs(cross2(b - a, c - a)) * s.ravel()
+    uv = a + s.reshape(-1, 1) * ((b - a) + t.reshape(-1, 1) * (c - b))
+    return uv[:, 0], uv[:, 1], w
+
+
+def subtract_convex(hits, light, diffuse, specular, corners, *, R_d, R_s, sigma, n=64):
+    """The levels of `panel_radiance` less the light that a convex body hides, integrated over the hidden polygon.
+
+    Returns the two components and whether the body's shadow edge crosses the panel (penumbra).
+    """
+    diffuse, specular = diffuse.copy(), specular.copy()
+    penumbra = np.zeros(len(hits.face), dtype=bool)
+    for i in range(len(hits.face)):
+        polygon = hidden_polygon(light, hits.point[i], corners)
+        if len(polygon) == 0:
+            continue
+        x, y = polygon.T
+        area = abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2
+        penumbra[i] = area < 1 - 1e-9
+        one = hits[i : i + 1]
+        for k in range(1, len(polygon) - 1):
+            rule = triangle_rule(polygon[0], polygon[k], polygon[k + 1], n)
+            hidden = panel_radiance(one, light, R_d=R_d, R_s=R_s, sigma=sigma, rule=rule)
+            diffuse[i] -= hidden[0][0]
+            specular[i] -= hidden[1][0]
+    return diffuse, specular, penumbra
