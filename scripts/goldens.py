@@ -1,6 +1,6 @@
 """Render the golden scenes: ``check`` compares them with what is committed, ``renew`` replaces it.
 
-The scenes are small (a 160 × 120 camera) and use the committed STL meshes, whose triangles do not depend on the version
+The scenes are small (a 128 × 96 camera) and use the committed STL meshes, whose triangles do not depend on the version
 of a CAD kernel. Everything goes through the commands that a user types.
 """
 
@@ -24,7 +24,7 @@ RENDERS: dict[str, list[str]] = {
 }
 """What is rendered for each golden set: rig, part and options."""
 
-PATCHES = "1500"
+PATCHES = "500"
 
 
 def run(*arguments: str) -> int:

@@ -201,8 +201,15 @@ def render_posture(
     """
     before = caster.rays_cast
     job = _Job(scene, posture, caster, shadows, supersample, layers, patches)
-    _run_blocks(job, threads or os.cpu_count() or 1, progress)
+    _run_blocks(job, threads or _available_processors(), progress)
     return job.result(caster.rays_cast - before)
+
+
+def _available_processors() -> int:
+    # those that this process may use, which batch systems and containers restrict; not every platform can tell
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _run_blocks(job: _Job, threads: int, progress: Progress | None) -> None:

@@ -27,7 +27,7 @@ _SPACE = 4
 _LEADER = 34
 """From this distance on a thin line leads from the anchor to the label [px]."""
 
-_INK_COST = 90.0
+_INK_COST = 450.0
 _TURN_COST = 16.0
 """What a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance."""
 

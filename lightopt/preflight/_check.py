@@ -1,0 +1,80 @@
+"""The checks in the order in which they are told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import InputError
+from lightopt.preflight._camera import check_field_of_view, check_lens, check_resolution, check_sensor
+from lightopt.preflight._coverage import check_unseen_surface
+from lightopt.preflight._facets import check_facets
+from lightopt.preflight._framing import check_below_table, check_depth, check_part_in_view
+from lightopt.preflight._lights import check_below_horizon, check_collisions, check_lights_in_view
+from lightopt.preflight._lobe import check_levels, check_points
+from lightopt.preflight._part_lights import check_hidden_part, check_lights_in_part
+from lightopt.preflight._report import Finding, Report
+from lightopt.preflight._size import check_size, unit_hints
+from lightopt.preflight._subject import RigSubject, SceneSubject, rig_subject, scene_subject
+from lightopt.preflight._surface import check_back_faces, check_mesh
+from lightopt.scene import build_scene
+
+__all__ = ["check_rig", "check_scene"]
+
+RIG_CHECKS: tuple[Callable[[RigSubject], Iterable[Finding]], ...] = (
+    check_lens,
+    check_resolution,
+    check_field_of_view,
+    check_sensor,
+    check_lights_in_view,
+    check_below_horizon,
+    check_collisions,
+)
+
+SCENE_CHECKS: tuple[Callable[[SceneSubject], Iterable[Finding]], ...] = (
+    check_size,
+    check_mesh,
+    check_depth,
+    check_part_in_view,
+    check_below_table,
+    check_lights_in_part,
+    check_hidden_part,
+    check_points,
+    check_levels,
+    check_facets,
+    check_back_faces,
+    check_unseen_surface,
+)
+
+
+def check_rig(rig: RigConfig) -> Report:
+    """Findings about a rig alone.
+
+    Raises
+    ------
+    InputError
+        The lens model folds the image over.
+    """
+    return Report(_run_rig(rig))
+
+
+def check_scene(rig: RigConfig, part: PartConfig) -> Report:
+    """Findings about a rig and a part on it, in all the part's postures.
+
+    Raises
+    ------
+    InputError
+        The scene cannot be built (see :func:`lightopt.scene.build_scene`); with what other units of the mesh file would
+        make of it, where they explain it.
+    """
+    try:
+        scene = build_scene(rig, part)
+    except InputError as error:
+        raise InputError(*error.messages, *unit_hints(rig, part)) from error
+    subject = scene_subject(rig, part, scene)
+    return Report((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(subject))))
+
+
+def _run_rig(rig: RigConfig) -> tuple[Finding, ...]:
+    subject = rig_subject(rig)
+    return tuple(finding for check in RIG_CHECKS for finding in check(subject))

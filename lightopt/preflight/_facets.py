@@ -1,0 +1,185 @@
+"""The mesh's facets against the width of the lobe.
+
+Flat shading is off by up to half the angle β between two facets, an error of first order in the edge length h. Between
+vertices with normals, interpolation is off by the second order, κ'·h²/8, where the curvature κ changes along the edge, and by
+β³/42 where it does not. That error is measured from the mesh itself: along an edge with unit direction e and normals N₀, N₁ at
+its ends, the surface leaves the chord with the slopes −N₀·e and −N₁·e. The cubic through both ends with these slopes has the
+slope (N₀ + N₁)·e/4 in the middle, and the interpolated normal stands for −(N₀ + N₁)·e/2: they differ by
+
+    ¾ · |(N₀ + N₁)·e|
+
+which is κ'·h²/8 for exact normals, zero on a sphere, and also finds normals that were averaged badly from uneven triangles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.mesh import TriangleMesh, face_normals
+from lightopt.preflight._edges import edges
+from lightopt.preflight._report import Finding
+from lightopt.preflight._subject import SceneSubject
+
+__all__ = ["NormalErrors", "check_facets", "facet_angles", "interpolation_errors"]
+
+Float64 = NDArray[np.float64]
+
+SHOWS = 0.5
+"""Normals that are off by this share of σ change the level on a highlight's flank by about half: facets show."""
+
+BENT = 0.05
+"""Edges where the normal turns by less than this share of σ are flat to this lobe and do not count."""
+
+
+@dataclass(frozen=True)
+class NormalErrors:
+    """Errors of the normal at the edges of a mesh where it bends.
+
+    Attributes
+    ----------
+    median, high
+        Median and 90th percentile of the error, weighted by edge length [rad].
+    angle
+        Median angle by which the normal turns along or across these edges [rad].
+    edge
+        Median length of these edges [mm].
+    """
+
+    median: float
+    high: float
+    angle: float
+    edge: float
+
+
+def facet_angles(mesh: TriangleMesh, *, bent: float, crease: float) -> NormalErrors | None:
+    """Angles between neighbouring facets; None where no edge bends.
+
+    Parameters
+    ----------
+    mesh
+        Shaded by its facets.
+    bent, crease
+        Edges with an angle between these two count [rad]: above, they are edges of the part.
+    """
+    found = edges(mesh.faces)
+    pair = found.uses == 2
+    normals = face_normals(mesh)
+    chord = np.linalg.norm(normals[found.faces[pair, 0]] - normals[found.faces[pair, 1]], axis=1)
+    angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * chord))
+    length = _lengths(mesh, found.ends[pair])
+    return _summary(angle, angle, length, (angle > bent) & (angle <= crease))
+
+
+def interpolation_errors(mesh: TriangleMesh, *, bent: float) -> NormalErrors | None:
+    """Errors of interpolated normals in the middle of the edges; None where no edge bends.
+
+    Parameters
+    ----------
+    mesh
+        With normals.
+    bent
+        Edges along which the normal turns by more count [rad].
+    """
+    assert mesh.normals is not None
+    ends = edges(mesh.faces).ends
+    along = mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]]
+    length = np.linalg.norm(along, axis=1)
+    first, second = mesh.normals[ends[:, 0]], mesh.normals[ends[:, 1]]
+    error = 0.75 * np.abs(np.einsum("ij,ij->i", first + second, along)) / length
+    angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(first - second, axis=1)))
+    return _summary(error, angle, length, angle > bent)
+
+
+def check_facets(subject: SceneSubject) -> Iterator[Finding]:
+    """Whether the highlight shows the mesh's facets."""
+    sigma = subject.scene.reflectance.sigma
+    mesh = subject.scene.mesh
+    if mesh.normals is None:
+        crease = math.radians(subject.part.mesh.crease_angle_deg)
+        yield _flat(subject, facet_angles(mesh, bent=BENT * sigma, crease=crease))
+    else:
+        yield _smooth(subject, interpolation_errors(mesh, bent=BENT * sigma))
+
+
+def _flat(subject: SceneSubject, found: NormalErrors | None) -> Finding:
+    sigma = subject.scene.reflectance.sigma
+    where = subject.part.source.at("mesh", "normals")
+    if found is None:
+        return Finding("ok", "facets", f"no curved surface: no facets to show at σ = {sigma:g} rad", where)
+    shows = found.median > SHOWS * sigma
+    text = (
+        f"shaded flat, with angles of {_angle(found.median)} between facets (median over curved surface; 90 % below "
+        f"{_angle(found.high)}) against σ = {sigma:g} rad ({_angle(sigma)})"
+    )
+    if shows:
+        text += (
+            f": highlights break up into facets. Use normals: smooth, a STEP file, or an export with facets at most "
+            f"{_angle(SHOWS * sigma)} apart ({found.median / (SHOWS * sigma):.2g} times shorter)"
+        )
+    return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))
+
+
+def _smooth(subject: SceneSubject, found: NormalErrors | None) -> Finding:
+    sigma = subject.scene.reflectance.sigma
+    if found is None:
+        text = (
+            f"normals turn by less than {BENT:g}·σ along every edge: no facets to show at σ = {sigma:g} rad"
+        )
+        return Finding("ok", "facets", text, subject.part.source.at("mesh", "normals"))
+    shows = found.high > SHOWS * sigma
+    text = (
+        f"normals turn by {_angle(found.angle)} along an edge of {found.edge:.3g} mm (medians over curved surface); "
+        f"interpolated, they are off by about {_angle(found.median)}, at 90 % of the edges by less than "
+        f"{_angle(found.high)}, against σ = {sigma:g} rad ({_angle(sigma)})"
+    )
+    if shows:
+        finer = math.sqrt(found.high / (SHOWS * sigma))
+        text += (
+            f": highlights show the mesh's facets. Use a STEP file, or an export with edges {finer:.2g} times shorter on "
+            "curved surface"
+        )
+    where = subject.part.source.at("mesh", "file")
+    return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))
+
+
+def _values(found: NormalErrors, sigma: float) -> dict[str, float]:
+    return {
+        "sigma_rad": sigma,
+        "median_angle_rad": found.angle,
+        "median_edge_mm": found.edge,
+        "median_normal_error_rad": found.median,
+        "high_normal_error_rad": found.high,
+    }
+
+
+def _angle(radians: float) -> str:
+    return f"{math.degrees(radians):.2g}°"
+
+
+def _lengths(mesh: TriangleMesh, ends: NDArray[np.int64]) -> Float64:
+    return np.linalg.norm(mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]], axis=1)
+
+
+def _summary(
+    error: Float64, angle: Float64, length: Float64, counts: NDArray[np.bool_]
+) -> NormalErrors | None:
+    if not counts.any():
+        return None
+    error, angle, length = error[counts], angle[counts], length[counts]
+    return NormalErrors(
+        median=_percentile(error, length, 0.5),
+        high=_percentile(error, length, 0.9),
+        angle=_percentile(angle, length, 0.5),
+        edge=_percentile(length, length, 0.5),
+    )
+
+
+def _percentile(values: Float64, weights: Float64, share: float) -> float:
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(total, share * total[-1])]])

@@ -1,0 +1,163 @@
+"""Where the lights stand, now and at the ends of their ranges: in the view, under the table, in each other's way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from lightopt.config import RigConfig
+from lightopt.preflight._rectangles import corners, image_area, rectangles_meet
+from lightopt.preflight._report import Finding
+from lightopt.preflight._subject import RigSubject
+from lightopt.scene import PanelLight, build_lights
+
+__all__ = ["check_below_horizon", "check_collisions", "check_lights_in_view"]
+
+STEP_DEG = 5.0
+"""A light's ranges are tried at least this finely where the camera's view is concerned."""
+
+
+def check_lights_in_view(subject: RigSubject) -> Iterator[Finding]:
+    """Panels between the camera and what it looks at: they are in every picture, and hide what is behind them."""
+    pixels = subject.camera.width * subject.camera.height
+    clear = True
+    for index, light in enumerate(subject.lights):
+        area = image_area(subject.camera, corners(light))
+        if area > 0.0:
+            clear = False
+            yield Finding(
+                "warning",
+                "light in view",
+                f"{light.name} stands in the camera's view and covers {area:,.0f} px ({100 * area / pixels:.2g} % of the "
+                "image). Renderings leave it out, a camera cannot: move it, or the camera",
+                subject.at_light(index),
+                {"light": light.name, "pixels": area, "share": area / pixels},
+            )
+            continue
+        moved = [
+            p for p in _moved(subject.rig, index, STEP_DEG) if image_area(subject.camera, corners(p)) > 0.0
+        ]
+        if moved:
+            clear = False
+            yield _at_range(subject, index, "light in view", moved, "comes into the camera's view")
+    if clear:
+        yield Finding("ok", "light in view", "no panel stands in the camera's view, nor moves into it")
+
+
+def check_below_horizon(subject: RigSubject) -> Iterator[Finding]:
+    """Panels that reach below the table top."""
+    for index, light in enumerate(subject.lights):
+        lowest = float(corners(light)[:, 2].min())
+        if lowest < 0.0:
+            yield Finding(
+                "warning",
+                "light below table",
+                f"a corner of {light.name} is {-lowest:.3g} mm below the table top; raise its elevation of "
+                f"{math.degrees(light.elevation):g}°, or take a smaller panel",
+                subject.at_light(index),
+                {"light": light.name, "lowest_mm": lowest},
+            )
+            continue
+        moved = [p for p in _moved(subject.rig, index, 180.0) if corners(p)[:, 2].min() < 0.0]
+        if moved:
+            depth = -min(float(corners(p)[:, 2].min()) for p in moved)
+            text = f"reaches {depth:.3g} mm below the table top"
+            yield _at_range(subject, index, "light below table", moved, text)
+
+
+def check_collisions(subject: RigSubject) -> Iterator[Finding]:
+    """Panels that touch or cross each other."""
+    moved = [[light, *_moved(subject.rig, i, 360.0)] for i, light in enumerate(subject.lights)]
+    for i, j in _close_pairs(moved):
+        a, b = subject.lights[i], subject.lights[j]
+        apart = float(np.linalg.norm(a.centre - b.centre))
+        sizes = " and ".join(f"{light.size[0]:g} × {light.size[1]:g} mm" for light in (a, b))
+        if rectangles_meet(a, b):
+            yield Finding(
+                "warning",
+                "panels collide",
+                f"{a.name} and {b.name} ({sizes}) cross each other: their centres are {apart:.3g} mm apart",
+                subject.at_light(j),
+                {"lights": [a.name, b.name], "centres_mm": apart},
+            )
+            continue
+        meeting = next(((p, q) for p in moved[i] for q in moved[j] if rectangles_meet(p, q)), None)
+        if meeting is not None:
+            told = " and ".join(f"{p.name} at {_angles(p)}" for p in meeting)
+            yield Finding(
+                "note",
+                "panels collide",
+                f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {told}",
+                subject.at_light(j),
+                {"lights": [a.name, b.name]},
+            )
+
+
+def _moved(rig: RigConfig, index: int, step: float) -> list[PanelLight]:
+    # the light at the ends of its ranges and, at `step` degrees or less, between them
+    light = rig.lights[index]
+    if light.elevation_range_deg is None and light.azimuth_range_deg is None:
+        return []
+    elevations = _steps(light.elevation_range_deg or (light.elevation_deg,) * 2, step)
+    azimuths = _steps(light.azimuth_range_deg or (light.azimuth_deg,) * 2, step)
+    lights = tuple(
+        light.model_copy(update={"elevation_deg": e, "azimuth_deg": a}) for e in elevations for a in azimuths
+    )
+    return list(build_lights(rig.model_copy(update={"lights": lights}), None, None))
+
+
+def _steps(ends: tuple[float, float], step: float) -> list[float]:
+    low, high = ends
+    if low == high:
+        return [low]
+    return [float(angle) for angle in np.linspace(low, high, 1 + math.ceil((high - low) / step))]
+
+
+def _close_pairs(moved: list[list[PanelLight]]) -> Iterator[tuple[int, int]]:
+    # pairs whose panels could touch anywhere in their ranges, by the spheres around them
+    centres = [np.mean([p.centre for p in places], axis=0) for places in moved]
+    reach = np.array(
+        [
+            max(float(np.linalg.norm(p.centre - c)) for p in places) + 0.5 * float(np.hypot(*places[0].size))
+            for places, c in zip(moved, centres, strict=True)
+        ]
+    )
+    stacked = np.array(centres)
+    for i in range(len(moved) - 1):
+        distance = np.linalg.norm(stacked[i + 1 :] - stacked[i], axis=1)
+        for j in np.flatnonzero(distance <= reach[i] + reach[i + 1 :]):
+            yield i, i + 1 + int(j)
+
+
+def _at_range(subject: RigSubject, index: int, topic: str, moved: list[PanelLight], what: str) -> Finding:
+    elevations = [math.degrees(p.elevation) for p in moved]
+    azimuths = [math.degrees(p.azimuth) for p in moved]
+    ranges = f"elevation {_span(elevations)}, azimuth {_span(azimuths)}"
+    name = subject.lights[index].name
+    keys = (
+        "elevation_range_deg"
+        if subject.rig.lights[index].elevation_range_deg is not None
+        else "azimuth_range_deg"
+    )
+    return Finding(
+        "note",
+        topic,
+        f"within its range {name} {what} ({ranges})",
+        subject.rig.source.at("lights", index, keys),
+        {
+            "light": name,
+            "elevation_deg": [min(elevations), max(elevations)],
+            "azimuth_deg": [min(azimuths), max(azimuths)],
+        },
+    )
+
+
+def _span(angles: list[float]) -> str:
+    low, high = min(angles), max(angles)
+    return f"{low:.3g}°" if math.isclose(low, high) else f"{low:.3g}° to {high:.3g}°"
+
+
+def _angles(light: PanelLight) -> str:
+    return f"elevation {math.degrees(light.elevation):.3g}°, azimuth {math.degrees(light.azimuth):.3g}°"

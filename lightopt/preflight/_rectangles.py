@@ -1,0 +1,102 @@
+"""Panels as rectangles in space: what a camera sees of one, and whether two collide."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.scene import PanelLight, PinholeCamera
+
+__all__ = ["corners", "image_area", "rectangles_meet", "segments_blocked"]
+
+Float64 = NDArray[np.float64]
+
+_NEAR_MM = 1e-3
+
+
+def corners(light: PanelLight) -> Float64:
+    """Corners of a panel in order around it [mm], shape (4, 3), frame of the panel's vectors."""
+    across = 0.5 * light.size[0] * light.across
+    along = 0.5 * light.size[1] * light.along
+    return np.array([light.centre + s * across + t * along for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+
+
+def image_area(camera: PinholeCamera, polygon: Float64) -> float:
+    """How much of the image a flat convex polygon covers, lens distortion left aside [px²].
+
+    Parameters
+    ----------
+    polygon
+        Corners in order [mm], shape (k, 3), frame of the camera's vectors.
+    """
+    offset = polygon - camera.position
+    # right, down, forward; the viewing pyramid then is |x| ≤ w·z, |y| ≤ h·z
+    local = np.stack([offset @ camera.right, -(offset @ camera.up), offset @ camera.forward], axis=1)
+    scale = camera.image_distance / camera.pixel_size
+    w, h = 0.5 * camera.width / scale, 0.5 * camera.height / scale
+    planes = ((0.0, 0.0, 1.0), (1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h))
+    for plane, least in zip(planes, (_NEAR_MM, 0.0, 0.0, 0.0, 0.0), strict=True):
+        local = _clip(local, np.array(plane), least)
+        if len(local) < 3:
+            return 0.0
+    x, y = local[:, 0] / local[:, 2] * scale, local[:, 1] / local[:, 2] * scale
+    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+
+
+def _clip(polygon: Float64, plane: Float64, least: float) -> Float64:
+    # the part of a convex polygon where plane·x ≥ least (Sutherland and Hodgman 1974, doi:10.1145/360767.360802)
+    height = polygon @ plane - least
+    kept: list[Float64] = []
+    for i in range(len(polygon)):
+        j = (i + 1) % len(polygon)
+        if height[i] >= 0.0:
+            kept.append(polygon[i])
+        if (height[i] >= 0.0) != (height[j] >= 0.0):
+            kept.append(polygon[i] + height[i] / (height[i] - height[j]) * (polygon[j] - polygon[i]))
+    return np.array(kept).reshape(-1, 3)
+
+
+def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> NDArray[np.bool_]:
+    """Whether the way from one point to others passes through a panel; shape (k,).
+
+    Parameters
+    ----------
+    start
+        [mm], shape (3,), frame of the panel's vectors.
+    ends
+        [mm], shape (k, 3).
+    """
+    height = (ends - light.centre) @ light.outward
+    from_height = float((start - light.centre) @ light.outward)
+    crosses = height * from_height < 0.0
+    share = np.where(crosses, from_height / np.where(crosses, from_height - height, 1.0), 0.0)
+    at = start + share[:, None] * (ends - start) - light.centre
+    inside = (np.abs(at @ light.across) <= 0.5 * light.size[0]) & (
+        np.abs(at @ light.along) <= 0.5 * light.size[1]
+    )
+    return crosses & inside
+
+
+def rectangles_meet(a: PanelLight, b: PanelLight) -> bool:
+    """Whether two panels touch or cross: no axis separates them (Gottschalk et al. 1996, doi:10.1145/237170.237244)."""
+    between = b.centre - a.centre
+    if float(np.linalg.norm(between)) > 0.5 * (float(np.hypot(*a.size)) + float(np.hypot(*b.size))):
+        return False
+    sides = [
+        0.5 * light.size[i] * axis for light in (a, b) for i, axis in enumerate((light.across, light.along))
+    ]
+    edges = [light_axis for light in (a, b) for light_axis in (light.across, light.along)]
+    axes = [a.outward, b.outward, *edges]
+    axes += [np.cross(p, q) for p, q in itertools.product(edges[:2], edges[2:])]
+    # sides within the planes, which separate rectangles that lie in one plane
+    axes += [np.cross(light.outward, edge) for light in (a, b) for edge in edges]
+    for axis in axes:
+        length = float(np.linalg.norm(axis))
+        if length < 1e-9:
+            continue
+        reach = sum(abs(float(side @ axis)) for side in sides)
+        if abs(float(between @ axis)) > reach + 1e-9 * length:
+            return False
+    return True

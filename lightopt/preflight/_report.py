@@ -1,0 +1,79 @@
+"""What a check has to say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal
+
+__all__ = ["LEVELS", "Finding", "Level", "Report"]
+
+Level = Literal["ok", "note", "warning", "error"]
+
+LEVELS: tuple[Level, ...] = ("ok", "note", "warning", "error")
+"""From best to worst: as it should be; good to know; will probably disappoint; cannot be so."""
+
+
+def _nothing() -> Mapping[str, Any]:
+    return {}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing worth knowing.
+
+    Attributes
+    ----------
+    level
+        One of :data:`LEVELS`.
+    topic
+        What it is about, in a word or two.
+    text
+        For people: with numbers, and what to do where something is to be done.
+    where
+        File, line and key it comes from (``rig.yaml:12: lights[2]``), or None.
+    values
+        The numbers for programs; names carry the unit, values are what JSON can hold.
+    """
+
+    level: Level
+    topic: str
+    text: str
+    where: str | None = None
+    values: Mapping[str, Any] = field(default_factory=_nothing)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "level": self.level,
+            "topic": self.topic,
+            "text": self.text,
+            "where": self.where,
+            "values": dict(self.values),
+        }
+
+
+@dataclass(frozen=True)
+class Report:
+    """All findings about a rig, or about a rig and a part.
+
+    Attributes
+    ----------
+    findings
+        In the order of the checks.
+    """
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def worst(self) -> Level:
+        """The worst level found; ok where there is nothing to say."""
+        return max((finding.level for finding in self.findings), key=LEVELS.index, default="ok")
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {"worst": self.worst, "findings": [finding.as_dict() for finding in self.findings]}

@@ -1,0 +1,60 @@
+"""The mesh as such: what was repaired, whether it is closed, whether its back shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lightopt.preflight._edges import coinciding_vertices, edges
+from lightopt.preflight._report import Finding
+from lightopt.preflight._subject import SceneSubject
+
+__all__ = ["check_back_faces", "check_mesh"]
+
+
+def check_mesh(subject: SceneSubject) -> Iterator[Finding]:
+    """Repairs made while loading, and edges that belong to one face only or to more than two."""
+    where = subject.part.source.at("mesh", "file")
+    # whether the part leaves the view is a check of its own
+    framing = tuple(f"posture {posture}: " for posture in subject.scene.postures)
+    for text in subject.scene.warnings:
+        if not text.startswith(framing):
+            yield Finding("warning", "mesh", text, where)
+    mesh = subject.scene.mesh
+    found = edges(coinciding_vertices(mesh.vertices)[mesh.faces])
+    open_edges = int(np.count_nonzero(found.uses == 1))
+    tangled = int(np.count_nonzero(found.uses > 2))
+    values = {"triangles": len(mesh.faces), "open_edges": open_edges, "nonmanifold_edges": tangled}
+    text = f"{len(mesh.faces):,} triangles"
+    if not open_edges and not tangled:
+        yield Finding("ok", "mesh", f"{text}, a closed surface", where, values)
+        return
+    kinds = [f"{open_edges:,} edges that belong to one triangle only"] if open_edges else []
+    kinds += [f"{tangled:,} edges that three or more triangles share"] if tangled else []
+    yield Finding(
+        "note",
+        "mesh",
+        f"{text}, not a closed surface: {' and '.join(kinds)}. It renders, but backs of faces are black and light may "
+        "shine through the gaps",
+        where,
+        values,
+    )
+
+
+def check_back_faces(subject: SceneSubject) -> Iterator[Finding]:
+    """How much of the part's image shows backs of faces, which are black."""
+    for index, look in enumerate(subject.looks):
+        back = int(np.count_nonzero(~look.surface.front))
+        if not back:
+            continue
+        pixels = back * look.step**2
+        share = back / len(look.surface)
+        yield Finding(
+            "warning",
+            "back faces",
+            f"posture {look.posture}: about {pixels:,} px ({100 * share:.2g} % of the part's image) show the back of faces "
+            "and will be black; close the surface, give it a thickness, or turn its faces outwards",
+            subject.at_posture(index),
+            {"posture": look.posture.as_dict(), "pixels": pixels, "share": share},
+        )

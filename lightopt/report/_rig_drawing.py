@@ -1,0 +1,170 @@
+"""A drawing of the rig as the program understands it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.raycast import RayCaster
+from lightopt.rendering import cast_rays_at
+from lightopt.report._canvas import Canvas, check_png_path, write_picture
+from lightopt.report._labels import ink_of, paint_labels, place_labels
+from lightopt.report._part_picture import draw_part
+from lightopt.report._rig_elements import Pen, number
+from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, paint_side, side_height
+from lightopt.report._rig_shapes import (
+    CameraShape,
+    camera_shape,
+    nice_step,
+    panel_corners,
+    part_box,
+    rig_size,
+    table_half,
+)
+from lightopt.report._typeface import Typeface
+from lightopt.report._view import ParallelView, fit_view
+from lightopt.scene import PanelLight, Scene
+from lightopt.transforms import Posture
+
+__all__ = ["rig_drawing"]
+
+Float64 = NDArray[np.float64]
+
+MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
+MOST_ARCS = 6
+"""More lights than that get no arcs of their own: the angles of all are in the table beside the drawing."""
+
+
+def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Path:
+    """Draw camera, panels, table, part and stage at their true places, with the angles that the rig file gives.
+
+    A parallel view, true to scale: the world's axes, the camera with its viewing pyramid down to the table, each panel as
+    its true rectangle, the part at its first posture, elevations θ from the table plane, azimuths φ from +X; beside it
+    the part with the stage's axes, and the numbers.
+
+    Parameters
+    ----------
+    scene
+        To draw.
+    path
+        The PNG to make or to replace, in a folder that exists.
+    annotate
+        Draw angles and directions, too; without them things and their names only.
+
+    Returns
+    -------
+    pathlib.Path
+        The file written.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    path = check_png_path(path)
+    posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
+    caster = cast_rays_at(scene)
+    shape = camera_shape(scene.camera, 0.13 * rig_size(scene))
+    height = max(LEAST_HEIGHT, side_height(scene))
+    canvas = Canvas(MAIN_WIDTH + SIDE_WIDTH, height)
+    view = _view(scene, shape, posture, height)
+    pen = _draw_rig(scene, caster, shape, posture, Pen(canvas, view, []), annotate=annotate)
+    stage = draw_stage(scene, caster, posture, canvas, MAIN_WIDTH, height, annotate=annotate)
+    image = canvas.finished()
+    paint_side(image, scene, MAIN_WIDTH, grid=number(_grid_step(scene, posture)), arcs=MOST_ARCS)
+    ink = ink_of(image)
+    typeface, small = Typeface(21), Typeface(18)
+    main_box = (8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0)
+    paint_labels(image, place_labels(pen.labels, typeface, ink=ink, bounds=main_box), typeface)
+    paint_labels(image, place_labels(stage.labels, small, ink=ink, bounds=stage.box), small)
+    return write_picture(path, image)
+
+
+def _grid_step(scene: Scene, posture: Posture) -> float:
+    return nice_step(2.0 * table_half(scene, posture))
+
+
+def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> ParallelView:
+    half = table_half(scene, posture)
+    camera = scene.camera
+    square = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    arrows = camera.position + shape.arrow * np.stack([camera.right, camera.up])
+    axes = np.diag(_axis_lengths(scene, half))
+    panels = [panel_corners(light) for light in scene.lights]
+    points = np.concatenate([square, shape.body, arrows, axes, part_box(scene, posture), shape.footprint, *panels])
+    elevation, azimuth = _best_side(scene, posture)
+    # labels stand outside of what they name
+    box = (MARGIN + 50.0, MARGIN + 20.0, MAIN_WIDTH - MARGIN - 50.0, height - MARGIN - 20.0)
+    return fit_view(points, elevation=elevation, azimuth=azimuth, box=box)
+
+
+def _best_side(scene: Scene, posture: Posture) -> tuple[float, float]:
+    """From where part, camera and panels stand well apart and no panel edge-on; from the front, so that X points right."""
+    things = np.stack(
+        [
+            part_box(scene, posture).mean(axis=0),
+            scene.camera.position,
+            *(light.centre for light in scene.lights),
+        ]
+    )
+    size = rig_size(scene)
+    best = (-math.inf, 0.0, 0.0)
+    for elevation, azimuth in itertools.product((14, 17, 20, 23, 26), range(240, 301, 5)):
+        side = ParallelView(
+            elevation=math.radians(elevation), azimuth=math.radians(azimuth), scale=1.0, offset=np.zeros(2)
+        )
+        flat = side.place(things)
+        gaps = np.linalg.norm(flat[:, None] - flat[None], axis=2)[np.triu_indices(len(flat), 1)]
+        # from straight ahead, Y would be foreshortened to nothing; half a right angle off, X and Y look alike
+        skew = abs(abs(azimuth - 270) - 20) / 45.0
+        edge_on = min((abs(float(light.outward @ side.toward)) for light in scene.lights), default=1.0)
+        score = min(float(gaps.min()) / size, 0.4) + min(edge_on, 0.3) - 0.05 * skew
+        if score > best[0] + 1e-9:
+            best = (score, side.elevation, side.azimuth)
+    return best[1], best[2]
+
+
+def _axis_lengths(scene: Scene, half: float) -> tuple[float, float, float]:
+    return 1.08 * half, 1.08 * half, 0.45 * rig_size(scene)
+
+
+def _draw_rig(
+    scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen, *, annotate: bool
+) -> Pen:
+    half, size = table_half(scene, posture), rig_size(scene)
+    pen.grid(half, _grid_step(scene, posture))
+    pen.footprint(shape)
+    part = draw_part(scene, caster, posture, pen.view)
+    # what lies on the table is drawn around the part, what stands up may pass in front of it
+    pen = replace(pen, part=part)
+    pen.axes(_axis_lengths(scene, half))
+    arcs = scene.lights[:MOST_ARCS] if annotate else ()
+    reach = max(0.5 * half, *(float(np.hypot(*light.centre[:2])) for light in scene.lights), 0.0)
+    for i, light in enumerate(arcs):
+        pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)))
+    pen.canvas.paste(part.picture, part.left, part.top)
+    by_depth = sorted(scene.lights, key=lambda light: float(pen.view.nearness(light.centre)))
+    camera_depth = float(pen.view.nearness(scene.camera.position))
+    camera_drawn = False
+    for light in by_depth:
+        if not camera_drawn and float(pen.view.nearness(light.centre)) > camera_depth:
+            pen.camera(scene.camera, shape, annotate=annotate)
+            camera_drawn = True
+        pen.panel(light)
+        if light in arcs:
+            pen.elevation_arc(light, 0.4 * light.distance)
+    if not camera_drawn:
+        pen.camera(scene.camera, shape, annotate=annotate)
+    if annotate and scene.lights:
+        pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * size)
+    return pen
+
+
+def _most_open(lights: tuple[PanelLight, ...], view: ParallelView) -> PanelLight:
+    """The light whose panel the view shows least foreshortened."""
+    return max(lights, key=lambda light: abs(float(light.outward @ view.toward)))

@@ -1,0 +1,166 @@
+"""Beside the drawing of a rig: its numbers, and the part on its stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from lightopt.raycast import RayCaster
+from lightopt.report._canvas import Canvas
+from lightopt.report._labels import Box, Label
+from lightopt.report._part_picture import draw_part
+from lightopt.report._rig_elements import INK, SOFT, STAGE, Pen, degrees, number
+from lightopt.report._rig_shapes import nice_step, part_box
+from lightopt.report._typeface import Typeface, sub
+from lightopt.report._view import arc, fit_view
+from lightopt.scene import Scene, pixel_footprint
+from lightopt.transforms import Posture, posture_rotation
+
+__all__ = ["SIDE_WIDTH", "Stage", "draw_stage", "paint_side", "side_height"]
+
+SIDE_WIDTH, EDGE = 500, 30
+STAGE_HEIGHT = 400
+"""Least height of the picture of the stage [px]."""
+
+MOST_POSTURES = 12
+"""More than that are only counted."""
+
+_RULE = "#d4d8de"
+_LIGHT_COLUMNS = (0, 190, 250, 315, 440)
+"""Where the columns of the table of lights start or, all but the first, end [px]."""
+
+_VIEW = (np.radians(22.0), np.radians(292.0))
+_X = np.array([1.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Labels of the picture of the stage, and the box that they may stand in."""
+
+    labels: list[Label]
+    box: Box
+
+
+def side_height(scene: Scene) -> int:
+    """Height that numbers and stage need [px]."""
+    return _stage_top(scene) + STAGE_HEIGHT + EDGE
+
+
+def _stage_top(scene: Scene) -> int:
+    """Where the numbers end and the picture of the stage begins [px]."""
+    lines = len(_camera_lines(scene)) + len(scene.lights) + len(_part_lines(scene))
+    return EDGE + round((lines + 6.5) * Typeface(17).line_height)
+
+
+def paint_side(
+    image: Image.Image, scene: Scene, left: int, *, grid: str, arcs: int
+) -> None:
+    """Write the numbers of a rig into the column that starts at `left` [px]."""
+    draw = ImageDraw.Draw(image)
+    head, text = Typeface(21), Typeface(17)
+    draw.line([(left, EDGE), (left, image.height - EDGE)], fill=_RULE, width=1)
+    x, room = left + EDGE, SIDE_WIDTH - 2 * EDGE
+    y = EDGE + head.cap_height
+    head.paint(image, x, y, "Camera", fill=INK)
+    for line in _camera_lines(scene):
+        y += text.line_height
+        text.paint(image, x, y, text.fit(line, room), fill=SOFT)
+    y += 2 * text.line_height
+    head.paint(image, x, y, "Lights", fill=INK)
+    for column, name in zip(_LIGHT_COLUMNS[1:], ("θ", "φ", "mm", "panel, mm"), strict=True):
+        text.paint(image, x + column, y, name, fill=SOFT, align="right")
+    for light in scene.lights:
+        y += text.line_height
+        size = f"{number(light.size[0])} × {number(light.size[1])}"
+        cells = (degrees(light.elevation), degrees(light.azimuth), number(light.distance), size)
+        text.paint(image, x, y, text.fit(light.name, _LIGHT_COLUMNS[1] - 70), fill=SOFT)
+        for column, cell in zip(_LIGHT_COLUMNS[1:], cells, strict=True):
+            text.paint(image, x + column, y, cell, fill=SOFT, align="right")
+    y += text.line_height
+    note = f"grid {grid} mm" + (f"; arcs for the first {arcs} lights" if len(scene.lights) > arcs else "")
+    text.paint(image, x, y + 4, note, fill=SOFT)
+    y += 2 * text.line_height
+    head.paint(image, x, y, "Part and stage", fill=INK)
+    for line in _part_lines(scene):
+        y += text.line_height
+        text.paint(image, x, y, text.fit(line, room), fill=SOFT)
+
+
+def _camera_lines(scene: Scene) -> list[str]:
+    camera = scene.camera
+    distance = float(np.linalg.norm(camera.position))
+    return [
+        f"pinhole at {_vector(camera.position)} mm",
+        f"{number(distance)} mm from the origin",
+        f"image right {_vector(camera.right)}",
+        f"image up {_vector(camera.up)}",
+        f"{camera.width} × {camera.height} px, {number(pixel_footprint(camera, distance))} mm/px at the origin",
+    ]
+
+
+def _vector(values: np.ndarray) -> str:
+    return "(" + ", ".join(number(round(float(v), 3)) for v in values) + ")"
+
+
+def _part_lines(scene: Scene) -> list[str]:
+    low, high = scene.mesh.bounds
+    size = " × ".join(number(float(f"{side:.3g}")) for side in high - low)
+    listed = [_posture_text(posture) for posture in scene.postures[:MOST_POSTURES]]
+    lines = [f"{size} mm, pivot {_vector(scene.pivot)} mm"]
+    if listed:
+        lines.append(f"drawn at posture ({sub('θ', 'j')}, {sub('φ', 'j')}) = {listed[0]}")
+    rest = listed[1:]
+    if len(scene.postures) > MOST_POSTURES:
+        rest.append(f"{len(scene.postures) - MOST_POSTURES} more")
+    return lines + [("others " if i == 0 else "") + ", ".join(rest[i : i + 4]) for i in range(0, len(rest), 4)]
+
+
+def _posture_text(posture: Posture) -> str:
+    return f"({number(posture.elevation_deg)}°, {number(posture.rotation_deg)}°)"
+
+
+def draw_stage(
+    scene: Scene, caster: RayCaster, posture: Posture, canvas: Canvas, left: int, bottom: int, *, annotate: bool
+) -> Stage:
+    """Draw the part at a posture with the stage's two axes, in the column that starts at `left` [px]."""
+    box = (left + EDGE, _stage_top(scene), left + SIDE_WIDTH - EDGE, bottom - EDGE)
+    corners = part_box(scene, posture)
+    radius = 0.5 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
+    reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
+    rotary = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
+    ends = scene.pivot + reach * np.stack([_X, -0.8 * _X, rotary[:, 2], -0.35 * rotary[:, 2]])
+    inner = (box[0] + 45, box[1] + 20, box[2] - 45, box[3] - 40)
+    view = fit_view(np.concatenate([corners, ends]), elevation=_VIEW[0], azimuth=_VIEW[1], box=inner)
+    pen = Pen(canvas, view, [])
+    pen.grid(1.1 * radius, nice_step(2.2 * radius), centre=corners.mean(axis=0))
+    part = draw_part(scene, caster, posture, view)
+    canvas.paste(part.picture, part.left, part.top)
+    pen = Pen(canvas, view, pen.labels, part)
+    if annotate:
+        _draw_axes(pen, scene, posture, reach)
+    length = pen.scale_bar(box[0], box[3] - 8, radius)
+    pen.labels.append(Label(text=length, anchor=(box[0] + 4, box[3] - 14), colour=SOFT, away=(0.3, -1.0)))
+    return Stage(pen.labels, box)
+
+
+def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
+    pivot, ring = scene.pivot, 0.22 * reach
+    tilted = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
+    x, y, z = tilted.T
+    pen.line(np.stack([pivot - 0.8 * reach * _X, pivot + reach * _X]), STAGE, 1.6, dash=(16, 5))
+    pen.line(np.stack([pivot - 0.35 * reach * z, pivot + reach * z]), STAGE, 1.6, dash=(16, 5))
+    for axis, start, towards, letter, name in (
+        (_X, np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -1.0]), "θ", "tilt axis"),
+        (z, -x, -y, "φ", "rotary axis"),
+    ):
+        centre = pivot + 0.86 * reach * axis
+        path = arc(centre, start, towards, 1.6 * np.pi, ring)
+        pen.arrow(path, STAGE, 2.2, head=12.0)
+        pen.label(f"+{sub(letter, 'j')}", path[-1], STAGE, away_from=centre)
+        pen.label(name, pivot + reach * axis, STAGE, away_from=pivot)
+    flat = pen.view.place(pivot)
+    hidden = pen.part is not None and bool(pen.part.hides(pivot[None])[0])
+    pen.canvas.disc(flat, 4.0, fill="#ffffffc0" if hidden else STAGE, outline=STAGE)
+    pen.label("pivot", pivot, STAGE)
