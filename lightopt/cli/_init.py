@@ -28,21 +28,15 @@ def init(
 
     samples = files("lightopt.samples")
 
-    def text(name: str, **changes: tuple[str, str]) -> bytes:
+    def text(name: str) -> bytes:
         content = samples.joinpath(name).read_text(encoding="utf-8")
-        for old, new in changes.values():
-            content = content.replace(old, new)
-        return content.encode()
+        return content.replace("$schema=../schema/", "$schema=").encode()
 
-    # the schemas lie beside the files, and the mesh is the faceted one, the kind that most people start from
+    # the schemas lie beside the files here
     outputs = {
-        "rig.yaml": text("rigs/four-panel.yaml", schema=("../schema/", "")),
-        "part.yaml": text(
-            "parts/cover-knob.yaml",
-            schema=("../schema/", ""),
-            mesh=("cover-knob.step  ", "cover-knob.stl   "),
-        ),
-        "cover-knob.stl": samples.joinpath("parts/cover-knob.stl").read_bytes(),
+        "rig.yaml": text("rigs/four-panel.yaml"),
+        "part.yaml": text("parts/cover-knob.yaml"),
+        "cover-knob.step": samples.joinpath("parts/cover-knob.step").read_bytes(),
         "rig.json": (json.dumps(json_schema("rig"), indent=2, ensure_ascii=False) + "\n").encode(),
         "part.json": (json.dumps(json_schema("part"), indent=2, ensure_ascii=False) + "\n").encode(),
     }

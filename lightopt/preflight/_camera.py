@@ -99,8 +99,8 @@ def check_sensor(subject: RigSubject) -> Iterator[Finding]:
             "warning",
             "sensor",
             f"a pixel saturates at {electrons:.3g} electrons ({sensor.electrons_per_level:g} per level): shot noise "
-            f"there is {100 / electrons**0.5:.2g} % of the level. Real sensors hold 5,000 and more; electrons_per_level "
-            "is the full well divided by the full scale",
+            f"there is {100 / electrons**0.5:.2g} % of the level. Real sensors hold 5,000 and more; "
+            "electrons_per_level is the full well divided by the full scale",
             at("camera", "sensor", "electrons_per_level"),
             {"electrons_at_saturation": electrons},
         )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.mesh import Patches, TriangleMesh, estimate_patch_count, face_areas, face_normals, refine
-from lightopt.preflight._report import Finding, Level
+from lightopt.preflight._report import Finding, Level, percent
 from lightopt.preflight._subject import Look, SceneSubject
 from lightopt.raycast import RayCaster
 from lightopt.scene import project
@@ -56,7 +56,10 @@ def check_unseen_surface(subject: SceneSubject) -> Iterator[Finding]:
             "ok", "unseen surface", f"the camera sees all of the part's {total:.4g} mm²", where, values
         )
         return
-    text = f"the camera does not see {unseen:.4g} mm² {in_any}, {100 * unseen / total:.2g} % of the part's {total:.4g} mm²"
+    text = (
+        f"the camera does not see {unseen:.4g} mm² {in_any}, {percent(unseen / total)} of the part's "
+        f"{total:.4g} mm²"
+    )
     if unseen_top == 0.0:
         yield Finding("ok", "unseen surface", f"{text}, none of it on the upper side", where, values)
         return
@@ -68,8 +71,8 @@ def check_unseen_surface(subject: SceneSubject) -> Iterator[Finding]:
     values["unseen_upper_box_mm"] = [low.tolist(), high.tolist()]
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("XYZ", low, high, strict=True))
     text += (
-        f"; of the upper side it is {unseen_top:.4g} mm² or {100 * share:.2g} %, {facing(mean / unseen_top)}, within {box} mm"
-        " in posture (0°, 0°)"
+        f"; of the upper side it is {unseen_top:.4g} mm² or {percent(share)}, {facing(mean / unseen_top)}, "
+        f"within {box} mm in posture (0°, 0°)"
     )
     level: Level = "warning" if share > WORTH_A_WARNING else "note"
     if level == "warning":

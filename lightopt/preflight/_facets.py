@@ -1,14 +1,16 @@
 """The mesh's facets against the width of the lobe.
 
 Flat shading is off by up to half the angle β between two facets, an error of first order in the edge length h. Between
-vertices with normals, interpolation is off by the second order, κ'·h²/8, where the curvature κ changes along the edge, and by
-β³/42 where it does not. That error is measured from the mesh itself: along an edge with unit direction e and normals N₀, N₁ at
-its ends, the surface leaves the chord with the slopes −N₀·e and −N₁·e. The cubic through both ends with these slopes has the
-slope (N₀ + N₁)·e/4 in the middle, and the interpolated normal stands for −(N₀ + N₁)·e/2: they differ by
+vertices with normals, interpolation is off by the second order, κ'·h²/8, where the curvature κ changes along the edge,
+and by β³/42 where it does not. That error is measured from the mesh itself. Along an edge with unit direction e and
+normals N₀, N₁ at its ends, the surface leaves the chord with the slopes −N₀·e and −N₁·e. The cubic through both ends
+with these slopes has the slope (N₀ + N₁)·e/4 in the middle, where the interpolated normal stands for −(N₀ + N₁)·e/2;
+they differ by
 
     ¾ · |(N₀ + N₁)·e|
 
-which is κ'·h²/8 for exact normals, zero on a sphere, and also finds normals that were averaged badly from uneven triangles.
+which is κ'·h²/8 for exact normals, zero on a sphere, and also finds normals that were averaged badly from uneven
+triangles.
 """
 
 from __future__ import annotations
@@ -140,8 +142,8 @@ def _smooth(subject: SceneSubject, found: NormalErrors | None) -> Finding:
     if shows:
         finer = math.sqrt(found.high / (SHOWS * sigma))
         text += (
-            f": highlights show the mesh's facets. Use a STEP file, or an export with edges {finer:.2g} times shorter on "
-            "curved surface"
+            f": highlights show the mesh's facets. Use a STEP file, an export with edges {finer:.2g} times shorter on "
+            "curved surface or, where sharp edges were smoothed over, a smaller crease_angle_deg"
         )
     where = subject.part.source.at("mesh", "file")
     return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))

@@ -71,7 +71,7 @@ def check_part_in_view(subject: SceneSubject) -> Iterator[Finding]:
         }
         leaves = [f"{told[side]} at the {side}" for side, m in zip(SIDES, margins, strict=True) if m < 0.0]
         if leaves:
-            text = f"the part leaves the view by {', '.join(leaves)}; move it, or take a lens or distance that sees more"
+            text = f"the part leaves the view by {', '.join(leaves)}; move it, or let the camera see more"
         else:
             side, least = min(zip(SIDES, margins, strict=True), key=lambda pair: pair[1])
             share = max(

@@ -9,7 +9,7 @@ import numpy as np
 
 from lightopt.config import RigConfig
 from lightopt.preflight._rectangles import corners, image_area, rectangles_meet
-from lightopt.preflight._report import Finding
+from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import RigSubject
 from lightopt.scene import PanelLight, build_lights
 
@@ -30,8 +30,8 @@ def check_lights_in_view(subject: RigSubject) -> Iterator[Finding]:
             yield Finding(
                 "warning",
                 "light in view",
-                f"{light.name} stands in the camera's view and covers {area:,.0f} px ({100 * area / pixels:.2g} % of the "
-                "image). Renderings leave it out, a camera cannot: move it, or the camera",
+                f"{light.name} stands in the camera's view and covers {area:,.0f} px ({percent(area / pixels)} of "
+                "the image). Renderings leave it out, a camera cannot: move it, or the camera",
                 subject.at_light(index),
                 {"light": light.name, "pixels": area, "share": area / pixels},
             )
@@ -100,8 +100,8 @@ def _moved(rig: RigConfig, index: int, step: float) -> list[PanelLight]:
     light = rig.lights[index]
     if light.elevation_range_deg is None and light.azimuth_range_deg is None:
         return []
-    elevations = _steps(light.elevation_range_deg or (light.elevation_deg,) * 2, step)
-    azimuths = _steps(light.azimuth_range_deg or (light.azimuth_deg,) * 2, step)
+    elevations = _steps(light.elevation_range_deg or (light.elevation_deg, light.elevation_deg), step)
+    azimuths = _steps(light.azimuth_range_deg or (light.azimuth_deg, light.azimuth_deg), step)
     lights = tuple(
         light.model_copy(update={"elevation_deg": e, "azimuth_deg": a}) for e in elevations for a in azimuths
     )

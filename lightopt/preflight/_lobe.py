@@ -44,11 +44,11 @@ def _points(light: PanelLight, sigma: float, where: str) -> Finding:
     warning = coarse_points(light, sigma)
     if warning is not None:
         return Finding("warning", "points", warning, where, values)
-    spacing = "stands for" if found.points == 1 else "stand apart by"
+    points = "1 point stands for" if found.points == 1 else f"{found.points} points stand apart by"
     text = (
-        f"{light.name}: {found.points} point{'s' * (found.points > 1)} of the panel {spacing} {found.spacing:.3g} mm, the "
-        f"lobe of σ = {sigma:g} rad takes in {found.lobe:.3g} mm (2·distance·σ): saturated areas are "
-        f"{100 * found.area_error:+.1f} % off"
+        f"{light.name}: the panel's {points} {found.spacing:.3g} mm, the lobe of σ = {sigma:g} rad takes in "
+        f"{found.lobe:.3g} mm (2·distance·σ): saturated areas about {100 * abs(found.area_error):.1f} % too "
+        f"{'small' if found.area_error < 0.0 else 'large'}"
     )
     if abs(found.area_error) <= NEGLIGIBLE_ERROR:
         return Finding("ok", "points", text, where, values)
@@ -69,15 +69,15 @@ def check_levels(subject: SceneSubject) -> Iterator[Finding]:
     level = reflectance.R_d * brightest.total_weight
     values = {"diffuse_level": level, "saturation_level": saturation, "full_scale": reflectance.full_scale}
     text = (
-        f"a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light at exposure 1; saturation is at "
-        f"{saturation:.4g}"
+        f"a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light at exposure 1; saturation is "
+        f"at {saturation:.4g}"
     )
     if level >= saturation:
         exposure = 0.5 * saturation / level
         yield Finding(
             "warning",
             "levels",
-            f"{text}: it saturates without any highlight. Check R_d, gain and normalisation, or expose by {exposure:.2g}",
+            f"{text}: it saturates without any highlight. Check R_d, gain, normalisation, or expose by {exposure:.2g}",
             where,
             values,
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightopt.mesh import face_normals
 from lightopt.preflight._rectangles import segments_blocked
-from lightopt.preflight._report import Finding
+from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
 from lightopt.scene import panel_grid
 
@@ -34,7 +34,7 @@ def check_hidden_part(subject: SceneSubject) -> Iterator[Finding]:
             "warning",
             "light in view",
             f"posture {look.posture}: {light.name} stands between camera and part and hides about {pixels:,} px "
-            f"({100 * share:.2g} %) of it. Renderings leave it out, a camera cannot",
+            f"({percent(share)}) of it. Renderings leave it out, a camera cannot",
             subject.rig.source.at("lights", at),
             {
                 "light": light.name,

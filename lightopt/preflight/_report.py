@@ -7,11 +7,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal
 
-__all__ = ["LEVELS", "Finding", "Level", "Report"]
+__all__ = ["Finding", "Level", "Report", "percent"]
 
 Level = Literal["ok", "note", "warning", "error"]
-
-LEVELS: tuple[Level, ...] = ("ok", "note", "warning", "error")
 """From best to worst: as it should be; good to know; will probably disappoint; cannot be so."""
 
 
@@ -26,7 +24,7 @@ class Finding:
     Attributes
     ----------
     level
-        One of :data:`LEVELS`.
+        How serious it is, see :data:`Level`.
     topic
         What it is about, in a word or two.
     text
@@ -72,8 +70,22 @@ class Report:
     @property
     def worst(self) -> Level:
         """The worst level found; ok where there is nothing to say."""
-        return max((finding.level for finding in self.findings), key=LEVELS.index, default="ok")
+        found = {finding.level for finding in self.findings}
+        return (
+            "error"
+            if "error" in found
+            else "warning"
+            if "warning" in found
+            else "note"
+            if "note" in found
+            else "ok"
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {"worst": self.worst, "findings": [finding.as_dict() for finding in self.findings]}
+
+
+def percent(share: float) -> str:
+    """A share as people read it: two digits of a small one, no more than whole percents of a large one."""
+    return f"{100.0 * share:.2g} %" if share < 0.095 else f"{100.0 * share:.0f} %"

@@ -11,7 +11,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.mesh import UNITLESS_SUFFIXES, load_mesh
 from lightopt.preflight._camera import view_size
-from lightopt.preflight._report import Finding
+from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
 from lightopt.scene import build_camera
 from lightopt.units import MM_PER_UNIT
@@ -56,7 +56,9 @@ def check_size(subject: SceneSubject) -> Iterator[Finding]:
         return
     longest, view = max(sides), min(size)
     unit = _unit(subject.part)
-    text += f", {100 * longest / view:.3g} % of the view's shorter side of {view:.4g} mm"
+    share = longest / view
+    times = percent(share) if share < ABSURD[1] else f"{share:.3g} times the length"
+    text += f", {times} of the view's shorter side of {view:.4g} mm"
     units = likely_units(longest, view, unit)
     if units:
         told = _proposals(longest, unit, units)
@@ -108,7 +110,8 @@ def _proposals(longest: float, unit: str, units: tuple[str, ...]) -> str:
         f"{_factor(MM_PER_UNIT[name] / MM_PER_UNIT[unit])})"
         for name in units
     )
-    return f"Read as {unit}, the part's longest side is {longest:.4g} mm; it would fit the view if the file were in {told}"
+    read = f"Read as {unit}, the part's longest side is {longest:.4g} mm"
+    return f"{read}; it would fit the view if the file were in {told}"
 
 
 def _factor(ratio: float) -> str:

@@ -83,7 +83,8 @@ def _look(scene: Scene, posture: Posture, caster: RayCaster) -> Look:
     left, top, right, bottom = screen_window(view.camera, scene.mesh)
     step = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / SAMPLES)))
     columns, rows = np.meshgrid(
-        np.arange(left + step // 2, right, step) + 0.5, np.arange(top + step // 2, bottom, step) + 0.5
+        np.arange(left + step // 2, right, step, dtype=np.float64) + 0.5,
+        np.arange(top + step // 2, bottom, step, dtype=np.float64) + 0.5,
     )
     hits, surface = trace_samples(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
     return Look(posture, view, step, hits, surface)

@@ -7,10 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.preflight._edges import coinciding_vertices, edges
-from lightopt.preflight._report import Finding
+from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
 
 __all__ = ["check_back_faces", "check_mesh"]
+
+SILHOUETTE_SHARE = 1e-4
+"""Share of the part's pixels that may see back faces without a warning: rays that graze the silhouette of a closed mesh
+may slip through between two faces."""
 
 
 def check_mesh(subject: SceneSubject) -> Iterator[Finding]:
@@ -30,31 +34,30 @@ def check_mesh(subject: SceneSubject) -> Iterator[Finding]:
     if not open_edges and not tangled:
         yield Finding("ok", "mesh", f"{text}, a closed surface", where, values)
         return
-    kinds = [f"{open_edges:,} edges that belong to one triangle only"] if open_edges else []
-    kinds += [f"{tangled:,} edges that three or more triangles share"] if tangled else []
-    yield Finding(
-        "note",
-        "mesh",
-        f"{text}, not a closed surface: {' and '.join(kinds)}. It renders, but backs of faces are black and light may "
-        "shine through the gaps",
-        where,
-        values,
-    )
+    kinds: list[str] = []
+    if open_edges:
+        kinds.append(
+            f"{open_edges:,} edges belong to one triangle only (backs of faces are black where they show)"
+        )
+    if tangled:
+        kinds.append(f"{tangled:,} edges are shared by three or more triangles")
+    told = f"{text}, not a closed surface: {' and '.join(kinds)}. It renders as it is"
+    yield Finding("note", "mesh", told, where, values)
 
 
 def check_back_faces(subject: SceneSubject) -> Iterator[Finding]:
     """How much of the part's image shows backs of faces, which are black."""
     for index, look in enumerate(subject.looks):
         back = int(np.count_nonzero(~look.surface.front))
-        if not back:
+        if back <= SILHOUETTE_SHARE * len(look.surface):
             continue
         pixels = back * look.step**2
         share = back / len(look.surface)
         yield Finding(
             "warning",
             "back faces",
-            f"posture {look.posture}: about {pixels:,} px ({100 * share:.2g} % of the part's image) show the back of faces "
-            "and will be black; close the surface, give it a thickness, or turn its faces outwards",
+            f"posture {look.posture}: about {pixels:,} px ({percent(share)} of the part's image) show the back of "
+            "faces and will be black; close the surface, give it a thickness, or turn its faces outwards",
             subject.at_posture(index),
             {"posture": look.posture.as_dict(), "pixels": pixels, "share": share},
         )

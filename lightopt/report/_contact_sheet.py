@@ -123,7 +123,7 @@ def contact_sheet(
                 _position(table.entries[key]) if key in table.entries and len(table.angles(light)) > 1 else ""
             )
             _paint_cell(image, type_, corner, layout.cell, thumbnails.get(key), note)
-    _paint_legend(image, type_, layout, image_set.manifest)
+    _paint_legend(image, type_, image_set.manifest)
     return write_picture(path, image)
 
 
@@ -292,7 +292,7 @@ def _caption(thumbnail: Thumbnail) -> str:
     return f"{thumbnail.saturated:,} px saturated ({text} %)"
 
 
-def _paint_legend(image: Image.Image, type_: _Type, layout: _Layout, manifest: Manifest) -> None:
+def _paint_legend(image: Image.Image, type_: _Type, manifest: Manifest) -> None:
     bar_width, bar_height = 180, type_.text.cap_height + 4
     y = image.height - MARGIN - 4 * type_.text.line_height
     ImageDraw.Draw(image).line([(MARGIN, y), (image.width - MARGIN, y)], fill=FAINT, width=1)

@@ -151,9 +151,7 @@ def _inside(box: Box, bounds: Box) -> bool:
 
 
 def _touch(a: Box, b: Box) -> bool:
-    return (
-        a[0] < b[2] + _SPACE and b[0] < a[2] + _SPACE and a[1] < b[3] + _SPACE and b[1] < a[3] + _SPACE
-    )
+    return a[0] < b[2] + _SPACE and b[0] < a[2] + _SPACE and a[1] < b[3] + _SPACE and b[1] < a[3] + _SPACE
 
 
 def _mean(sums: NDArray[np.float64], box: Box) -> float:

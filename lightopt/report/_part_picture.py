@@ -89,14 +89,13 @@ def draw_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelV
         pixel_size=1.0 / (view.scale * FINE),
         image_distance=distance,
     ).moved(rotation.T, -rotation.T @ translation)
-    # the middle of this image is the centre exactly; on the picture it lies up to half a fine pixel beside a corner of four
+    # the middle of this image is the centre exactly; on the picture it is rounded to whole fine pixels
     nearness = np.full(4 * half * half, -np.inf)
     normals = np.zeros((4 * half * half, 3))
     for start in range(0, len(nearness), _BLOCK):
         index = np.arange(start, min(start + _BLOCK, len(nearness)))
-        hits, surface = trace_samples(
-            caster, scene.mesh, camera, index % (2 * half) + 0.5, index // (2 * half) + 0.5
-        )
+        rows, columns = (part.astype(np.float64) + 0.5 for part in np.divmod(index, 2 * half))
+        hits, surface = trace_samples(caster, scene.mesh, camera, columns, rows)
         found = index[hits.ray]
         nearness[found] = view.nearness(surface.points @ rotation.T + translation)
         # backs of faces are shown like fronts: this is a drawing, not an image
@@ -138,9 +137,7 @@ def _edges(hit: NDArray[np.bool_], nearness: Float64, normals: Float64, *, step:
     return wide
 
 
-def _neighbours(
-    shape: tuple[int, ...], axis: int
-) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _neighbours(shape: tuple[int, ...], axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     before, after = [slice(None)] * 2, [slice(None)] * 2
     before[axis], after[axis] = slice(0, shape[axis] - 1), slice(1, shape[axis])
     return (before[0], before[1]), (after[0], after[1])

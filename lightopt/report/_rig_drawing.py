@@ -16,16 +16,16 @@ from lightopt.report._canvas import Canvas, check_png_path, write_picture
 from lightopt.report._labels import ink_of, paint_labels, place_labels
 from lightopt.report._part_picture import draw_part
 from lightopt.report._rig_elements import Pen, number
-from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, paint_side, side_height
 from lightopt.report._rig_shapes import (
     CameraShape,
     camera_shape,
-    nice_step,
     panel_corners,
     part_box,
     rig_size,
-    table_half,
+    square,
+    table_grid,
 )
+from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, paint_side, side_height
 from lightopt.report._typeface import Typeface
 from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene
@@ -39,13 +39,16 @@ MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 MOST_ARCS = 6
 """More lights than that get no arcs of their own: the angles of all are in the table beside the drawing."""
 
+_ARC = 0.4
+"""Radius of elevation arcs, relative to the light's distance."""
+
 
 def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Path:
     """Draw camera, panels, table, part and stage at their true places, with the angles that the rig file gives.
 
-    A parallel view, true to scale: the world's axes, the camera with its viewing pyramid down to the table, each panel as
-    its true rectangle, the part at its first posture, elevations θ from the table plane, azimuths φ from +X; beside it
-    the part with the stage's axes, and the numbers.
+    A parallel view, true to scale: the world's axes, the camera with its viewing pyramid down to the table, each
+    panel as its true rectangle, the part at its first posture, elevations θ from the table plane, azimuths φ from +X;
+    beside it the part with the stage's axes, and the numbers.
 
     Parameters
     ----------
@@ -76,7 +79,7 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Pat
     pen = _draw_rig(scene, caster, shape, posture, Pen(canvas, view, []), annotate=annotate)
     stage = draw_stage(scene, caster, posture, canvas, MAIN_WIDTH, height, annotate=annotate)
     image = canvas.finished()
-    paint_side(image, scene, MAIN_WIDTH, grid=number(_grid_step(scene, posture)), arcs=MOST_ARCS)
+    paint_side(image, scene, MAIN_WIDTH, grid=number(table_grid(scene, posture)[1]), arcs=MOST_ARCS)
     ink = ink_of(image)
     typeface, small = Typeface(21), Typeface(18)
     main_box = (8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0)
@@ -85,18 +88,16 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Pat
     return write_picture(path, image)
 
 
-def _grid_step(scene: Scene, posture: Posture) -> float:
-    return nice_step(2.0 * table_half(scene, posture))
-
-
 def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> ParallelView:
-    half = table_half(scene, posture)
+    half, _ = table_grid(scene, posture)
     camera = scene.camera
-    square = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    table = square(half, np.zeros(3))
     arrows = camera.position + shape.arrow * np.stack([camera.right, camera.up])
     axes = np.diag(_axis_lengths(scene, half))
     panels = [panel_corners(light) for light in scene.lights]
-    points = np.concatenate([square, shape.body, arrows, axes, part_box(scene, posture), shape.footprint, *panels])
+    points = np.concatenate(
+        [table, shape.body, arrows, axes, part_box(scene, posture), shape.footprint, *panels]
+    )
     elevation, azimuth = _best_side(scene, posture)
     # labels stand outside of what they name
     box = (MARGIN + 50.0, MARGIN + 20.0, MAIN_WIDTH - MARGIN - 50.0, height - MARGIN - 20.0)
@@ -104,7 +105,7 @@ def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> Pa
 
 
 def _best_side(scene: Scene, posture: Posture) -> tuple[float, float]:
-    """From where part, camera and panels stand well apart and no panel edge-on; from the front, so that X points right."""
+    """From where part, camera and panels stand well apart and no panel edge-on, and X points to the right."""
     things = np.stack(
         [
             part_box(scene, posture).mean(axis=0),
@@ -136,8 +137,8 @@ def _axis_lengths(scene: Scene, half: float) -> tuple[float, float, float]:
 def _draw_rig(
     scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen, *, annotate: bool
 ) -> Pen:
-    half, size = table_half(scene, posture), rig_size(scene)
-    pen.grid(half, _grid_step(scene, posture))
+    half, step = table_grid(scene, posture)
+    pen.grid(half, step)
     pen.footprint(shape)
     part = draw_part(scene, caster, posture, pen.view)
     # what lies on the table is drawn around the part, what stands up may pass in front of it
@@ -146,7 +147,7 @@ def _draw_rig(
     arcs = scene.lights[:MOST_ARCS] if annotate else ()
     reach = max(0.5 * half, *(float(np.hypot(*light.centre[:2])) for light in scene.lights), 0.0)
     for i, light in enumerate(arcs):
-        pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)))
+        pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)), spoke=_ARC * light.distance)
     pen.canvas.paste(part.picture, part.left, part.top)
     by_depth = sorted(scene.lights, key=lambda light: float(pen.view.nearness(light.centre)))
     camera_depth = float(pen.view.nearness(scene.camera.position))
@@ -157,11 +158,11 @@ def _draw_rig(
             camera_drawn = True
         pen.panel(light)
         if light in arcs:
-            pen.elevation_arc(light, 0.4 * light.distance)
+            pen.elevation_arc(light, _ARC * light.distance)
     if not camera_drawn:
         pen.camera(scene.camera, shape, annotate=annotate)
     if annotate and scene.lights:
-        pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * size)
+        pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * rig_size(scene))
     return pen
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lightopt.report._canvas import Canvas
 from lightopt.report._labels import Label
 from lightopt.report._part_picture import PartPicture
-from lightopt.report._rig_shapes import CameraShape, foot_direction, nice_step, panel_corners
+from lightopt.report._rig_shapes import CameraShape, foot_direction, nice_step, panel_corners, square
 from lightopt.report._typeface import sub
 from lightopt.report._view import ParallelView, arc
 from lightopt.scene import PanelLight, PinholeCamera, panel_grid
@@ -79,9 +79,7 @@ class Pen:
         """Draw an area of shape (n, 3)."""
         self.canvas.polygon(self.view.place(points), fill=fill, outline=outline, width=width)
 
-    def label(
-        self, text: str, anchor: Float64, colour: str, *, away_from: Float64 | None = None
-    ) -> None:
+    def label(self, text: str, anchor: Float64, colour: str, *, away_from: Float64 | None = None) -> None:
         """Name a place [mm], shape (3,), on the side turned away from another one."""
         x, y = self.view.place(anchor)
         away = None
@@ -91,12 +89,11 @@ class Pen:
         self.labels.append(Label(text=text, anchor=(float(x), float(y)), colour=colour, away=away))
 
     def grid(self, half: float, step: float, centre: Float64 = _ORIGIN) -> None:
-        """Draw the table plane around a place as a grid."""
-        n = math.ceil(half / step)
-        cx, cy = (round(centre[axis] / step) * step for axis in (0, 1))
+        """Draw the table plane around a place as a grid; `half` a side is a multiple of the step [mm]."""
+        n = round(half / step)
+        cx, cy = centre[:2]
         side = n * step
-        square = np.array([[-side, -side, 0], [side, -side, 0], [side, side, 0], [-side, side, 0]])
-        self.polygon(square + [cx, cy, 0], fill="#f7f8fa")
+        self.polygon(square(side, centre), fill="#f7f8fa")
         for i in range(-n, n + 1):
             for a, b in (((i * step, -side), (i * step, side)), ((-side, i * step), (side, i * step))):
                 ends = np.array([[cx + a[0], cy + a[1], 0.0], [cx + b[0], cy + b[1], 0.0]])
@@ -114,7 +111,8 @@ class Pen:
         """Draw a panel as its true rectangle, its point lights on the side that shines, and the line to the origin."""
         shines_here = float(light.outward @ self.view.toward) < 0.0
         self.line(np.stack([_ORIGIN, light.centre]), LIGHT, 1.2)
-        self.line(np.stack([light.centre, light.centre * [1, 1, 0]]), SOFT, 1.0, dash=(3, 5))
+        if np.hypot(*light.centre[:2]) > 0.02 * light.distance:
+            self.line(np.stack([light.centre, light.centre * [1, 1, 0]]), SOFT, 1.0, dash=(3, 5))
         self.polygon(
             panel_corners(light), fill="#ffd766e0" if shines_here else "#cfa54de0", outline=LIGHT, width=2.0
         )
@@ -124,12 +122,12 @@ class Pen:
         outer = max(panel_corners(light), key=lambda corner: float(corner @ self.view.up))
         self.label(light.name, outer, INK, away_from=light.centre)
 
-    def azimuth_arc(self, light: PanelLight, radius: float) -> None:
-        """Draw the azimuth φ from +X in the table plane."""
+    def azimuth_arc(self, light: PanelLight, radius: float, *, spoke: float) -> None:
+        """Draw the azimuth φ from +X in the table plane, and its direction as far as `spoke` [mm]."""
         foot = foot_direction(light)
         path = arc(_ORIGIN, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), light.azimuth, radius)
         self.line(np.stack([_ORIGIN, light.centre * [1, 1, 0]]), SOFT, 1.0, dash=(3, 5))
-        self.line(np.stack([_ORIGIN, radius * foot]), SOFT, 1.0, dash=(3, 5))
+        self.line(np.stack([_ORIGIN, max(radius, spoke) * foot]), SOFT, 1.0, dash=(3, 5))
         self.arrow(path, PHI, 1.8, head=11.0)
         self.label(f"φ {degrees(light.azimuth)}", path[-1], PHI, away_from=path[-len(path) // 3])
 
@@ -170,7 +168,7 @@ class Pen:
         self.polygon(shape.footprint, fill="#45535f20", outline=CAMERA, width=1.2)
 
     def scale_bar(self, left: float, baseline: float, span: float) -> str:
-        """Draw a bar of a round length at a place of the picture [px]; `span` [mm] is what the view shows. Its length."""
+        """Draw a bar of a round length [mm] for a view of about 2·span at a place [px]; what to write on it."""
         length = nice_step(2.0 * span)
         end = left + length * self.view.scale
         bar = np.array([[left, baseline - 5], [left, baseline], [end, baseline], [end, baseline - 5]])

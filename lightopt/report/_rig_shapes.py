@@ -19,7 +19,9 @@ __all__ = [
     "panel_corners",
     "part_box",
     "rig_size",
-    "table_half",
+    "round_up",
+    "square",
+    "table_grid",
 ]
 
 Float64 = NDArray[np.float64]
@@ -70,7 +72,9 @@ def camera_shape(camera: PinholeCamera, size: float) -> CameraShape:
     corners = np.array([sx * half[0] * camera.right + sy * half[1] * camera.up for sx, sy in signs])
     front = camera.position + 0.75 * size * camera.forward + corners
     # the housing is as large as the frustum's opening; it is a sign, the true optics are the pyramid
-    body = np.concatenate([camera.position + corners * 0.8, camera.position + corners * 0.8 - size * camera.forward])
+    body = np.concatenate(
+        [camera.position + corners * 0.8, camera.position + corners * 0.8 - size * camera.forward]
+    )
     return CameraShape(
         aperture=front, body=body, footprint=footprint, corners=footprint[::_BORDER_STEPS], arrow=1.1 * size
     )
@@ -105,7 +109,9 @@ def foot_direction(light: PanelLight) -> Float64:
 def part_box(scene: Scene, posture: Posture) -> Float64:
     """Corners of the part's own bounding box at a posture [mm], shape (8, 3)."""
     low, high = scene.mesh.bounds
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    corners = np.array(
+        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
     return rigid_transform(corners, posture.matrix, scene.pivot)
 
 
@@ -115,11 +121,23 @@ def rig_size(scene: Scene) -> float:
     return max(distances)
 
 
-def table_half(scene: Scene, posture: Posture) -> float:
-    """Half the side of the piece of table to draw [mm]: below all lights, the part and most of the view."""
+def square(half: float, centre: Float64) -> Float64:
+    """Corners of a square of the table plane around a place [mm], shape (4, 3); `half` a side long."""
+    signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return np.column_stack([centre[:2] + half * signs, np.zeros(4)])
+
+
+def table_grid(scene: Scene, posture: Posture) -> tuple[float, float]:
+    """Half the side of the piece of table to draw, below all lights and the part, and the step of its grid [mm]."""
     under = [np.abs(panel_corners(light)[:, :2]).max() for light in scene.lights]
     part = np.abs(part_box(scene, posture)[:, :2]).max()
-    return float(max([*under, 1.2 * part, 0.4 * rig_size(scene)]))
+    return round_up(float(max([*under, 1.2 * part, 0.4 * rig_size(scene)])))
+
+
+def round_up(half: float) -> tuple[float, float]:
+    """Half a side of at least `half`, a multiple of a round step, and that step [mm]."""
+    step = nice_step(2.0 * half)
+    return math.ceil(half / step - 1e-9) * step, step
 
 
 def nice_step(span: float) -> float:

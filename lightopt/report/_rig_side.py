@@ -12,7 +12,7 @@ from lightopt.report._canvas import Canvas
 from lightopt.report._labels import Box, Label
 from lightopt.report._part_picture import draw_part
 from lightopt.report._rig_elements import INK, SOFT, STAGE, Pen, degrees, number
-from lightopt.report._rig_shapes import nice_step, part_box
+from lightopt.report._rig_shapes import part_box, round_up, square
 from lightopt.report._typeface import Typeface, sub
 from lightopt.report._view import arc, fit_view
 from lightopt.scene import Scene, pixel_footprint
@@ -54,9 +54,7 @@ def _stage_top(scene: Scene) -> int:
     return EDGE + round((lines + 6.5) * Typeface(17).line_height)
 
 
-def paint_side(
-    image: Image.Image, scene: Scene, left: int, *, grid: str, arcs: int
-) -> None:
+def paint_side(image: Image.Image, scene: Scene, left: int, *, grid: str, arcs: int) -> None:
     """Write the numbers of a rig into the column that starts at `left` [px]."""
     draw = ImageDraw.Draw(image)
     head, text = Typeface(21), Typeface(17)
@@ -109,20 +107,36 @@ def _part_lines(scene: Scene) -> list[str]:
     size = " × ".join(number(float(f"{side:.3g}")) for side in high - low)
     listed = [_posture_text(posture) for posture in scene.postures[:MOST_POSTURES]]
     lines = [f"{size} mm, pivot {_vector(scene.pivot)} mm"]
-    if listed:
-        lines.append(f"drawn at posture ({sub('θ', 'j')}, {sub('φ', 'j')}) = {listed[0]}")
+    if scene.postures:
+        first = scene.postures[0]
+        lines.append(
+            f"drawn at {sub('θ', 'j')} {_angle(first.elevation_deg)}, {sub('φ', 'j')} {_angle(first.rotation_deg)}"
+        )
     rest = listed[1:]
     if len(scene.postures) > MOST_POSTURES:
         rest.append(f"{len(scene.postures) - MOST_POSTURES} more")
-    return lines + [("others " if i == 0 else "") + ", ".join(rest[i : i + 4]) for i in range(0, len(rest), 4)]
+    return lines + [
+        ("other postures " if i == 0 else "") + ", ".join(rest[i : i + 3]) for i in range(0, len(rest), 3)
+    ]
 
 
 def _posture_text(posture: Posture) -> str:
-    return f"({number(posture.elevation_deg)}°, {number(posture.rotation_deg)}°)"
+    return f"({_angle(posture.elevation_deg)}, {_angle(posture.rotation_deg)})"
+
+
+def _angle(degrees: float) -> str:
+    return f"{number(degrees)}°"
 
 
 def draw_stage(
-    scene: Scene, caster: RayCaster, posture: Posture, canvas: Canvas, left: int, bottom: int, *, annotate: bool
+    scene: Scene,
+    caster: RayCaster,
+    posture: Posture,
+    canvas: Canvas,
+    left: int,
+    bottom: int,
+    *,
+    annotate: bool,
 ) -> Stage:
     """Draw the part at a posture with the stage's two axes, in the column that starts at `left` [px]."""
     box = (left + EDGE, _stage_top(scene), left + SIDE_WIDTH - EDGE, bottom - EDGE)
@@ -132,9 +146,13 @@ def draw_stage(
     rotary = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
     ends = scene.pivot + reach * np.stack([_X, -0.8 * _X, rotary[:, 2], -0.35 * rotary[:, 2]])
     inner = (box[0] + 45, box[1] + 20, box[2] - 45, box[3] - 40)
-    view = fit_view(np.concatenate([corners, ends]), elevation=_VIEW[0], azimuth=_VIEW[1], box=inner)
+    middle = corners.mean(axis=0)
+    half, step = round_up(1.05 * radius)
+    view = fit_view(
+        np.concatenate([corners, ends, square(half, middle)]), elevation=_VIEW[0], azimuth=_VIEW[1], box=inner
+    )
     pen = Pen(canvas, view, [])
-    pen.grid(1.1 * radius, nice_step(2.2 * radius), centre=corners.mean(axis=0))
+    pen.grid(half, step, centre=middle)
     part = draw_part(scene, caster, posture, view)
     canvas.paste(part.picture, part.left, part.top)
     pen = Pen(canvas, view, pen.labels, part)

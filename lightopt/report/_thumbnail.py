@@ -74,10 +74,15 @@ def _factors(width: int, height: int, limit: int) -> tuple[int, int]:
 
 
 def _cell_means(values: NDArray[np.floating] | NDArray[np.bool_], side: int) -> NDArray[np.float64]:
-    """Means over cells of side × side pixels; cells cut by the right or lower border are averaged over what is there."""
+    """Means over cells of side × side pixels; cells cut by the border are averaged over what is there of them."""
     rows = np.arange(0, values.shape[0], side)
     columns = np.arange(0, values.shape[1], side)
-    sums = np.add.reduceat(np.add.reduceat(values, rows, axis=0, dtype=np.float64), columns, axis=1)
-    heights = np.diff(np.append(rows, values.shape[0]))
-    widths = np.diff(np.append(columns, values.shape[1]))
-    return sums / (heights[:, None] * widths[None, :])
+    cells = np.add.reduceat(values.astype(np.float64), rows, axis=0)
+    sums: NDArray[np.float64] = np.add.reduceat(cells, columns, axis=1)
+    counts = np.outer(_widths(values.shape[0], side), _widths(values.shape[1], side))
+    return sums / counts
+
+
+def _widths(length: int, side: int) -> NDArray[np.float64]:
+    """Widths of the cells along a border of `length` pixels; the last one may be narrower."""
+    return np.minimum(side, length - np.arange(0.0, length, side))

@@ -1,7 +1,7 @@
 """A slow, plain NumPy float64 renderer, written from the equations alone, that the fast one must match.
 
-It takes numbers and arrays, knows nothing of lightopt, and keeps every choice in sight: lengths in mm, angles in
-degrees, triangles as (F, 3, 3) corners in the world frame with (F, 3, 3) unit normals at those corners.
+It takes numbers and arrays, knows nothing of lightopt, and keeps every choice in sight: lengths in mm, angles
+in degrees, triangles as (F, 3, 3) corners in the world frame with (F, 3, 3) unit normals at those corners.
 """
 
 from __future__ import annotations

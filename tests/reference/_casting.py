@@ -1,5 +1,7 @@
-"""Möller–Trumbore against every triangle. Rays of one call share their origin (pinhole or point light), so that the
-triple products of the method become matrix products; nothing else is clever.
+"""Möller–Trumbore against every triangle.
+
+Rays of one call share their origin (pinhole or point light), so that the triple products of the method become
+matrix products; nothing else is clever.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ def _pairs(origin, directions, triangles):
 
 
 def closest(origin, directions, triangles):
-    """Face (-1: none), distance and barycentric u, v of the first triangle each ray meets, from either side."""
+    """Face (-1: none), distance and barycentric u, v of the first triangle each ray meets, on either side."""
     n = len(directions)
     face, t_hit = np.full(n, -1), np.full(n, np.inf)
     u_hit, v_hit = np.zeros(n), np.zeros(n)

@@ -1,4 +1,4 @@
-"""The converged panel: the reflected light integrated over the panel's area instead of summed over m points."""
+"""The converged panel: the reflected light integrated over the panel instead of summed over m points."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ CHUNK = 64  # pixels shaded together, times n² nodes
 
 
 def product_rule(n, cells=1):
-    """Gauss–Legendre nodes u, v in -1/2 … 1/2 and weights (sum 1), n × n in each of cells × cells equal cells."""
+    """Gauss–Legendre nodes u, v in -1/2 … 1/2 and weights (sum 1), n × n in each of cells²."""
     x, w = np.polynomial.legendre.leggauss(n)
     x = ((x[None] / 2 + 0.5 + np.arange(cells)[:, None]) / cells - 0.5).ravel()
     w = np.tile(w / 2 / cells, cells)
@@ -29,8 +29,8 @@ def equally_spaced(n):
 def panel_radiance(hits, light, *, R_d, R_s, sigma, triangles=None, rule=None):
     """I_d and I_s (N,) of a panel with its output spread evenly, at front-facing hits.
 
-    `triangles` cast shadows, tested by a ray to every node; without them only the horizons do. Where a shadow's edge
-    crosses the panel a product rule is itself off by about a node's weight; `subtract_convex` is exact there.
+    `triangles` cast shadows, tested by a ray to every node; without them only the horizons do. Where a shadow's
+    edge crosses the panel a product rule is itself off by about a node's weight; `subtract_convex` is exact there.
     """
     u, v, weights = product_rule(64) if rule is None else rule
     sources = light.at(u, v)
@@ -111,7 +111,7 @@ def triangle_rule(a, b, c, n):
 
 
 def subtract_convex(hits, light, diffuse, specular, corners, *, R_d, R_s, sigma, n=64):
-    """The levels of `panel_radiance` less the light that a convex body hides, integrated over the hidden polygon.
+    """`panel_radiance` less the light that a convex body hides, integrated over the hidden polygon.
 
     Returns the two components and whether the body's shadow edge crosses the panel (penumbra).
     """

@@ -69,7 +69,7 @@ def in_shadow(hits, source, triangles):
 
 @dataclass(frozen=True)
 class LayerImage:
-    """Images (H, W) of levels, and what is needed to tell pixels on edges: shadow flags (H, W, m) and hits."""
+    """Images (H, W) of levels, and what tells pixels on edges: shadow flags (H, W, m) and hits."""
 
     diffuse: np.ndarray
     specular: np.ndarray
