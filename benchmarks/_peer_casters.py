@@ -14,13 +14,13 @@ Int32 = NDArray[np.int32]
 
 
 class Open3DCaster:
-    """``open3d.t.geometry.RaycastingScene``; one thread per call, since the blocks are on a pool already."""
+    """``open3d.t.geometry.RaycastingScene``; each call spreads its rays over all threads."""
 
     def __init__(self, scene: Scene, *, threads: int) -> None:
         from open3d.core import Tensor
         from open3d.t.geometry import RaycastingScene
 
-        self._tensor = Tensor
+        self._tensor, self._threads = Tensor, threads
         self._scene = RaycastingScene(nthreads=threads)
         self._scene.add_triangles(
             Tensor(scene.mesh.vertices.astype(np.float32)), Tensor(scene.mesh.faces.astype(np.uint32))
@@ -32,7 +32,7 @@ class Open3DCaster:
         """See :class:`benchmarks._numpy_shading.Backend`."""
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3], rays[:, 3:] = origin, directions
-        answer = self._scene.cast_rays(self._tensor(rays), nthreads=1)
+        answer = self._scene.cast_rays(self._tensor(rays), nthreads=self._threads)
         face = answer["primitive_ids"].numpy()
         uv = answer["primitive_uvs"].numpy()
         return np.where(face == self._none, -1, face.astype(np.int64)).astype(np.int32), uv[:, 0], uv[:, 1]
@@ -40,7 +40,7 @@ class Open3DCaster:
     def occluded(self, origins: Float32, directions: Float32) -> NDArray[np.bool_]:
         """See :class:`benchmarks._numpy_shading.Backend`."""
         rays = np.concatenate([origins, directions], axis=1)
-        return self._scene.test_occlusions(self._tensor(rays), tfar=1.0, nthreads=1).numpy()
+        return self._scene.test_occlusions(self._tensor(rays), tfar=1.0, nthreads=self._threads).numpy()
 
 
 class TrimeshCaster:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lightopt.preflight._report import Finding
+from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
 from lightopt.scene import Framing, frame_part
 
@@ -60,7 +60,7 @@ def check_part_in_view(subject: SceneSubject) -> Iterator[Finding]:
         camera = look.view.camera
         margins = (framing.left, framing.top, camera.width - framing.right, camera.height - framing.bottom)
         per_pixel = framing.footprint[0]
-        values = {
+        values: dict[str, object] = {
             "posture": posture,
             "margin_px": dict(zip(SIDES, margins, strict=True)),
             "margin_mm": {side: per_pixel * m for side, m in zip(SIDES, margins, strict=True)},
@@ -74,10 +74,15 @@ def check_part_in_view(subject: SceneSubject) -> Iterator[Finding]:
             text = f"the part leaves the view by {', '.join(leaves)}; move it, or let the camera see more"
         else:
             side, least = min(zip(SIDES, margins, strict=True), key=lambda pair: pair[1])
-            share = max(
-                (framing.right - framing.left) / camera.width, (framing.bottom - framing.top) / camera.height
+            shares = {
+                "width": (framing.right - framing.left) / camera.width,
+                "height": (framing.bottom - framing.top) / camera.height,
+            }
+            along = max(shares, key=lambda name: shares[name])
+            text = (
+                f"the part is inside the view, least margin {told[side]} at the {side}; it fills "
+                f"{percent(shares[along])} of the image's {along}"
             )
-            text = f"the part is inside the view, least margin {told[side]} at the {side}; it fills {100 * share:.0f} %"
             values["least_margin_px"] = least
         yield Finding("warning" if leaves else "ok", "view", f"posture {look.posture}: {text}", where, values)
 

@@ -105,7 +105,7 @@ def _moved(rig: RigConfig, index: int, step: float) -> list[PanelLight]:
     lights = tuple(
         light.model_copy(update={"elevation_deg": e, "azimuth_deg": a}) for e in elevations for a in azimuths
     )
-    return list(build_lights(rig.model_copy(update={"lights": lights}), None, None))
+    return list(build_lights(rig.model_copy(update={"lights": lights})))
 
 
 def _steps(ends: tuple[float, float], step: float) -> list[float]:

@@ -69,7 +69,7 @@ class SceneSubject:
 
 def rig_subject(rig: RigConfig) -> RigSubject:
     """Place the rig's camera and lights."""
-    return RigSubject(rig, build_camera(rig), build_lights(rig, None, None))
+    return RigSubject(rig, build_camera(rig), build_lights(rig))
 
 
 def scene_subject(rig: RigConfig, part: PartConfig, scene: Scene) -> SceneSubject:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -163,7 +164,7 @@ def render_image_set(
         writer.add_patches(table.arrays())
     names = [light.name for light in rig.lights]
     rays = 0
-    for index, posture in enumerate(scene.postures):
+    for posture in scene.postures:
         todo = [key for key in plan if key[1] == posture and not writer.done(*key)]
         if not todo and writer.geometry_done(posture):
             continue
@@ -190,7 +191,7 @@ def render_image_set(
         for light, image in zip(scene.lights, images.lights, strict=True):
             for exposure in options.exposures:
                 if not writer.done(light.name, posture, exposure):
-                    seeds = None if options.noise is None else (options.noise, names.index(light.name), index)
+                    seeds = None if options.noise is None else (options.noise, names.index(light.name))
                     _add_image(writer, scene, images, light, image, exposure, seeds)
     return RenderedSet(
         folder=Path(folder),
@@ -239,7 +240,7 @@ def _check_options(options: RenderOptions) -> None:
     if options.postures is not None and len(set(options.postures)) < len(options.postures):
         problems.append("posture: the same posture was given twice")
     points = options.points
-    if isinstance(points, int) and (points < 1 or round(points**0.5) ** 2 != points or points > 65536):
+    if isinstance(points, int) and (not 1 <= points <= 65536 or math.isqrt(points) ** 2 != points):
         problems.append(f"points: expected a square (1, 4, 9, 16, …) or auto, found {points}")
     if problems:
         raise InputError(*problems)
@@ -277,14 +278,15 @@ def _add_image(
     light: PanelLight,
     image: LightImage,
     exposure: float,
-    seeds: tuple[int, int, int] | None,
+    seeds: tuple[int, int] | None,
 ) -> None:
     rng = None
     if seeds is not None:
-        seed, light_index, posture_index = seeds
-        # an exposure's noise must not depend on which others are asked for: its bits are its number
-        bits = int(np.float64(exposure).view(np.uint64))
-        rng = image_rng(seed, light=light_index, posture=posture_index, exposure=bits)
+        seed, light_index = seeds
+        # an image's noise must not depend on which others are asked for: the bits of angles and exposure are their
+        # numbers
+        posture = _bits(images.posture.elevation_deg) << 64 | _bits(images.posture.rotation_deg)
+        rng = image_rng(seed, light=light_index, posture=posture, exposure=_bits(exposure))
     levels = expose(
         image.level,
         sensor=scene.sensor,
@@ -302,8 +304,13 @@ def _add_image(
     linear: dict[str, NDArray[np.float32]] = {"Y": image.level}
     if image.diffuse is not None and image.specular is not None:
         linear |= {"diffuse.Y": image.diffuse, "specular.Y": image.specular}
-    known = any(e.key[:2] == entry.key[:2] for e in writer.manifest.images)
+    # the exposures of an image share its EXR; one that was lost or damaged is not known
+    known = any(e.key[:2] == entry.key[:2] and writer.done(*e.key) for e in writer.manifest.images)
     writer.add_image(entry, png=levels, exr=None if known else linear)
+
+
+def _bits(value: float) -> int:
+    return int(np.float64(value + 0.0).view(np.uint64))  # −0 is 0
 
 
 def _degrees(angle: float) -> float:

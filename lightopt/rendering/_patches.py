@@ -149,13 +149,17 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
     for view in views:
         seen[trace_posture(mesh, view, caster).face] = True
     # a face that no pixel's centre meets is smaller than a pixel and is not cut; its centroid tells whether it shows
+    facets = face_normals(mesh)
+    uncut = np.flatnonzero(~seen)
+    centroids = mesh.vertices[mesh.faces[uncut]].mean(axis=1)
+    showing = np.any([_visible(centroids, facets[uncut], view, caster) for view in views], axis=0)
+    share = max(budget - int(showing.sum()), int(seen.sum()))
     edge = footprint
-    while (count := estimate_patch_count(mesh, edge, select=seen)) - int((~seen).sum()) > max(
-        budget, int(seen.sum())
-    ):
-        edge *= max(1.02, min(4.0, math.sqrt((count - int((~seen).sum())) / budget)))
+    limit = len(uncut) + 16 * share + 1  # beyond it the step below is the longest anyway
+    while (count := estimate_patch_count(mesh, edge, select=seen, limit=limit) - len(uncut)) > share:
+        edge *= max(1.02, min(4.0, math.sqrt(count / share)))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
-    visible = np.stack([_visible_patches(patches, mesh, view, caster) for view in views])
+    visible = np.stack([_visible(patches.centroids, facets[patches.face], view, caster) for view in views])
     return PatchTable(
         patches=patches, postures=scene.postures, visible=visible, max_edge=edge, footprint=footprint
     )
@@ -193,14 +197,11 @@ def _smallest_footprint(view: PartView, mesh: TriangleMesh) -> float:
     return pixel_footprint(view.camera, max(float(depth.min()), 1e-3))
 
 
-def _visible_patches(
-    patches: Patches, mesh: TriangleMesh, view: PartView, caster: RayCaster
-) -> NDArray[np.bool_]:
+def _visible(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> NDArray[np.bool_]:
+    """Whether the camera sees points of the surface from the front; geometric normals, all in the part frame."""
     camera = view.camera
-    columns, rows, depth = project(camera, patches.centroids)
-    facets = face_normals(mesh)[patches.face]
-    towards = camera.position - patches.centroids
-    visible = (depth > 0.0) & (np.einsum("ij,ij->i", facets, towards) > 0.0)
+    columns, rows, depth = project(camera, points)
+    visible = (depth > 0.0) & (np.einsum("ij,ij->i", normals, camera.position - points) > 0.0)
     visible[visible] &= (
         (columns[visible] >= 0.0)
         & (columns[visible] < camera.width)
@@ -209,8 +210,8 @@ def _visible_patches(
     )
     index = np.flatnonzero(visible).astype(np.int32)
     blocked = caster.occluded(
-        patches.centroids,
-        facets,
+        points,
+        normals,
         camera.position[None, :],
         point_index=index,
         target_index=np.zeros(len(index), np.int32),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -13,65 +12,27 @@ from PIL import Image, ImageDraw
 from lightopt.errors import InputError
 from lightopt.images import ImageEntry, ImageSet, Manifest
 from lightopt.report._canvas import check_png_path, write_picture
+from lightopt.report._sheet_layout import (
+    GAP,
+    MARGIN,
+    SheetLayout,
+    SheetTable,
+    SheetType,
+    degrees,
+    lay_out,
+    light_position,
+    row_head,
+    sheet_table,
+    thumbnail_limit,
+)
 from lightopt.report._thumbnail import SATURATED_COLOUR, Thumbnail, shade_of_saturation, thumbnail
-from lightopt.report._typeface import Typeface, sub
-from lightopt.transforms import Posture
+from lightopt.report._typeface import Typeface
 
 __all__ = ["contact_sheet"]
 
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
 RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)
 PAPER, EMPTY = "#ffffff", "#f1f3f5"
-
-MARGIN, GAP = 36, 18
-LARGEST, SMALLEST = 420, 240
-"""Sides of a thumbnail [px]: many columns make them smaller, until they could not be told apart any more."""
-
-SHEET_WIDTH = 4000
-"""Width that all thumbnails of a row may share before they become smaller [px]."""
-
-
-@dataclass(frozen=True)
-class _Type:
-    title: Typeface
-    head: Typeface
-    text: Typeface
-
-
-@dataclass(frozen=True)
-class _Table:
-    """Which image stands where; None where the set has none."""
-
-    lights: tuple[str, ...]
-    postures: tuple[Posture, ...]
-    entries: dict[tuple[Posture, str], ImageEntry]
-
-    def angles(self, light: str) -> set[tuple[float, float]]:
-        """Elevations and azimuths [°] at which the light stood."""
-        return {
-            (e.light_elevation_deg, e.light_azimuth_deg)
-            for (_, name), e in self.entries.items()
-            if name == light
-        }
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Where things stand [px]."""
-
-    left: int
-    top: int
-    cell: tuple[int, int]
-    caption: int
-    width: int
-    height: int
-
-    def corner(self, row: int, column: int) -> tuple[int, int]:
-        """Upper left corner of a thumbnail's cell."""
-        return (
-            self.left + column * (self.cell[0] + GAP),
-            self.top + row * (self.cell[1] + self.caption + GAP),
-        )
 
 
 def contact_sheet(
@@ -105,13 +66,13 @@ def contact_sheet(
     """
     path = check_png_path(path)
     shown = _exposure(image_set, exposure)
-    table = _table(image_set, shown)
-    limit = max(SMALLEST, min(LARGEST, SHEET_WIDTH // len(table.lights)))
+    table = sheet_table(image_set, shown)
+    limit = thumbnail_limit(table)
     thumbnails = {key: _load(image_set, entry, limit) for key, entry in table.entries.items()}
-    type_ = _Type(title=Typeface(32), head=Typeface(21), text=Typeface(16))
+    type_ = SheetType(title=Typeface(32), head=Typeface(21), text=Typeface(16))
     heading = title or _names(image_set.manifest)
     facts = _facts(image_set.manifest, table, shown)
-    layout = _lay_out(table, thumbnails, type_, heading, facts)
+    layout = lay_out(table, thumbnails, type_, heading, facts)
     image = Image.new("RGB", (layout.width, layout.height), PAPER)
     _paint_heading(image, type_, heading, facts)
     _paint_heads(image, type_, table, layout)
@@ -120,7 +81,9 @@ def contact_sheet(
             key = (posture, light)
             corner = layout.corner(row, column)
             note = (
-                _position(table.entries[key]) if key in table.entries and len(table.angles(light)) > 1 else ""
+                light_position(table.entries[key])
+                if key in table.entries and len(table.angles(light)) > 1
+                else ""
             )
             _paint_cell(image, type_, corner, layout.cell, thumbnails.get(key), note)
     _paint_legend(image, type_, image_set.manifest)
@@ -144,13 +107,8 @@ def _exposure(image_set: ImageSet, asked: float | None) -> float:
     return found[0]
 
 
-def _table(image_set: ImageSet, exposure: float) -> _Table:
-    entries = [entry for entry in image_set.images if entry.exposure == exposure]
-    return _Table(
-        lights=tuple(dict.fromkeys(entry.light for entry in entries)),
-        postures=tuple(dict.fromkeys(entry.posture for entry in entries)),
-        entries={(entry.posture, entry.light): entry for entry in entries},
-    )
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _load(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
@@ -164,7 +122,7 @@ def _names(manifest: Manifest) -> str:
     return " on ".join(name for name in (part, rig) if name) or "Image set"
 
 
-def _facts(manifest: Manifest, table: _Table, exposure: float) -> str:
+def _facts(manifest: Manifest, table: SheetTable, exposure: float) -> str:
     facts = [
         manifest.kind,
         f"{_count(len(table.lights), 'light')} × {_count(len(table.postures), 'posture')}",
@@ -176,57 +134,7 @@ def _facts(manifest: Manifest, table: _Table, exposure: float) -> str:
     return "   ·   ".join(facts)
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def _position(entry: ImageEntry) -> str:
-    return f"θ {_degrees(entry.light_elevation_deg)}, φ {_degrees(entry.light_azimuth_deg)}"
-
-
-def _degrees(angle: float) -> str:
-    return f"{angle:.6g}°".replace("-", "−")
-
-
-def _row_head(posture: Posture) -> tuple[str, str]:
-    return (
-        f"{sub('θ', 'j')} {_degrees(posture.elevation_deg)}",
-        f"{sub('φ', 'j')} {_degrees(posture.rotation_deg)}",
-    )
-
-
-def _lay_out(
-    table: _Table,
-    thumbnails: dict[tuple[Posture, str], Thumbnail],
-    type_: _Type,
-    heading: str,
-    facts: str,
-) -> _Layout:
-    cell_width = max(t.picture.shape[1] for t in thumbnails.values())
-    cell_height = max(t.picture.shape[0] for t in thumbnails.values())
-    # narrow images still need room for the caption
-    cell_width = max(cell_width, type_.text.width("8,888,888 px saturated (88.88 %)"))
-    heads = [type_.head.width(line) for posture in table.postures for line in _row_head(posture)]
-    left = MARGIN + max([*heads, type_.text.width("posture")]) + 2 * GAP
-    top = MARGIN + type_.title.line_height + type_.text.line_height + 2 * GAP
-    top += type_.head.line_height + type_.text.line_height + GAP // 2
-    moving = any(len(table.angles(light)) > 1 for light in table.lights)
-    caption = (2 if moving else 1) * type_.text.line_height + 10
-    columns, rows = len(table.lights), len(table.postures)
-    table_width = left + columns * (cell_width + GAP) - GAP
-    text_width = MARGIN + max(type_.title.width(heading), type_.text.width(facts), 620)
-    legend = 4 * type_.text.line_height + 2 * GAP
-    return _Layout(
-        left=left,
-        top=top,
-        cell=(cell_width, cell_height),
-        caption=caption,
-        width=max(table_width, min(text_width, 1600)) + MARGIN,
-        height=top + rows * (cell_height + caption + GAP) - GAP + legend + MARGIN,
-    )
-
-
-def _paint_heading(image: Image.Image, type_: _Type, heading: str, facts: str) -> None:
+def _paint_heading(image: Image.Image, type_: SheetType, heading: str, facts: str) -> None:
     room = image.width - 2 * MARGIN
     y = MARGIN + type_.title.cap_height
     type_.title.paint(image, MARGIN, y, type_.title.fit(heading, room), fill=INK)
@@ -234,10 +142,10 @@ def _paint_heading(image: Image.Image, type_: _Type, heading: str, facts: str) -
     type_.text.paint(image, MARGIN, y, type_.text.fit(facts, room), fill=SOFT)
 
 
-def _paint_heads(image: Image.Image, type_: _Type, table: _Table, layout: _Layout) -> None:
+def _paint_heads(image: Image.Image, type_: SheetType, table: SheetTable, layout: SheetLayout) -> None:
     draw = ImageDraw.Draw(image)
     rule = layout.top - GAP // 2
-    draw.line([(MARGIN, rule), (image.width - MARGIN, rule)], fill=FAINT, width=1)
+    draw.line([(MARGIN, rule), (image.width - MARGIN - 1, rule)], fill=FAINT, width=1)
     below, above = rule - 10, rule - 10 - type_.text.line_height
     type_.text.paint(image, MARGIN, below, "posture", fill=SOFT)
     for column, light in enumerate(table.lights):
@@ -245,25 +153,23 @@ def _paint_heads(image: Image.Image, type_: _Type, table: _Table, layout: _Layou
         type_.head.paint(image, x, above, type_.head.fit(light, layout.cell[0]), fill=INK)
         angles = table.angles(light)
         entry = next(e for (_, name), e in table.entries.items() if name == light)
-        where = (
-            f"elevation {_degrees(entry.light_elevation_deg)}, azimuth {_degrees(entry.light_azimuth_deg)}"
-        )
+        where = f"elevation {degrees(entry.light_elevation_deg)}, azimuth {degrees(entry.light_azimuth_deg)}"
         if type_.text.width(where) > layout.cell[0]:
-            where = _position(entry)
+            where = light_position(entry)
         where = where if len(angles) == 1 else f"{len(angles)} positions"
         type_.text.paint(image, x, below, where, fill=SOFT)
     for row, posture in enumerate(table.postures):
         _, y = layout.corner(row, 0)
         if row:
-            draw.line([(MARGIN, y - GAP // 2), (image.width - MARGIN, y - GAP // 2)], fill=EMPTY, width=1)
-        for i, line in enumerate(_row_head(posture)):
+            draw.line([(MARGIN, y - GAP // 2), (image.width - MARGIN - 1, y - GAP // 2)], fill=EMPTY, width=1)
+        for i, line in enumerate(row_head(posture)):
             baseline = y + type_.head.cap_height + 4 + i * (type_.head.line_height + 4)
             type_.head.paint(image, MARGIN, baseline, line, fill=INK)
 
 
 def _paint_cell(
     image: Image.Image,
-    type_: _Type,
+    type_: SheetType,
     corner: tuple[int, int],
     cell: tuple[int, int],
     thumbnail: Thumbnail | None,
@@ -292,10 +198,10 @@ def _caption(thumbnail: Thumbnail) -> str:
     return f"{thumbnail.saturated:,} px saturated ({text} %)"
 
 
-def _paint_legend(image: Image.Image, type_: _Type, manifest: Manifest) -> None:
+def _paint_legend(image: Image.Image, type_: SheetType, manifest: Manifest) -> None:
     bar_width, bar_height = 180, type_.text.cap_height + 4
     y = image.height - MARGIN - 4 * type_.text.line_height
-    ImageDraw.Draw(image).line([(MARGIN, y), (image.width - MARGIN, y)], fill=FAINT, width=1)
+    ImageDraw.Draw(image).line([(MARGIN, y), (image.width - MARGIN - 1, y)], fill=FAINT, width=1)
     ramp = np.linspace(0.0, 1.0, bar_width)
     tint = shade_of_saturation(ramp)[:, None]
     middle = 128.0
@@ -303,7 +209,10 @@ def _paint_legend(image: Image.Image, type_: _Type, manifest: Manifest) -> None:
         (np.repeat(255.0 * ramp[:, None], 3, axis=1), _grey_text(manifest)),
         (
             tint * np.array(SATURATED_COLOUR) + (1.0 - tint) * middle,
-            ["red: share of saturated pixels in a cell, from a single one to all of them"],
+            [
+                "red: share of saturated pixels in a cell, from a single one to all of them",
+                "red: saturated pixels in a cell, from one to all",
+            ],
         ),
     )
     baseline = y + GAP + type_.text.cap_height

@@ -18,8 +18,8 @@ __all__ = ["PartPicture", "draw_part"]
 
 Float64 = NDArray[np.float64]
 
-_BASE = np.array([206.0, 212.0, 220.0])
-_EDGE = np.array([58.0, 66.0, 78.0])
+_BASE = (206.0, 212.0, 220.0)
+_EDGE = (58.0, 66.0, 78.0)
 _FAR = 1e4
 """Distance of the eye in radii of the part: as good as infinite."""
 
@@ -111,7 +111,7 @@ def _shade(view: ParallelView, nearness: Float64, normals: Float64) -> NDArray[n
     lamp = view.toward + 0.9 * view.up - 0.7 * view.right
     light = 0.62 + 0.38 * np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
     edge = _edges(hit, nearness, normals, step=3.0 / (view.scale * FINE))
-    colours = np.where(edge[..., None], _EDGE, _BASE * light[..., None])
+    colours = np.where(edge[..., None], _EDGE, np.array(_BASE) * light[..., None])
     alpha = np.where(hit | edge, 255.0, 0.0)
     return np.floor(np.concatenate([colours, alpha[..., None]], axis=2) + 0.5).astype(np.uint8)
 

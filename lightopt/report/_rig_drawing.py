@@ -36,8 +36,8 @@ __all__ = ["rig_drawing"]
 Float64 = NDArray[np.float64]
 
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
-MOST_ARCS = 6
-"""More lights than that get no arcs of their own: the angles of all are in the table beside the drawing."""
+MOST_ARCS, FEW_ARCS = 6, 3
+"""Of more lights than that only a few get arcs, which would hide each other; all angles are in the table."""
 
 _ARC = 0.4
 """Radius of elevation arcs, relative to the light's distance."""
@@ -79,7 +79,13 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Pat
     pen = _draw_rig(scene, caster, shape, posture, Pen(canvas, view, []), annotate=annotate)
     stage = draw_stage(scene, caster, posture, canvas, MAIN_WIDTH, height, annotate=annotate)
     image = canvas.finished()
-    paint_side(image, scene, MAIN_WIDTH, grid=number(table_grid(scene, posture)[1]), arcs=MOST_ARCS)
+    paint_side(
+        image,
+        scene,
+        MAIN_WIDTH,
+        grid=number(table_grid(scene, posture)[1]),
+        arcs=_arcs(scene) if annotate else None,
+    )
     ink = ink_of(image)
     typeface, small = Typeface(21), Typeface(18)
     main_box = (8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0)
@@ -144,7 +150,7 @@ def _draw_rig(
     # what lies on the table is drawn around the part, what stands up may pass in front of it
     pen = replace(pen, part=part)
     pen.axes(_axis_lengths(scene, half))
-    arcs = scene.lights[:MOST_ARCS] if annotate else ()
+    arcs = scene.lights[: _arcs(scene)] if annotate else ()
     reach = max(0.5 * half, *(float(np.hypot(*light.centre[:2])) for light in scene.lights), 0.0)
     for i, light in enumerate(arcs):
         pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)), spoke=_ARC * light.distance)
@@ -164,6 +170,10 @@ def _draw_rig(
     if annotate and scene.lights:
         pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * rig_size(scene))
     return pen
+
+
+def _arcs(scene: Scene) -> int:
+    return len(scene.lights) if len(scene.lights) <= MOST_ARCS else FEW_ARCS
 
 
 def _most_open(lights: tuple[PanelLight, ...], view: ParallelView) -> PanelLight:

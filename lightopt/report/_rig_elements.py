@@ -13,7 +13,7 @@ from lightopt.report._labels import Label
 from lightopt.report._part_picture import PartPicture
 from lightopt.report._rig_shapes import CameraShape, foot_direction, nice_step, panel_corners, square
 from lightopt.report._typeface import sub
-from lightopt.report._view import ParallelView, arc
+from lightopt.report._view import ORIGIN, ParallelView, X, Y, Z, arc
 from lightopt.scene import PanelLight, PinholeCamera, panel_grid
 
 __all__ = [
@@ -35,8 +35,6 @@ Float64 = NDArray[np.float64]
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#dfe3e8"
 CAMERA, LIGHT, THETA, PHI, STAGE = "#45535f", "#b07d04", "#7a2f9b", "#0a8580", "#a8324a"
 AXIS_COLOURS = ("#c8321f", "#2c8a3a", "#2458b8")
-_ORIGIN = np.zeros(3)
-_Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class Pen:
             away = (float(x - ax), float(y - ay))
         self.labels.append(Label(text=text, anchor=(float(x), float(y)), colour=colour, away=away))
 
-    def grid(self, half: float, step: float, centre: Float64 = _ORIGIN) -> None:
+    def grid(self, half: float, step: float, centre: Float64 = ORIGIN) -> None:
         """Draw the table plane around a place as a grid; `half` a side is a multiple of the step [mm]."""
         n = round(half / step)
         cx, cy = centre[:2]
@@ -104,13 +102,13 @@ class Pen:
         for axis, (name, colour) in enumerate(zip("XYZ", AXIS_COLOURS, strict=True)):
             tip = np.zeros(3)
             tip[axis] = lengths[axis]
-            self.arrow(np.stack([_ORIGIN, tip]), colour, 2.6, head=16.0)
-            self.label(name, tip, colour, away_from=_ORIGIN)
+            self.arrow(np.stack([ORIGIN, tip]), colour, 2.6, head=16.0)
+            self.label(name, tip, colour, away_from=ORIGIN)
 
     def panel(self, light: PanelLight) -> None:
         """Draw a panel as its true rectangle, its point lights on the side that shines, and the line to the origin."""
         shines_here = float(light.outward @ self.view.toward) < 0.0
-        self.line(np.stack([_ORIGIN, light.centre]), LIGHT, 1.2)
+        self.line(np.stack([ORIGIN, light.centre]), LIGHT, 1.2)
         if np.hypot(*light.centre[:2]) > 0.02 * light.distance:
             self.line(np.stack([light.centre, light.centre * [1, 1, 0]]), SOFT, 1.0, dash=(3, 5))
         self.polygon(
@@ -125,17 +123,17 @@ class Pen:
     def azimuth_arc(self, light: PanelLight, radius: float, *, spoke: float) -> None:
         """Draw the azimuth φ from +X in the table plane, and its direction as far as `spoke` [mm]."""
         foot = foot_direction(light)
-        path = arc(_ORIGIN, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), light.azimuth, radius)
-        self.line(np.stack([_ORIGIN, light.centre * [1, 1, 0]]), SOFT, 1.0, dash=(3, 5))
-        self.line(np.stack([_ORIGIN, max(radius, spoke) * foot]), SOFT, 1.0, dash=(3, 5))
+        path = arc(ORIGIN, X, Y, light.azimuth, radius)
+        self.line(np.stack([ORIGIN, light.centre * [1, 1, 0]]), SOFT, 1.0, dash=(3, 5))
+        self.line(np.stack([ORIGIN, max(radius, spoke) * foot]), SOFT, 1.0, dash=(3, 5))
         self.arrow(path, PHI, 1.8, head=11.0)
         self.label(f"φ {degrees(light.azimuth)}", path[-1], PHI, away_from=path[-len(path) // 3])
 
     def elevation_arc(self, light: PanelLight, radius: float) -> None:
         """Draw the elevation θ from the table plane."""
-        path = arc(_ORIGIN, foot_direction(light), _Z, light.elevation, radius)
+        path = arc(ORIGIN, foot_direction(light), Z, light.elevation, radius)
         self.arrow(path, THETA, 1.8, head=11.0)
-        self.label(f"θ {degrees(light.elevation)}", path[len(path) // 2], THETA, away_from=_ORIGIN)
+        self.label(f"θ {degrees(light.elevation)}", path[len(path) // 2], THETA, away_from=ORIGIN)
 
     def panel_frame(self, light: PanelLight, length: float) -> None:
         """Draw the sides' directions e_φ and e_θ at a panel."""

@@ -14,7 +14,7 @@ from lightopt.report._part_picture import draw_part
 from lightopt.report._rig_elements import INK, SOFT, STAGE, Pen, degrees, number
 from lightopt.report._rig_shapes import part_box, round_up, square
 from lightopt.report._typeface import Typeface, sub
-from lightopt.report._view import arc, fit_view
+from lightopt.report._view import X, Y, Z, arc, fit_view
 from lightopt.scene import Scene, pixel_footprint
 from lightopt.transforms import Posture, posture_rotation
 
@@ -32,7 +32,6 @@ _LIGHT_COLUMNS = (0, 190, 250, 315, 440)
 """Where the columns of the table of lights start or, all but the first, end [px]."""
 
 _VIEW = (np.radians(22.0), np.radians(292.0))
-_X = np.array([1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def _stage_top(scene: Scene) -> int:
     return EDGE + round((lines + 6.5) * Typeface(17).line_height)
 
 
-def paint_side(image: Image.Image, scene: Scene, left: int, *, grid: str, arcs: int) -> None:
+def paint_side(image: Image.Image, scene: Scene, left: int, *, grid: str, arcs: int | None) -> None:
     """Write the numbers of a rig into the column that starts at `left` [px]."""
     draw = ImageDraw.Draw(image)
     head, text = Typeface(21), Typeface(17)
@@ -77,7 +76,9 @@ def paint_side(image: Image.Image, scene: Scene, left: int, *, grid: str, arcs: 
         for column, cell in zip(_LIGHT_COLUMNS[1:], cells, strict=True):
             text.paint(image, x + column, y, cell, fill=SOFT, align="right")
     y += text.line_height
-    note = f"grid {grid} mm" + (f"; arcs for the first {arcs} lights" if len(scene.lights) > arcs else "")
+    note = f"grid {grid} mm" + (
+        f"; arcs of the first {arcs} lights" if arcs is not None and arcs < len(scene.lights) else ""
+    )
     text.paint(image, x, y + 4, note, fill=SOFT)
     y += 2 * text.line_height
     head.paint(image, x, y, "Part and stage", fill=INK)
@@ -144,7 +145,7 @@ def draw_stage(
     radius = 0.5 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
     rotary = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
-    ends = scene.pivot + reach * np.stack([_X, -0.8 * _X, rotary[:, 2], -0.35 * rotary[:, 2]])
+    ends = scene.pivot + reach * np.stack([X, -0.8 * X, rotary[:, 2], -0.35 * rotary[:, 2]])
     inner = (box[0] + 45, box[1] + 20, box[2] - 45, box[3] - 40)
     middle = corners.mean(axis=0)
     half, step = round_up(1.05 * radius)
@@ -167,10 +168,10 @@ def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
     pivot, ring = scene.pivot, 0.22 * reach
     tilted = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
     x, y, z = tilted.T
-    pen.line(np.stack([pivot - 0.8 * reach * _X, pivot + reach * _X]), STAGE, 1.6, dash=(16, 5))
+    pen.line(np.stack([pivot - 0.8 * reach * X, pivot + reach * X]), STAGE, 1.6, dash=(16, 5))
     pen.line(np.stack([pivot - 0.35 * reach * z, pivot + reach * z]), STAGE, 1.6, dash=(16, 5))
     for axis, start, towards, letter, name in (
-        (_X, np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -1.0]), "θ", "tilt axis"),
+        (X, -Y, -Z, "θ", "tilt axis"),
         (z, -x, -y, "φ", "rotary axis"),
     ):
         centre = pivot + 0.86 * reach * axis

@@ -9,9 +9,19 @@ from numpy.typing import NDArray
 
 from lightopt.transforms import azimuth_tangent, direction, elevation_tangent
 
-__all__ = ["ParallelView", "arc", "fit_view"]
+__all__ = ["ORIGIN", "ParallelView", "X", "Y", "Z", "arc", "fit_view"]
 
 Float64 = NDArray[np.float64]
+
+
+def _fixed(x: float, y: float, z: float) -> Float64:
+    vector = np.array([x, y, z])
+    vector.flags.writeable = False
+    return vector
+
+
+ORIGIN, X, Y, Z = _fixed(0, 0, 0), _fixed(1, 0, 0), _fixed(0, 1, 0), _fixed(0, 0, 1)
+"""The world frame's origin and axes."""
 
 
 @dataclass(frozen=True, kw_only=True)

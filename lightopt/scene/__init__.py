@@ -3,9 +3,7 @@
 :func:`build_scene` is the only code that knows both the YAML's words and the physics.
 """
 
-from lightopt.scene._build import _camera as build_camera
-from lightopt.scene._build import _lights as build_lights
-from lightopt.scene._build import build_scene
+from lightopt.scene._build import build_camera, build_lights, build_scene
 from lightopt.scene._camera import (
     Distortion,
     PinholeCamera,

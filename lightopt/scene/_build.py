@@ -29,7 +29,7 @@ from lightopt.sensor import Sensor
 from lightopt.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.units import MM_PER_UNIT
 
-__all__ = ["build_scene"]
+__all__ = ["build_camera", "build_lights", "build_scene"]
 
 CHORD_TOLERANCE_MM = 0.01
 CHORD_TOLERANCE_FOOTPRINTS = 0.2
@@ -65,9 +65,9 @@ def build_scene(
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
-    camera = _camera(rig)
+    camera = build_camera(rig)
     chosen = _postures(rig, part, postures)
-    placed = _lights(rig, lights, points)
+    placed = build_lights(rig, lights, points)
     mesh, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
     reflectance = part.reflectance
     scene = Scene(
@@ -88,7 +88,14 @@ def build_scene(
     return replace(scene, warnings=warnings)
 
 
-def _camera(rig: RigConfig) -> PinholeCamera:
+def build_camera(rig: RigConfig) -> PinholeCamera:
+    """The rig's camera, world frame.
+
+    Raises
+    ------
+    InputError
+        The lens model folds the image over.
+    """
     c = rig.camera
     if c.image_distance_mm is not None:
         image_distance = c.image_distance_mm
@@ -157,9 +164,25 @@ def _postures(rig: RigConfig, part: PartConfig, asked: Sequence[Posture] | None)
     return tuple(posture for posture, _ in named)
 
 
-def _lights(
-    rig: RigConfig, names: Sequence[str] | None, points: int | Literal["auto"] | None
+def build_lights(
+    rig: RigConfig, names: Sequence[str] | None = None, points: int | Literal["auto"] | None = None
 ) -> tuple[PanelLight, ...]:
+    """The rig's panels, world frame.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    names
+        Of the lights to keep; all by default.
+    points
+        Point lights per panel, instead of the rig's.
+
+    Raises
+    ------
+    InputError
+        A name that the rig does not have.
+    """
     known = [light.name for light in rig.lights]
     unknown = [name for name in names or () if name not in known]
     if unknown:

@@ -1,0 +1,129 @@
+"""Small scenes and the command line in process, for the tests of every tier."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from lightopt.cli._main import run
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# One key a line where a test wants to see its line number. 160 × 120 pixels of 44 µm see 70 × 53 mm of the table.
+RIG = """\
+format: lightopt-rig/1
+name: small
+camera:
+  distance_mm: 550
+  elevation_deg: 90
+  resolution_px: [160, 120]
+  pixel_size_um: 44
+  image_distance_mm: 55
+  sensor: {bit_depth: 8, read_noise_levels: 0.8, electrons_per_level: 60}
+light_source: {size_mm: [60, 60], points: 4}
+lights:
+  - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45}
+  - {name: light3, distance_mm: 330, elevation_deg: 45, azimuth_deg: 225, gain: 0.8}
+stage: {elevation_range_deg: [-45, 45], rotation_range_deg: [0, 360]}
+"""
+
+PART = """\
+format: lightopt-part/1
+name: knob
+mesh: {file: knob.stl, units: mm}
+placement: {anchor: rest_on_table, translate_mm: [0, 0, 0]}
+postures: [{elevation_deg: 0, rotation_deg: 0}, {elevation_deg: -10, rotation_deg: 170}]
+reflectance: {R_d: 45.0, R_s: 12500, sigma_rad: 0.0475}
+"""
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a command left: exit status, standard output, standard error."""
+
+    status: int
+    out: str
+    err: str
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A folder with a small rig, a part and its mesh, to render from and to spoil."""
+
+    folder: Path
+
+    @property
+    def rig(self) -> Path:
+        return self.folder / "rig.yaml"
+
+    @property
+    def part(self) -> Path:
+        return self.folder / "part.yaml"
+
+    @property
+    def mesh(self) -> Path:
+        return self.folder / "knob.stl"
+
+    @property
+    def out(self) -> Path:
+        return self.folder / "out"
+
+    def edit(self, name: str, old: str, new: str) -> None:
+        """Replace the only place in a file that reads `old`."""
+        path = self.folder / name
+        text = path.read_text(encoding="utf-8")
+        assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in {name}"
+        path.write_text(text.replace(old, new), encoding="utf-8", newline="\n")
+
+    @staticmethod
+    def make(folder: Path) -> Bench:
+        folder.mkdir(parents=True, exist_ok=True)
+        bench = Bench(folder)
+        bench.rig.write_text(RIG, encoding="utf-8", newline="\n")
+        bench.part.write_text(PART, encoding="utf-8", newline="\n")
+        shutil.copyfile(ROOT / "configs" / "parts" / "cover-knob.stl", bench.mesh)
+        return bench
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
+    """Run a command line in process."""
+
+    def command(*arguments: object) -> Ran:
+        capsys.readouterr()
+        status = run([str(argument) for argument in arguments])
+        said = capsys.readouterr()
+        return Ran(status, said.out, said.err)
+
+    return command
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    """A small rig and part of the test's own."""
+    return Bench.make(tmp_path / "bench")
+
+
+@pytest.fixture(scope="session")
+def shared_bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """A small rig and part that no test changes."""
+    return Bench.make(tmp_path_factory.mktemp("shared") / "bench")
+
+
+@pytest.fixture(scope="session")
+def snapshot() -> Callable[[Path], dict[str, str]]:
+    """All files below a folder by name, with the hash of their bytes; empty where there is no folder."""
+
+    def files(folder: Path) -> dict[str, str]:
+        return {
+            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in sorted(folder.rglob("*"))
+            if path.is_file()
+        }
+
+    return files

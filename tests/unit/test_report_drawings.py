@@ -1,0 +1,230 @@
+"""Drawings of a rig and of the conventions: what is drawn is where the program has it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.errors import InputError
+from lightopt.images import read_png
+from lightopt.mesh import TriangleMesh
+from lightopt.reflectance import Reflectance
+from lightopt.rendering import cast_rays_at
+from lightopt.report import frames_drawing, rig_drawing
+from lightopt.report._canvas import FINE, Canvas
+from lightopt.report._frames_panels import frame_panels
+from lightopt.report._labels import ink_of, place_labels
+from lightopt.report._part_picture import draw_part
+from lightopt.report._rig_shapes import camera_shape, nice_step, panel_corners, part_box, round_up
+from lightopt.report._rig_side import draw_stage
+from lightopt.report._typeface import Typeface
+from lightopt.report._view import fit_view
+from lightopt.scene import Distortion, PanelLight, Scene, place_camera, place_light, project
+from lightopt.sensor import Sensor
+from lightopt.transforms import Posture, direction
+
+BOX_FACES = np.array(
+    [
+        [0, 2, 1],
+        [0, 3, 2],
+        [4, 5, 6],
+        [4, 6, 7],
+        [0, 1, 5],
+        [0, 5, 4],
+        [1, 2, 6],
+        [1, 6, 5],
+        [2, 3, 7],
+        [2, 7, 6],
+        [3, 0, 4],
+        [3, 4, 7],
+    ]
+)
+
+
+def block(x: float = 40.0, y: float = 30.0, z: float = 20.0) -> TriangleMesh:
+    corners = np.array(
+        [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]]
+    )
+    return TriangleMesh(corners * [x / 2, y / 2, z / 2], BOX_FACES.astype(np.int32))
+
+
+def panel(name: str, azimuth: float, *, elevation: float = 60.0, distance: float = 330.0) -> PanelLight:
+    return place_light(
+        name=name,
+        distance=distance,
+        elevation=np.radians(elevation),
+        azimuth=np.radians(azimuth),
+        size=(60.0, 40.0),
+        points=4,
+    )
+
+
+def scene_of(
+    lights: tuple[PanelLight, ...],
+    *,
+    postures: tuple[Posture, ...] = (Posture(0, 0),),
+    elevation: float = 90.0,
+    distortion: Distortion = Distortion(),  # noqa: B008
+) -> Scene:
+    camera = place_camera(
+        distance=550.0,
+        elevation=np.radians(elevation),
+        azimuth=np.radians(270.0),
+        roll=0.0,
+        width=1600,
+        height=1200,
+        pixel_size=0.0044,
+        image_distance=55.0,
+        distortion=distortion,
+    )
+    return Scene(
+        camera=camera,
+        lights=lights,
+        mesh=block(),
+        reflectance=Reflectance(R_d=45.0, R_s=12500.0, sigma=0.0475, full_scale=255.0),
+        sensor=Sensor(bit_depth=8),
+        pivot=np.zeros(3),
+        postures=postures,
+    )
+
+
+FOUR = tuple(panel(f"light{i + 1}", 45.0 + 90 * i) for i in range(4))
+
+
+def test_rig_drawing_is_deterministic_and_shows_the_angles_when_asked(tmp_path: Path) -> None:
+    scene = scene_of(FOUR)
+    first = rig_drawing(scene, tmp_path / "1.png").read_bytes()
+    assert rig_drawing(scene, tmp_path / "2.png").read_bytes() == first
+    plain = rig_drawing(scene, tmp_path / "3.png", annotate=False)
+    full, bare = (ink(tmp_path / name) for name in ("1.png", "3.png"))
+    assert plain.read_bytes() != first
+    assert full.sum() > 1.05 * bare.sum()
+
+
+def ink(path: Path) -> np.ndarray:
+    return read_png(path, colour=True).min(axis=2) < 200
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        scene_of((panel("only", 0.0),)),
+        scene_of((panel("past the zenith", -60.0, elevation=110.0), panel("top", 0.0, elevation=90.0))),
+        scene_of(tuple(panel(f"l{i}", 15.0 * i, elevation=30.0) for i in range(24))),
+        scene_of((panel("near", 10.0, distance=40.0), panel("far", 100.0, distance=3000.0))),
+        scene_of(FOUR[:2], elevation=105.0, postures=(Posture(30, 40), *(Posture(0, i) for i in range(20)))),
+        scene_of(FOUR, elevation=0.0, distortion=Distortion(k1=-0.3)),
+        scene_of((), postures=()),
+    ],
+)
+def test_any_rig_can_be_drawn_within_its_borders(scene: Scene, tmp_path: Path) -> None:
+    picture = read_png(rig_drawing(scene, tmp_path / "rig.png"), colour=True)
+    for border in (picture[:6], picture[-6:], picture[:, :6], picture[:, -20:]):
+        assert border.min() == 255
+    assert (picture < 200).any(axis=2).mean() > 0.01
+
+
+def test_bad_paths(tmp_path: Path) -> None:
+    for draw in (lambda path: rig_drawing(scene_of(FOUR), path), frames_drawing):
+        with pytest.raises(InputError, match=r"ends in \.png"):
+            draw(tmp_path / "a.svg")
+        with pytest.raises(InputError, match="cannot be written"):
+            draw(tmp_path / "none" / "a.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_drawing_is_deterministic(tmp_path: Path) -> None:
+    first = frames_drawing(tmp_path / "1.png").read_bytes()
+    assert frames_drawing(tmp_path / "2.png").read_bytes() == first
+
+
+@pytest.mark.parametrize("panel", frame_panels(), ids=lambda panel: panel.title.split()[0])
+def test_every_label_of_the_conventions_finds_room(panel) -> None:
+    canvas = Canvas(590, 560)
+    labels = panel.draw(canvas, (26.0, 56.0, 564.0, 468.0))
+    image = canvas.finished()
+    placed = place_labels(labels, Typeface(20), ink=ink_of(image), bounds=(12.0, 48.0, 578.0, 476.0))
+    assert len(placed) == len(labels) > 2
+    drawn = np.asarray(image).min(axis=2) < 250
+    assert not drawn[:40].any()
+    assert not drawn[480:].any()
+    assert not drawn[:, :8].any()
+    assert not drawn[:, -8:].any()
+    width = max(Typeface(17).width(line) for line in panel.text)
+    assert width <= 564 - 26
+
+
+def test_footprint_is_what_the_camera_sees_of_the_table() -> None:
+    for elevation in (90.0, 60.0, 105.0):
+        camera = scene_of(FOUR, elevation=elevation, distortion=Distortion(k1=-0.2)).camera
+        shape = camera_shape(camera, 40.0)
+        assert np.allclose(shape.footprint[:, 2], 0.0, atol=1e-9)
+        columns, rows, _ = project(camera, shape.corners)
+        assert np.allclose(columns, [0, 1600, 1600, 0], atol=1e-6)
+        assert np.allclose(rows, [0, 0, 1200, 1200], atol=1e-6)
+
+
+def test_rays_that_miss_the_table_are_cut() -> None:
+    shape = camera_shape(scene_of(FOUR, elevation=0.0).camera, 40.0)
+    assert np.isfinite(shape.footprint).all()
+    assert np.abs(shape.footprint).max() < 2 * 550
+
+
+def test_panel_corners_are_the_panel() -> None:
+    light = panel("a", 45.0)
+    corners = panel_corners(light)
+    assert np.allclose(
+        corners.mean(axis=0), 330.0 * direction(elevation=np.radians(60), azimuth=np.radians(45))
+    )
+    assert np.allclose(np.linalg.norm(np.diff(corners, axis=0), axis=1), [60.0, 40.0, 60.0])
+
+
+def test_part_picture_is_where_the_view_places_the_part() -> None:
+    posture = Posture(30, 40)
+    scene = scene_of(FOUR, postures=(posture,))
+    corners = part_box(scene, posture)
+    view = fit_view(corners, elevation=0.4, azimuth=-1.2, box=(50, 50, 250, 200))
+    part = draw_part(scene, cast_rays_at(scene), posture, view)
+    seen = np.argwhere(np.isfinite(part.nearness)) + 0.5
+    flat = (seen[:, ::-1] + [part.left, part.top]) / FINE
+    expected = view.place(corners)
+    # the block's own box is the block
+    assert np.allclose(flat.min(axis=0), expected.min(axis=0), atol=1.0)
+    assert np.allclose(flat.max(axis=0), expected.max(axis=0), atol=1.0)
+    assert np.nanmax(part.nearness) == pytest.approx(view.nearness(corners).max(), abs=1.0)
+
+
+def test_part_hides_what_is_behind_it_only() -> None:
+    scene = scene_of(FOUR)
+    view = fit_view(part_box(scene, Posture(0, 0)), elevation=0.4, azimuth=-1.2, box=(50, 50, 250, 200))
+    part = draw_part(scene, cast_rays_at(scene), Posture(0, 0), view)
+    centre = np.array([0.0, 0.0, 10.0])
+    points = np.stack(
+        [centre, centre - 80 * view.toward, centre + 80 * view.toward, centre + 500 * view.right]
+    )
+    assert part.hides(points).tolist() == [True, True, False, False]
+
+
+def test_stage_axes_stay_in_their_box() -> None:
+    for posture in (Posture(0, 0), Posture(-45, 300), Posture(40, 10)):
+        scene = scene_of(FOUR, postures=(posture,))
+        canvas = Canvas(560, 1080)
+        stage = draw_stage(scene, cast_rays_at(scene), posture, canvas, 40, 1080, annotate=True)
+        drawn = np.argwhere(np.asarray(canvas.finished()).min(axis=2) < 250)
+        (top, left), (bottom, right) = drawn.min(axis=0), drawn.max(axis=0)
+        assert left >= stage.box[0] - 1
+        assert right <= stage.box[2] + 1
+        assert top >= stage.box[1] - 1
+        assert bottom <= stage.box[3] + 1
+
+
+@pytest.mark.parametrize(
+    ("span", "step"), [(1.0, 0.1), (99.0, 10.0), (101.0, 20.0), (380.0, 50.0), (7000.0, 1000.0)]
+)
+def test_steps_are_round(span: float, step: float) -> None:
+    assert nice_step(span) == pytest.approx(step)
+    half, used = round_up(span / 2)
+    assert half >= span / 2
+    assert half / used == pytest.approx(round(half / used))

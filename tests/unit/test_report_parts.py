@@ -1,0 +1,251 @@
+"""What report pictures are made of: thumbnails, text, views, labels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from lightopt.errors import InputError
+from lightopt.report._canvas import Canvas, check_png_path, write_picture
+from lightopt.report._labels import Label, ink_of, place_labels
+from lightopt.report._thumbnail import SATURATED_COLOUR, thumbnail, thumbnail_size
+from lightopt.report._typeface import Typeface, sub
+from lightopt.report._view import arc, fit_view
+from lightopt.transforms import direction
+
+
+@given(
+    st.integers(1, 300),
+    st.integers(1, 300),
+    st.integers(8, 120),
+)
+@settings(max_examples=60, deadline=None)
+def test_thumbnail_fits_and_keeps_shape_and_mean(width: int, height: int, limit: int) -> None:
+    rng = np.random.default_rng(width * 1000 + height)
+    level = rng.random((height, width)).astype(np.float32)
+    small = thumbnail(level, np.zeros(level.shape, bool), limit=limit)
+    rows, columns, _ = small.picture.shape
+    assert (columns, rows) == thumbnail_size(width, height, limit)
+    assert max(rows, columns) <= limit
+    assert (
+        2 * max(rows, columns) > limit or max(rows, columns) == 1 or limit > 2 * max(width, height) / 1.0 - 1
+    )
+    assert small.picture[..., 0].min() >= math.floor(255 * level.min())
+    assert small.picture[..., 0].max() <= math.ceil(255 * level.max())
+
+
+def test_thumbnail_averages_areas() -> None:
+    level = np.array([[0.0, 1.0, 0.5], [1.0, 0.0, 0.5], [0.2, 0.2, 0.4]])
+    small = thumbnail(level, np.zeros((3, 3), bool), limit=2)
+    # the last row and column are averaged over what there is of them
+    assert small.picture[..., 1].tolist() == [[128, 128], [51, 102]]
+
+
+def test_thumbnail_repeats_pixels_of_small_images() -> None:
+    small = thumbnail(np.array([[0.0, 1.0]]), np.zeros((1, 2), bool), limit=9)
+    assert small.picture.shape == (4, 8, 3)
+    assert (small.picture[:, :4] == 0).all()
+    assert (small.picture[:, 4:] == 255).all()
+
+
+def test_thumbnail_clips_what_the_camera_would() -> None:
+    level = np.array([[-1.0, np.nan, np.inf, 7.0]])
+    assert thumbnail(level, np.zeros((1, 4), bool), limit=4).picture[0, :, 0].tolist() == [0, 0, 255, 255]
+
+
+def test_one_saturated_pixel_shows_in_its_cell() -> None:
+    saturated = np.zeros((80, 80), bool)
+    saturated[41, 13] = True
+    small = thumbnail(np.zeros((80, 80), np.float32), saturated, limit=8)
+    assert (small.saturated, small.pixels) == (1, 6400)
+    marked = small.picture[..., 0] > 0
+    assert np.argwhere(marked).tolist() == [[4, 1]]
+    red, green, blue = (int(v) for v in small.picture[4, 1])
+    assert red > 80
+    assert red > 2 * max(green, blue)
+
+
+@given(st.integers(0, 16))
+def test_more_saturation_is_redder(count: int) -> None:
+    def redness(n: int) -> float:
+        saturated = np.zeros(16, bool)
+        saturated[:n] = True
+        picture = thumbnail(np.full((4, 4), 0.5), saturated.reshape(4, 4), limit=1).picture
+        return float(np.abs(picture[0, 0].astype(float) - SATURATED_COLOUR).sum())
+
+    if count:
+        assert redness(count) < redness(count - 1)
+    if count == 16:
+        assert redness(16) == 0
+
+
+def written(text: str, size: int = 24, **options: str) -> np.ndarray:
+    """Where there is ink of a text that starts, ends or has its middle at column 100."""
+    image = Image.new("RGB", (400, 80), "#ffffff")
+    Typeface(size).paint(image, 100, 50, text, fill="#000000", **options)  # pyright: ignore[reportArgumentType]
+    return np.asarray(image)[..., 0] < 128
+
+
+def test_letters_that_the_font_lacks_are_drawn_each_in_its_own_shape() -> None:
+    shapes = [written(letter) for letter in "θφρ×−o"]
+    box = written("\u4e00")  # the font's sign for a letter it does not have
+    for i, shape in enumerate(shapes):
+        assert shape.sum() > 10
+        assert not np.array_equal(shape, box)
+        assert all(not np.array_equal(shape, other) for other in shapes[i + 1 :])
+
+
+def test_drawn_letters_stand_on_the_line_like_others() -> None:
+    theta, zero = np.argwhere(written("θ", 40)), np.argwhere(written("0", 40))
+    assert abs(theta[:, 0].max() - zero[:, 0].max()) <= 2
+    assert abs(theta[:, 0].min() - zero[:, 0].min()) <= 2
+    assert np.argwhere(written("φ", 40))[:, 0].max() > zero[:, 0].max() + 4
+
+
+def test_width_is_what_is_written() -> None:
+    typeface = Typeface(24)
+    for text in ("light1", "θ 60°, φ −45°", sub("e", "θ") + " × " + sub("e", "φ")):
+        inked = np.argwhere(written(text))
+        assert abs((inked[:, 1].max() + 1 - 100) - typeface.width(text)) <= 4
+    assert typeface.width("") == 0
+
+
+def test_subscript_is_lower_and_smaller() -> None:
+    plain, lowered = np.argwhere(written("xx")), np.argwhere(written(sub("x", "x")))
+    assert lowered[:, 0].max() > plain[:, 0].max()
+    assert lowered[:, 1].max() < plain[:, 1].max()
+
+
+def test_alignment() -> None:
+    columns = [np.argwhere(written("word", align=align))[:, 1] for align in ("left", "centre", "right")]
+    assert columns[0].min() > columns[1].min()
+    assert abs(columns[1].mean() - 100) <= 3
+    assert columns[0].min() >= 100
+    assert columns[2].max() <= 100
+
+
+@given(st.text(max_size=40), st.integers(5, 300))
+@settings(max_examples=80, deadline=None)
+def test_any_name_fits_and_can_be_written(text: str, width: int) -> None:
+    typeface = Typeface(16)
+    fitted = typeface.fit(text, width)
+    assert typeface.width(fitted) <= width or fitted == "…"
+    image = Image.new("RGB", (60, 60), "#ffffff")
+    typeface.paint(image, 5, 30, text, fill="#000000", halo="#ffffff")
+    assert np.asarray(image)[:8].min() == np.asarray(image)[52:].min() == 255
+
+
+def test_line_breaks_in_a_name_do_not_break_the_line() -> None:
+    inked = np.argwhere(written("a\nb"))
+    assert inked[:, 0].max() < 60
+    assert Typeface(24).width("a\nb") > Typeface(24).width("ab")
+
+
+def test_canvas_lines_are_where_they_are_asked_for() -> None:
+    canvas = Canvas(40, 30)
+    canvas.line(np.array([[10.0, 5.0], [10.0, 25.0]]), colour="#000000", width=1.0)
+    picture = np.asarray(canvas.finished())[..., 0].astype(float)
+    assert abs((255 - picture).sum(axis=1)[15] / 255 - 1.0) < 0.35
+    assert np.argmin(picture[15]) in (9, 10)
+    assert picture[2].min() == 255
+    assert picture[27].min() == 255
+
+
+def test_dashes_leave_gaps() -> None:
+    canvas = Canvas(120, 10)
+    canvas.line(np.array([[5.0, 5.0], [110.0, 5.0]]), colour="#000000", width=2.0, dash=(10, 5))
+    row = np.asarray(canvas.finished())[5, :, 0] < 128
+    assert 6 <= np.count_nonzero(np.diff(row.astype(int)) == 1) <= 8
+
+
+def test_an_arrow_of_no_length_draws_nothing() -> None:
+    canvas = Canvas(20, 20)
+    canvas.arrow(np.array([[10.0, 10.0], [10.0, 10.0]]), colour="#000000")
+    assert np.asarray(canvas.finished()).min() == 255
+
+
+def test_a_picture_must_be_called_png() -> None:
+    assert check_png_path("a/b.PNG").name == "b.PNG"
+    with pytest.raises(InputError, match=r"rig\.jpg: .*expected a name that ends in \.png"):
+        check_png_path("rig.jpg")
+
+
+def test_a_picture_that_cannot_be_written_leaves_nothing(tmp_path) -> None:
+    with pytest.raises(InputError, match="cannot be written"):
+        write_picture(tmp_path / "missing" / "a.png", Image.new("RGB", (2, 2)))
+    assert list(tmp_path.iterdir()) == []
+
+
+points3 = st.lists(st.tuples(*[st.floats(-500, 500)] * 3), min_size=2, max_size=12)
+
+
+@given(points3, st.floats(0, 1.5), st.floats(0, 6.3))
+def test_fitted_view_shows_all_points(points, elevation: float, azimuth: float) -> None:
+    box = (10.0, 20.0, 400.0, 300.0)
+    view = fit_view(np.array(points), elevation=elevation, azimuth=azimuth, box=box)
+    flat = view.place(np.array(points))
+    assert (flat >= np.array(box[:2]) - 1e-3).all()
+    assert (flat <= np.array(box[2:]) + 1e-3).all()
+
+
+def test_view_keeps_right_up_and_nearness() -> None:
+    view = fit_view(np.diag([100.0, 100.0, 100.0]), elevation=0.3, azimuth=-1.2, box=(0, 0, 100, 100))
+    origin = view.place(np.zeros(3))
+    step = np.array([1.0, -1.0]) * (view.place(view.right + view.up) - origin)
+    assert np.allclose(step, view.scale)
+    assert np.allclose(view.place(7 * view.toward), origin)
+    assert view.nearness(2 * view.toward) == pytest.approx(2.0)
+
+
+def test_arc_of_elevation_ends_at_the_direction() -> None:
+    foot = np.array([math.cos(0.7), math.sin(0.7), 0.0])
+    for elevation in (0.4, math.pi / 2, math.radians(105)):
+        path = arc(np.zeros(3), foot, np.array([0.0, 0.0, 1.0]), elevation, 3.0)
+        assert np.allclose(path[-1], 3.0 * direction(elevation=elevation, azimuth=0.7))
+        assert np.allclose(np.linalg.norm(path, axis=1), 3.0)
+
+
+anchors = st.lists(st.tuples(st.floats(150, 450), st.floats(150, 350)), min_size=1, max_size=14)
+
+
+@given(anchors, st.integers(0, 1000))
+@settings(max_examples=40, deadline=None)
+def test_labels_never_overlap(places, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ink = (rng.random((500, 600)) > 0.9).astype(float)
+    labels = [Label(text=f"light {i}", anchor=place, colour="#000000") for i, place in enumerate(places)]
+    keep_out = (250.0, 200.0, 350.0, 300.0)
+    bounds = (5.0, 5.0, 595.0, 495.0)
+    placed = place_labels(labels, Typeface(20), ink=ink, bounds=bounds, keep_out=[keep_out])
+    assert len(placed) == len(labels)
+    boxes = [item.box for item in placed] + [keep_out]
+    for i, a in enumerate(boxes):
+        assert min(a[0] - bounds[0], a[1] - bounds[1], bounds[2] - a[2], bounds[3] - a[3]) >= 0
+        for b in boxes[i + 1 :]:
+            assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
+
+
+def test_a_label_avoids_lines_and_takes_its_side() -> None:
+    ink = np.zeros((200, 300))
+    free = Label(text="name", anchor=(150.0, 100.0), colour="#000000", away=(0.0, 1.0))
+    (below,) = place_labels([free], Typeface(20), ink=ink, bounds=(0, 0, 300, 200))
+    assert below.box[1] > 100
+    ink[101:] = 1.0
+    (above,) = place_labels([free], Typeface(20), ink=ink, bounds=(0, 0, 300, 200))
+    assert above.box[3] <= 101
+
+
+def test_a_label_without_room_is_left_out() -> None:
+    label = Label(text="much too long", anchor=(10.0, 10.0), colour="#000000")
+    assert place_labels([label], Typeface(20), ink=np.zeros((30, 30)), bounds=(0, 0, 30, 30)) == ()
+
+
+def test_ink_ignores_pale_areas() -> None:
+    image = Image.new("RGB", (3, 1), "#f7f8fa")
+    image.putpixel((1, 0), (20, 20, 20))
+    assert ink_of(image).tolist() == [[0.0, 1.0, 0.0]]
