@@ -12,7 +12,7 @@ from lightopt import build_scene
 from lightopt.mesh import TriangleMesh, load_mesh, transformed
 from lightopt.scene import PinholeCamera, Scene
 
-__all__ = ["CONFIGS", "FULL", "QUICK", "TOY", "Size", "case_scene", "resized", "spout_scene", "with_sigma"]
+__all__ = ["CONFIGS", "FULL", "QUICK", "RIG", "TOY", "Size", "case_scene", "chrome", "resized", "spout_scene"]
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 RIG = CONFIGS / "rigs" / "four-panel.yaml"
@@ -82,9 +82,9 @@ def resized(camera: PinholeCamera, width: int) -> PinholeCamera:
     return replace(camera, width=width, height=height, pixel_size=camera.pixel_size * camera.width / width)
 
 
-def with_sigma(scene: Scene, sigma: float) -> Scene:
-    """The scene with another width of the specular lobe [rad]."""
-    return replace(scene, reflectance=replace(scene.reflectance, sigma=sigma))
+def chrome(scene: Scene) -> Scene:
+    """The scene in polished chrome: σ = 0.003, and R_s so great that the mirror image of a panel is saturated."""
+    return replace(scene, reflectance=replace(scene.reflectance, sigma=0.003, R_s=60_000.0))
 
 
 def _rest_on_table(mesh: TriangleMesh) -> TriangleMesh:

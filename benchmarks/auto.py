@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._case import Size, case_scene, resized, spout_scene, with_sigma
+from benchmarks._case import Size, case_scene, chrome, resized, spout_scene
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from benchmarks.bare import THREADS
@@ -74,9 +74,9 @@ def run(size: Size) -> Report:
     """Time and exactness on the cover knob, glossy and as in the paper, and on the spout that shades itself."""
     knob, spout = case_scene(size), spout_scene(size)
     scenes = {
-        "knob, σ = 0.003": with_sigma(knob, 0.003),
+        "knob, σ = 0.003": chrome(knob),
         "knob, σ = 0.0475": knob,
-        "spout, σ = 0.003": with_sigma(spout, 0.003),
+        "spout, σ = 0.003": chrome(spout),
     }
     seconds = _times(scenes, size.repeats)
     # exactness is that of the rendering, not of the mesh: the images are reduced, the mesh is not

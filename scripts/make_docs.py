@@ -126,6 +126,8 @@ def main() -> None:
             )  # fmt: skip
             crops.append(read_exr(target / "posture_0_0" / "light2.exr")["Y"][100:1100, 200:1400][::2, ::2])
         side_by_side(PICTURES / "spout-4-auto.png", crops, gain=3.0)
+    findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
+    replace_block(DOCS / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:
         replace_block(DOCS / "reflection-model.md", "table-1", saturated_table())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from lightopt.images import read_exr, read_exr_metadata, read_image_set, read_pn
 from lightopt.scene import build_camera, project
 from lightopt.sensor import Sensor, expose
 
+SPOUT = Path(__file__).resolve().parents[2] / "configs" / "parts" / "spout.stl"
 FEW = ("--patches", "500")  # as few patches as there are triangles: fast
 FULL = ("--layers", "--exposure", "1", "--exposure", "1/16", *FEW)
 
@@ -134,7 +136,7 @@ def test_exposure_scales_the_png_and_leaves_the_exr(cli, bench):
     out = {}
     for exposure in ("1", "1/16", "0.0625"):
         out[exposure] = bench.folder / exposure.replace("/", "_")
-        ran = cli("render", bench.rig, bench.part, "-o", out[exposure], "-q", "--exposure", exposure)
+        ran = cli("render", bench.rig, bench.part, "-o", out[exposure], *FEW, "-q", "--exposure", exposure)
         assert ran.status == 0
     exr = [(folder / "posture_0_0" / "light1.exr").read_bytes() for folder in out.values()]
     assert exr[0] == exr[1] == exr[2]
@@ -147,7 +149,7 @@ def test_exposure_scales_the_png_and_leaves_the_exr(cli, bench):
 
 
 def test_no_shadows_only_adds_light(cli, bench):
-    shutil.copyfile("configs/parts/spout.stl", bench.folder / "spout.stl")
+    shutil.copyfile(SPOUT, bench.folder / "spout.stl")
     bench.edit("part.yaml", "knob.stl", "spout.stl")
     levels = []
     for option in ([], ["--no-shadows"]):
@@ -452,7 +454,7 @@ def test_other_inputs_are_refused_without_force(cli, bench, snapshot, name):
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q").status == 0
     before = snapshot(bench.out)
     if name == "knob.stl":
-        shutil.copyfile("configs/parts/spout.stl", bench.mesh)
+        shutil.copyfile(SPOUT, bench.mesh)
     else:
         bench.edit(name, "format:", "# changed\nformat:")
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q")

@@ -1,0 +1,116 @@
+"""``lightopt check``: what it prints, its exit statuses, JSON and drawing."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+
+def test_a_sound_rig_and_part(cli, bench, snapshot):
+    before = snapshot(bench.folder)
+    ran = cli("check", bench.rig, bench.part)
+    assert ran.status == 0, ran.err
+    assert ran.err == ""
+    levels = {line.split(":")[0] for line in ran.out.splitlines()}
+    assert levels <= {"ok", "note", "warning"}
+    assert "footprint" in ran.out
+    assert "field of view: 70.4 × 52.8 mm" in ran.out
+    assert f"({bench.rig}:7: camera.pixel_size_um)" in ran.out
+    assert snapshot(bench.folder) == before, "checking writes nothing"
+
+
+def test_the_rig_alone(cli, bench):
+    ran = cli("check", bench.rig)
+    assert (ran.status, ran.err) == (0, "")
+    assert "pixel" in ran.out
+    assert str(bench.part) not in ran.out
+
+
+def test_quiet_keeps_warnings_only(cli, bench):
+    bench.edit("part.yaml", "sigma_rad: 0.0475", "sigma_rad: 0.003")
+    loud = cli("check", bench.rig, bench.part).out.splitlines()
+    quiet = cli("check", bench.rig, bench.part, "--quiet").out.splitlines()
+    assert quiet == [line for line in loud if line.startswith(("warning:", "error:"))]
+    assert any("points" in line and "light1" in line for line in quiet)
+
+
+def test_json_holds_the_findings(cli, bench):
+    path = bench.folder / "findings.json"
+    ran = cli("check", bench.rig, bench.part, "--json", path)
+    assert ran.status == 0
+    report = json.loads(path.read_text(encoding="utf-8"))
+    assert report["worst"] in ("ok", "note", "warning")
+    assert len(report["findings"]) == len(ran.out.splitlines())
+    for finding, line in zip(report["findings"], ran.out.splitlines(), strict=True):
+        assert line.startswith(finding["level"] + ":")
+        assert finding["topic"] in line
+        assert finding["text"] in line
+
+
+def test_a_finding_that_cannot_be_is_exit_status_one(cli, bench):
+    # the lower light's panel reaches into the part
+    bench.edit("rig.yaml", "distance_mm: 330, elevation_deg: 45", "distance_mm: 20, elevation_deg: 45")
+    path = bench.folder / "findings.json"
+    ran = cli("check", bench.rig, bench.part, "--json", path)
+    assert ran.status == 1
+    assert any(line.startswith("error:") and "light3" in line for line in ran.out.splitlines())
+    assert ran.err.startswith("error: ")
+    assert "must be mended before rendering" in ran.err
+    assert json.loads(path.read_text(encoding="utf-8"))["worst"] == "error"
+
+
+def test_both_files_errors_come_at_once(cli, bench):
+    bench.edit("rig.yaml", "distance_mm: 550", "distance_mm: far")
+    bench.edit("rig.yaml", "pixel_size_um: 44", "pixel_size_um: -44")
+    bench.edit("part.yaml", "R_d: 45.0", "R_d: -1")
+    ran = cli("check", bench.rig, bench.part)
+    assert ran.status == 2
+    assert ran.out == ""
+    lines = ran.err.splitlines()
+    assert [line.split(": ")[1] for line in lines] == [f"{bench.rig}:4", f"{bench.rig}:7", f"{bench.part}:6"]
+    assert all(line.startswith("error: ") for line in lines)
+
+
+def test_drawing_is_written_and_named(cli, bench):
+    path = bench.folder / "rig.png"
+    ran = cli("check", bench.rig, bench.part, "--drawing", path)
+    assert ran.status == 0
+    assert ran.out.splitlines()[-1] == str(path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_drawing_needs_a_part_and_nothing_is_written_without(cli, bench, snapshot):
+    before = snapshot(bench.folder)
+    ran = cli(
+        "check", bench.rig, "--drawing", bench.folder / "rig.png", "--json", bench.folder / "findings.json"
+    )
+    assert ran.status == 2
+    assert ran.err == "error: --drawing: needs a part file, too\n"
+    assert ran.out == ""
+    assert snapshot(bench.folder) == before
+
+
+@pytest.mark.parametrize("option", ["--json", "--drawing"])
+def test_an_output_that_cannot_be_written(cli, bench, option):
+    target = bench.folder / "no such folder" / "file.png"
+    ran = cli("check", bench.rig, bench.part, option, target)
+    assert ran.status == 2
+    assert ran.err.startswith("error: ")
+    assert str(target) in ran.err
+    assert "Traceback" not in ran.err
+    assert not target.parent.exists()
+
+
+def test_a_unit_mistake_is_named(cli, bench):
+    bench.edit("part.yaml", "units: mm", "units: inch")
+    ran = cli("check", bench.rig, bench.part)
+    said = ran.out + ran.err
+    assert ran.status in (0, 2)
+    assert "mm" in said
+    assert "unit" in said
+    bench.edit("part.yaml", "units: inch", "units: m")
+    ran = cli("check", bench.rig, bench.part)
+    assert ran.status == 2
+    assert "unit" in ran.err
+    assert "1000" in ran.err or "mm" in ran.err

@@ -1,0 +1,155 @@
+"""``lightopt init`` and ``lightopt schema``, help, version and wrong command lines."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lightopt import __version__
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMANDS = ("init", "check", "render", "compare", "schema")
+
+
+def test_init_writes_a_rig_a_part_a_mesh_and_their_schemas(cli, tmp_path):
+    folder = tmp_path / "a" / "mine"
+    ran = cli("init", folder)
+    assert (ran.status, ran.err) == (0, "")
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["cover-knob.step", "part.json", "part.yaml", "rig.json", "rig.yaml"]
+    lines = ran.out.splitlines()
+    assert {Path(line).name for line in lines[:-1]} == set(names)
+    assert lines[-1] == f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}"
+    for name in ("rig", "part"):
+        text = (folder / f"{name}.yaml").read_text(encoding="utf-8")
+        assert text.startswith(f"# yaml-language-server: $schema={name}.json\n")
+        assert text.count("#") > 10, "the files are commented"
+        json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def test_what_init_wrote_can_be_checked(cli, tmp_path):
+    assert cli("init", tmp_path / "mine").status == 0
+    ran = cli("check", tmp_path / "mine" / "rig.yaml", tmp_path / "mine" / "part.yaml")
+    assert ran.status == 0, ran.err
+    assert "error:" not in ran.out
+
+
+def test_init_does_not_replace_files_without_force(cli, tmp_path, snapshot):
+    assert cli("init", tmp_path).status == 0
+    pristine = snapshot(tmp_path)
+    (tmp_path / "rig.yaml").write_text("mine")
+    before = snapshot(tmp_path)
+    ran = cli("init", tmp_path)
+    assert ran.status == 2
+    assert ran.err.startswith(f"error: {tmp_path} already has rig.yaml")
+    assert "--force" in ran.err
+    assert snapshot(tmp_path) == before
+    assert cli("init", tmp_path, "--force").status == 0
+    assert snapshot(tmp_path) == pristine
+
+
+def test_init_in_a_place_that_cannot_be(cli, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("")
+    ran = cli("init", file / "mine")
+    assert ran.status == 2
+    assert ran.err.startswith(f"error: {file / 'mine'}: cannot be made: ")
+    assert "Traceback" not in ran.err
+
+
+@pytest.mark.parametrize("kind", ["rig", "part"])
+def test_schema_prints_what_is_committed(cli, kind):
+    ran = cli("schema", kind)
+    assert (ran.status, ran.err) == (0, "")
+    printed = json.loads(ran.out)
+    assert printed == json.loads((ROOT / "configs" / "schema" / f"{kind}.json").read_text(encoding="utf-8"))
+    assert printed["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+
+
+def test_schema_of_something_else(cli):
+    ran = cli("schema", "camera")
+    assert ran.status == 2
+    assert ran.err.startswith("error: ")
+    assert "'camera'" in ran.err
+    assert "lightopt schema --help" in ran.err
+
+
+@pytest.mark.parametrize("option", ["--help", "-h"])
+def test_help_names_all_commands(cli, option):
+    ran = cli(option)
+    assert ran.status == 0
+    for command in COMMANDS:
+        assert f"  {command} " in ran.out
+    assert "130 interrupted" in " ".join(ran.out.split())
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_explains_itself(cli, command):
+    ran = cli(command, "--help")
+    assert ran.status == 0
+    assert ran.out.startswith(f"Usage: lightopt {command} ")
+
+
+def test_no_arguments_show_the_help(cli):
+    ran = cli()
+    assert "Usage: lightopt" in ran.out + ran.err
+    assert ran.status in (0, 2)
+
+
+def test_version(cli):
+    ran = cli("--version")
+    assert (ran.status, ran.out, ran.err) == (0, f"lightopt {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("rendr",), "No such command 'rendr'"),
+        (("render",), "Missing argument 'RIG'"),
+        (("render", "rig.yaml"), "Missing argument 'PART'"),
+        (("render", "rig.yaml", "part.yaml"), "Missing option '--out'"),
+        (("render", "rig.yaml", "part.yaml", "-o", "out", "--exposur", "1"), "--exposure"),
+        (("render", "rig.yaml", "part.yaml", "-o", "out", "--threads", "two"), "'two' is not a valid int"),
+        (("render", "rig.yaml", "part.yaml", "other.yaml", "-o", "out"), "other.yaml"),
+        (("compare", "a"), "Missing argument 'B'"),
+    ],
+)
+def test_wrong_command_lines(cli, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    ran = cli(*arguments)
+    assert ran.status == 2
+    assert ran.err.startswith("error: ")
+    assert said in ran.err
+    assert "--help" in ran.err
+    assert "Traceback" not in ran.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def lightopt(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "lightopt", *arguments], capture_output=True, text=True, **options
+    )
+
+
+def test_the_module_leaves_with_the_exit_status():
+    assert lightopt("--version").returncode == 0
+    ran = lightopt("render", "no.yaml", "no.yaml", "-o", os.devnull)
+    assert ran.returncode == 2
+    assert ran.stderr.startswith("error: no.yaml: no such file")
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    command = [sys.executable, "-m", "lightopt", "schema", "rig"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+        process.wait(60)
+    assert process.returncode == 0
+    assert said == b""
