@@ -48,7 +48,9 @@ class MitsubaPeer:
         dr.eval(hit, view, front)
         images: list[Float32] = []
         for light in source.lights:
-            grid = dr.opaque(mi.Float, 0.0, 1) + mi.Float(panel_grid(light, int(light.points)).astype(np.float32).ravel())
+            grid = dr.opaque(mi.Float, 0.0, 1) + mi.Float(
+                panel_grid(light, int(light.points)).astype(np.float32).ravel()
+            )
             dr.eval(grid)
             level = mi.Float(0.0)
             for k in range(int(light.points)):
@@ -70,8 +72,10 @@ class MitsubaPeer:
         chord = dr.norm(normal - dr.normalize(light + view))
         delta = 2.0 * dr.asin(dr.minimum(0.5 * chord, 1.0))
         n_dot_v = dr.dot(normal, view)
-        specular = reflectance.R_s / dr.maximum(n_dot_v, MIN_COS_VIEW) * dr.exp(
-            -0.5 / reflectance.sigma**2 * delta * delta
+        specular = (
+            reflectance.R_s
+            / dr.maximum(n_dot_v, MIN_COS_VIEW)
+            * dr.exp(-0.5 / reflectance.sigma**2 * delta * delta)
         )
         level = reflectance.R_d * dr.dot(normal, light) + dr.select(n_dot_v > 0.0, specular, 0.0)
         return dr.select(active, level, mi.Float(0.0))

@@ -16,7 +16,7 @@ from lightopt.raycast import RayCaster
 from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture, trace_samples
 from lightopt.scene import Scene, screen_window
 
-__all__ = ["Comparison", "compare", "converged", "run"]
+__all__ = ["Comparison", "compare", "converged", "exactness", "run"]
 
 TARGET = 4.0
 NEAR_HIGHLIGHT = 0.01
@@ -83,9 +83,11 @@ def run(size: Size) -> Report:
     found: list[tuple[str, str, Comparison]] = []
     for name, scene in scenes.items():
         reduced = replace(scene, camera=resized(scene.camera, size.reference_width))
-        found += _exactness(f"{name}, {size.reference_width} px wide", reduced, size.reference_points, near=False)
+        found += exactness(
+            f"{name}, {size.reference_width} px wide", reduced, size.reference_points, near=False
+        )
     name = "knob, σ = 0.003"
-    found += _exactness(f"{name}, near highlights", scenes[name], size.reference_points, near=True)
+    found += exactness(f"{name}, near highlights", scenes[name], size.reference_points, near=True)
     return Report(
         "auto",
         [_time_table(scenes, seconds), _exactness_table(found, size)],
@@ -116,7 +118,11 @@ def _times(scenes: dict[str, Scene], repeats: int) -> dict[str, list[float]]:
     return rounds(tasks, repeats)
 
 
-def _exactness(name: str, scene: Scene, side: int, *, near: bool) -> list[tuple[str, str, Comparison]]:
+def exactness(name: str, scene: Scene, side: int, *, near: bool) -> list[tuple[str, str, Comparison]]:
+    """How far `auto` and m = 4 are from panels of side² points, per region: (region, what is compared, result).
+
+    On all pixels that see the part, or on those near highlights alone; apart where a shadow's edge crosses the panel.
+    """
     caster = cast_rays_at(scene)
     auto = render_posture(converged(scene), scene.postures[0], caster=caster, layers=near, threads=THREADS)
     four = render_posture(scene, scene.postures[0], caster=caster, threads=THREADS)

@@ -73,7 +73,8 @@ def record_rays(scene: Scene) -> RecordedRays:
     render_posture(scene, scene.postures[0], caster=caster, threads=1)
     local = ((scene.mesh.vertices - caster.centre) / caster.radius).astype(np.float32)
     camera, shadow = (
-        (np.concatenate([o for o, _ in batches]), np.concatenate([d for _, d in batches])) for batches in kept.values()
+        (np.concatenate([o for o, _ in batches]), np.concatenate([d for _, d in batches]))
+        for batches in kept.values()
     )
     return RecordedRays(local, np.ascontiguousarray(scene.mesh.faces, np.int32), camera, shadow)
 
@@ -130,7 +131,12 @@ def run(size: Size) -> Report:
     return Report(
         "bare",
         [
-            _table(seconds, "bare embreex", f"{THREADS} threads, {size.repeats} rounds (target ≤ {TARGET})", rays.count),
+            _table(
+                seconds,
+                "bare embreex",
+                f"{THREADS} threads, {size.repeats} rounds (target ≤ {TARGET})",
+                rays.count,
+            ),
             _table(single, "bare embreex, 1 thread", "1 thread", rays.count),
         ],
         {

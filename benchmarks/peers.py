@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +20,16 @@ from benchmarks.bare import THREADS
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene
 
-__all__ = ["AGREEMENT", "Peer", "agreement", "peers_of", "run"]
+__all__ = ["AGREEMENT", "Peer", "agreement", "peers_of", "run", "table"]
 
 AGREEMENT = 0.99
 """Least share of lit pixels that a peer must have within 1e-3 of ours before its time counts."""
+
+TRIALS = {
+    "Open3D + NumPy": "import open3d",
+    "Mitsuba 3 llvm_ad_mono": "import mitsuba as mi; mi.set_variant('llvm_ad_mono'); assert (mi.Float(1) + 1)[0] == 2",
+}
+"""Programs that fail where an optional peer cannot run; in a process of their own, since a missing LLVM may end it."""
 
 Float32 = NDArray[np.float32]
 
@@ -37,7 +44,7 @@ class Peer:
 
 
 def peers_of(scene: Scene) -> tuple[list[Peer], list[str]]:
-    """lightopt and its peers, and the names of those that are not installed."""
+    """lightopt and the peers that run here, and why the others do not."""
 
     def ours(caster: object) -> list[Float32]:
         images = render_posture(scene, scene.postures[0], caster=caster, threads=THREADS)  # type: ignore[arg-type]
@@ -46,18 +53,28 @@ def peers_of(scene: Scene) -> tuple[list[Peer], list[str]]:
     def shaded_in_numpy(caster: object) -> list[Float32]:
         return render_numpy(scene, caster, threads=THREADS)  # type: ignore[arg-type]
 
-    everyone = {
-        "lightopt": Peer("lightopt", lambda: cast_rays_at(scene), ours),
-        "open3d": Peer("Open3D + NumPy", lambda: Open3DCaster(scene, threads=THREADS), shaded_in_numpy),
-        "mitsuba": Peer(
+    everyone = [
+        Peer("lightopt", lambda: cast_rays_at(scene), ours),
+        Peer("Open3D + NumPy", lambda: Open3DCaster(scene, threads=THREADS), shaded_in_numpy),
+        Peer(
             "Mitsuba 3 llvm_ad_mono",
             lambda: MitsubaPeer(scene, threads=THREADS),
             lambda peer: peer.render(),  # type: ignore[attr-defined]
         ),
-        "trimesh": Peer("trimesh.ray + NumPy", lambda: TrimeshCaster(scene), shaded_in_numpy),
-    }
-    there = {name: peer for name, peer in everyone.items() if importlib.util.find_spec(name) is not None}
-    return list(there.values()), sorted(set(everyone) - set(there))
+        Peer("trimesh.ray + NumPy", lambda: TrimeshCaster(scene), shaded_in_numpy),
+    ]
+    problems = {name: problem for name, program in TRIALS.items() if (problem := _problem(program))}
+    missing = [f"{name} does not run here and is left out: {problem}" for name, problem in problems.items()]
+    return [peer for peer in everyone if peer.name not in problems], missing
+
+
+def _problem(program: str) -> str:
+    # last line of what a program complained about; empty where it ran
+    done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
+    if done.returncode == 0:
+        return ""
+    lines = done.stderr.strip().splitlines()
+    return lines[-1] if lines else f"exit status {done.returncode}"
 
 
 def agreement(images: list[Float32], ours: list[Float32]) -> float:
@@ -112,56 +129,56 @@ def _report(
     agreed: Mapping[str, float],
     seconds: Mapping[str, list[float]],
 ) -> Report:
-    whole = {
-        peer.name: [
-            a + b
-            for a, b in zip(seconds[f"{peer.name}: build"], seconds[f"{peer.name}: images"], strict=True)
-        ]
-        for peer in peers
-    }
-    rows: list[tuple[str, ...]] = []
-    for peer in peers:
-        ok = agreed[peer.name] >= AGREEMENT
-        rows.append(
-            (
-                peer.name,
-                f"{100 * agreed[peer.name]:.3f} %" if ok else f"{100 * agreed[peer.name]:.3f} %: disagrees",
-                f"{sum(first[peer.name]):.2f}",
-                f"{min(seconds[f'{peer.name}: build']):.2f}",
-                f"{min(seconds[f'{peer.name}: images']):.2f}",
-                f"{np.median(whole[peer.name]):.2f}",
-                *(ratio_text(whole[peer.name], whole["lightopt"]) if ok else ("", "")),
-            )
-        )
-    notes = [
-        f"{scene.camera.width} × {scene.camera.height} px, {len(scene.mesh.faces):,} triangles, "
-        f"{len(scene.lights)} lights of {scene.lights[0].points} points, shadows, {THREADS} threads, {size.repeats} rounds"
-    ]
-    if missing:
-        notes.append(f"not installed, so left out: {', '.join(missing)}; pip install '.[bench]' brings them")
+    whole = {peer.name: _whole(peer.name, seconds) for peer in peers}
     return Report(
         "peers",
-        [
-            Table(
-                "the same four images (first: with just-in-time compilation; whole: build and images)",
-                (
-                    "",
-                    "within 1e-3",
-                    "first s",
-                    "build s",
-                    "images s",
-                    "whole, median s",
-                    "whole / ours, least",
-                    "median",
-                ),
-                rows,
-            )
-        ],
+        [table([peer.name for peer in peers], first, agreed, seconds)],
         {
             "agreement": dict(agreed),
             "first_seconds": {name: {"build": a, "images": b} for name, (a, b) in first.items()},
             "seconds": dict(seconds),
             "whole_ratio": {name: ratios(times, whole["lightopt"]) for name, times in whole.items()},
         },
-        notes,
+        [
+            f"{scene.camera.width} × {scene.camera.height} px, {len(scene.mesh.faces):,} triangles, "
+            f"{len(scene.lights)} lights of {scene.lights[0].points} points, shadows, {THREADS} threads, "
+            f"{size.repeats} rounds",
+            *missing,
+        ],
     )
+
+
+def table(
+    names: Sequence[str],
+    first: Mapping[str, tuple[float, float]],
+    agreed: Mapping[str, float],
+    seconds: Mapping[str, list[float]],
+) -> Table:
+    """One row per peer; no ratio for one whose pictures are not ours."""
+    rows: list[tuple[str, ...]] = []
+    ours = _whole("lightopt", seconds)
+    for name in names:
+        whole = _whole(name, seconds)
+        ok = agreed[name] >= AGREEMENT
+        rows.append(
+            (
+                name,
+                f"{100 * agreed[name]:.3f} %" + ("" if ok else ": disagrees"),
+                f"{sum(first[name]):.2f}",
+                f"{min(seconds[f'{name}: build']):.2f}",
+                f"{min(seconds[f'{name}: images']):.2f}",
+                f"{np.median(whole):.2f}",
+                *(ratio_text(whole, ours) if ok else ("–", "–")),
+            )
+        )
+    columns = ("within 1e-3", "first s", "build s", "images s", "whole s", "whole / ours", "median ratio")
+    return Table(
+        "the same four images: share of lit pixels within 1e-3 of ours; the first time, compiling included; then the least "
+        "times to\nbuild and to make the images, and the median of the whole",
+        ("", *columns),
+        rows,
+    )
+
+
+def _whole(name: str, seconds: Mapping[str, list[float]]) -> list[float]:
+    return [a + b for a, b in zip(seconds[f"{name}: build"], seconds[f"{name}: images"], strict=True)]

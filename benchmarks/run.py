@@ -53,7 +53,8 @@ def save(report: Report, size: Size, about: dict[str, object], load: float | Non
         "machine": {**about, "load_at_start": load},
         "notes": list(report.notes),
         "tables": [
-            {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]} for t in report.tables
+            {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]}
+            for t in report.tables
         ],
         "numbers": dict(report.numbers),
     }

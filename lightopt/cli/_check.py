@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
+from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Quiet, RigFile
 from lightopt.cli._terminal import say
-from lightopt.errors import CheckFailed
+from lightopt.errors import CheckFailed, InputError
 
 __all__ = ["check"]
 
@@ -35,24 +36,11 @@ def check(
     """
     import json
 
-    from lightopt.config import load_part, load_rig
-    from lightopt.errors import InputError
     from lightopt.preflight import check_rig, check_scene
 
-    problems: list[str] = []
-    loaded_rig = loaded_part = None
-    # both files' errors at once
-    try:
-        loaded_rig = load_rig(rig)
-    except InputError as error:
-        problems += error.messages
-    if part is not None:
-        try:
-            loaded_part = load_part(part)
-        except InputError as error:
-            problems += error.messages
-    if problems or loaded_rig is None:
-        raise InputError(*problems)
+    if drawing is not None and part is None:
+        raise InputError("--drawing: needs a part file, too")
+    loaded_rig, loaded_part = load_inputs(rig, part)
     report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
     if json_file is not None:
         from lightopt.images import write_text_atomic
@@ -63,9 +51,7 @@ def check(
             continue
         where = f" ({finding.where})" if finding.where else ""
         say(f"{finding.level + ':':9}{finding.topic}: {finding.text}{where}")
-    if drawing is not None:
-        if loaded_part is None:
-            raise InputError("--drawing: needs a part file, too")
+    if drawing is not None and loaded_part is not None:
         from lightopt.report import rig_drawing
         from lightopt.scene import build_scene
 

@@ -71,8 +71,7 @@ def run(arguments: list[str]) -> int:
         return INTERRUPTED
     except typer.Exit as leave:
         return leave.exit_code
-    except BrokenPipeError:
-        # the reader of our output went away (| head); not an error of ours
-        sys.stderr.close()
+    except SystemExit:
+        # typer's answer to a reader of our output that went away (| head): not an error of ours
         return 0
     return status if isinstance(status, int) else 0

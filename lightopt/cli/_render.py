@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import (
     Force,
     Out,
@@ -77,10 +78,10 @@ def render(
     exposures = tuple(parse_exposure(text) for text in exposure) if exposure else (1.0,)
     chosen_points = None if points is None else parse_points(points)
 
-    from lightopt.config import load_part
     from lightopt.rendering import DEFAULT_PATCH_BUDGET, RenderOptions, render_image_set
 
-    loaded = load_part(part)
+    loaded_rig, loaded_part = load_inputs(rig, part)
+    assert loaded_part is not None
     options = RenderOptions(
         lights=tuple(light) if light else None,
         postures=chosen_postures,
@@ -93,10 +94,10 @@ def render(
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
         threads=threads,
     )
-    total = len(chosen_postures or loaded.postures)
+    total = len(chosen_postures or loaded_part.postures)
     with show_progress("rendering", total, quiet=quiet) as report:
         done = render_image_set(
-            rig, loaded, out, options=options, force=force, warn=say_warning, report=report
+            loaded_rig, loaded_part, out, options=options, force=force, warn=say_warning, report=report
         )
     if not quiet:
         resumed = f" ({done.resumed} of them were there already)" if done.resumed else ""
@@ -109,4 +110,5 @@ def render(
         from lightopt.report import contact_sheet
 
         path = contact_sheet(read_image_set(out), out / "contact-sheet.png")
-        say(f"{path}")
+        if not quiet:
+            say(f"{path}")

@@ -9,8 +9,8 @@ __all__ = ["MAX_LOBE_EXPONENT", "MIN_COS_VIEW", "half_vector_angle_squared", "la
 MIN_COS_VIEW = 0.01
 """cosθ_o is clamped to this from below in equation (3), whose 1/cosθ_o diverges at the silhouette (θ_o > 89.4°)."""
 
-MAX_LOBE_EXPONENT = 100.0
-"""Lobes are zero where δ²/(2σ²) exceeds this: e⁻¹⁰⁰ = 4e-44 of R_s is below what float32 can hold."""
+MAX_LOBE_EXPONENT = 60.0
+"""Lobes are zero where δ²/(2σ²) exceeds this: e⁻⁶⁰ = 9e-27 of R_s is nothing beside a grey level."""
 
 
 @numba.njit(cache=True, nogil=True)

@@ -237,10 +237,8 @@ def _whole_panel(
 @numba.njit(cache=True, nogil=True)
 def _horizon(p: Float64, n: Float64, panel: PanelNumbers) -> tuple[float, float]:
     # height of the panel's lowest and highest corner above the surface's tangent plane
-    middle = across = along = 0.0
-    for a in range(3):
-        middle += n[a] * (panel.centre[a] - p[a])
-        across += n[a] * panel.across[a]
-        along += n[a] * panel.along[a]
+    middle = n[0] * (panel.centre_x - p[0]) + n[1] * (panel.centre_y - p[1]) + n[2] * (panel.centre_z - p[2])
+    across = n[0] * panel.across_x + n[1] * panel.across_y + n[2] * panel.across_z
+    along = n[0] * panel.along_x + n[1] * panel.along_y + n[2] * panel.along_z
     half = 0.5 * (abs(across) + abs(along))
     return middle - half, middle + half

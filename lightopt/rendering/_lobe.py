@@ -95,9 +95,9 @@ def rectangle_diffuse(
                 v[1],
                 v[2],
                 0.0,
-                panel.centre[0] + s * panel.across[0] + t * panel.along[0],
-                panel.centre[1] + s * panel.across[1] + t * panel.along[1],
-                panel.centre[2] + s * panel.across[2] + t * panel.along[2],
+                panel.centre_x + s * panel.across_x + t * panel.along_x,
+                panel.centre_y + s * panel.across_y + t * panel.along_y,
+                panel.centre_z + s * panel.across_z + t * panel.along_z,
                 panel,
                 0.0,
             )
@@ -188,9 +188,9 @@ def rectangle_specular(
                 vy,
                 vz,
                 n_dot_v,
-                panel.centre[0] + s * panel.across[0] + t * panel.along[0],
-                panel.centre[1] + s * panel.across[1] + t * panel.along[1],
-                panel.centre[2] + s * panel.across[2] + t * panel.along[2],
+                panel.centre_x + s * panel.across_x + t * panel.along_x,
+                panel.centre_y + s * panel.across_y + t * panel.along_y,
+                panel.centre_z + s * panel.across_z + t * panel.along_z,
                 panel,
                 inverse_two_sigma_squared,
             )
@@ -207,18 +207,18 @@ def out_of_reach(
 
     While L turns by α, H turns by no more than α / (2·cos(half the angle between L and V)).
     """
-    lx, ly, lz = panel.centre[0] - p[0], panel.centre[1] - p[1], panel.centre[2] - p[2]
+    lx, ly, lz = panel.centre_x - p[0], panel.centre_y - p[1], panel.centre_z - p[2]
     r = math.sqrt(lx * lx + ly * ly + lz * lz)
     lx, ly, lz = lx / r, ly / r, lz / r
     hx, hy, hz = lx + v[0], ly + v[1], lz + v[2]
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
     half_diagonal = 0.5 * math.sqrt(
-        panel.across[0] ** 2
-        + panel.across[1] ** 2
-        + panel.across[2] ** 2
-        + panel.along[0] ** 2
-        + panel.along[1] ** 2
-        + panel.along[2] ** 2
+        panel.across_x**2
+        + panel.across_y**2
+        + panel.across_z**2
+        + panel.along_x**2
+        + panel.along_y**2
+        + panel.along_z**2
     )
     if half_diagonal >= 0.9 * r or length < 1e-3:
         return False
@@ -243,15 +243,15 @@ def _mirror_point(
         2.0 * n_dot_v * n[1] - v[1],
         2.0 * n_dot_v * n[2] - v[2],
     )
-    cx, cy, cz = panel.centre[0] - p[0], panel.centre[1] - p[1], panel.centre[2] - p[2]
-    towards = mx * panel.outward[0] + my * panel.outward[1] + mz * panel.outward[2]
-    ahead = cx * panel.outward[0] + cy * panel.outward[1] + cz * panel.outward[2]
+    cx, cy, cz = panel.centre_x - p[0], panel.centre_y - p[1], panel.centre_z - p[2]
+    towards = mx * panel.outward_x + my * panel.outward_y + mz * panel.outward_z
+    ahead = cx * panel.outward_x + cy * panel.outward_y + cz * panel.outward_z
     if abs(towards) < _GRAZING or ahead / towards <= 0.0:
         return 0.0, 0.0
     reach = ahead / towards
     x, y, z = reach * mx - cx, reach * my - cy, reach * mz - cz
-    ux, uy, uz = panel.across[0], panel.across[1], panel.across[2]
-    wx, wy, wz = panel.along[0], panel.along[1], panel.along[2]
+    ux, uy, uz = panel.across_x, panel.across_y, panel.across_z
+    wx, wy, wz = panel.along_x, panel.along_y, panel.along_z
     return (
         (x * ux + y * uy + z * uz) / (ux * ux + uy * uy + uz * uz),
         (x * wx + y * wy + z * wz) / (wx * wx + wy * wy + wz * wz),
@@ -264,9 +264,9 @@ def _half_vector_map(
 ) -> tuple[float, float, float, float, float, float]:
     # components of H in the tangent plane of N at panel coordinates (s, t), and their derivatives along s and t,
     # scaled so that |h| is the angle δ and not its sine
-    lx = panel.centre[0] + s * panel.across[0] + t * panel.along[0] - p[0]
-    ly = panel.centre[1] + s * panel.across[1] + t * panel.along[1] - p[1]
-    lz = panel.centre[2] + s * panel.across[2] + t * panel.along[2] - p[2]
+    lx = panel.centre_x + s * panel.across_x + t * panel.along_x - p[0]
+    ly = panel.centre_y + s * panel.across_y + t * panel.along_y - p[1]
+    lz = panel.centre_z + s * panel.across_z + t * panel.along_z - p[2]
     r = math.sqrt(lx * lx + ly * ly + lz * lz)
     lx, ly, lz = lx / r, ly / r, lz / r
     hx, hy, hz = lx + v[0], ly + v[1], lz + v[2]
@@ -285,14 +285,36 @@ def _half_vector_map(
     scale = 1.0
     if sine > 1e-6:
         scale = math.atan2(sine, hx * n[0] + hy * n[1] + hz * n[2]) / sine
-    jas, jbs = _tangent_step(panel.across, r, lx, ly, lz, length, hx, hy, hz, ax, ay, az, bx, by, bz)
-    jat, jbt = _tangent_step(panel.along, r, lx, ly, lz, length, hx, hy, hz, ax, ay, az, bx, by, bz)
+    jas, jbs = _tangent_step(
+        panel.across_x,
+        panel.across_y,
+        panel.across_z,
+        r,
+        lx,
+        ly,
+        lz,
+        length,
+        hx,
+        hy,
+        hz,
+        ax,
+        ay,
+        az,
+        bx,
+        by,
+        bz,
+    )
+    jat, jbt = _tangent_step(
+        panel.along_x, panel.along_y, panel.along_z, r, lx, ly, lz, length, hx, hy, hz, ax, ay, az, bx, by, bz
+    )
     return scale * ha, scale * hb, scale * jas, scale * jat, scale * jbs, scale * jbt
 
 
 @numba.njit(cache=True, nogil=True)
 def _tangent_step(
-    side: Float64,
+    sx: float,
+    sy: float,
+    sz: float,
     r: float,
     lx: float,
     ly: float,
@@ -309,8 +331,8 @@ def _tangent_step(
     bz: float,
 ) -> tuple[float, float]:
     # derivative of the unit half vector when the light moves along one side of the panel
-    along = side[0] * lx + side[1] * ly + side[2] * lz
-    dx, dy, dz = (side[0] - along * lx) / r, (side[1] - along * ly) / r, (side[2] - along * lz) / r
+    along = sx * lx + sy * ly + sz * lz
+    dx, dy, dz = (sx - along * lx) / r, (sy - along * ly) / r, (sz - along * lz) / r
     along = dx * hx + dy * hy + dz * hz
     dx, dy, dz = (dx - along * hx) / length, (dy - along * hy) / length, (dz - along * hz) / length
     return dx * ax + dy * ay + dz * az, dx * bx + dy * by + dz * bz

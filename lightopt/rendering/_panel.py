@@ -6,28 +6,33 @@ import math
 from typing import NamedTuple
 
 import numba
-import numpy as np
-from numpy.typing import NDArray
 
-from lightopt.reflectance import lambert, torrance_sparrow
+from lightopt.reflectance import MAX_LOBE_EXPONENT, lambert, torrance_sparrow
 from lightopt.scene import PanelLight
 
 __all__ = ["PanelNumbers", "panel_numbers", "point_terms"]
-
-Float64 = NDArray[np.float64]
 
 
 class PanelNumbers(NamedTuple):
     """A panel in the part's frame; a point of it is ``centre + s·across + t·along`` with s, t in [−½, ½].
 
     ``across`` and ``along`` have the panel's sides as lengths [mm]; ``distance`` is that of the panel's centre to the
-    origin of the world [mm].
+    origin of the world [mm]. Numbers and not arrays, since counting references to arrays costs the kernels more than
+    the arithmetic.
     """
 
-    centre: Float64
-    across: Float64
-    along: Float64
-    outward: Float64
+    centre_x: float
+    centre_y: float
+    centre_z: float
+    across_x: float
+    across_y: float
+    across_z: float
+    along_x: float
+    along_y: float
+    along_z: float
+    outward_x: float
+    outward_y: float
+    outward_z: float
     distance: float
     inverse_square: bool
     emission_exponent: float
@@ -36,12 +41,12 @@ class PanelNumbers(NamedTuple):
 def panel_numbers(light: PanelLight) -> PanelNumbers:
     """The numbers of a panel, in the frame that its vectors are given in."""
     return PanelNumbers(
-        light.centre,
-        light.size[0] * light.across,
-        light.size[1] * light.along,
-        light.outward,
+        *map(float, light.centre),
+        *map(float, light.size[0] * light.across),
+        *map(float, light.size[1] * light.along),
+        *map(float, light.outward),
         float(light.distance),
-        light.inverse_square,
+        bool(light.inverse_square),
         float(light.emission_exponent),
     )
 
@@ -94,13 +99,21 @@ def point_terms(
     if panel.inverse_square:
         weight = panel.distance * panel.distance / r2
     if panel.emission_exponent > 0.0:
-        cosine = panel.outward[0] * lx + panel.outward[1] * ly + panel.outward[2] * lz
+        cosine = panel.outward_x * lx + panel.outward_y * ly + panel.outward_z * lz
         weight *= max(0.0, cosine) ** panel.emission_exponent
     diffuse = weight * lambert(n_dot_l)
     if n_dot_v <= 0.0:
         return diffuse, 0.0
     hx, hy, hz = lx + vx, ly + vy, lz + vz
-    inverse = 1.0 / math.sqrt(hx * hx + hy * hy + hz * hz)
+    length_squared = hx * hx + hy * hy + hz * hz
+    # far from the lobe, where most pixels of a glossy part are, not even the square root is needed
+    n_dot_h = nx * hx + ny * hy + nz * hz
+    least_cosine = 1.0 - 0.5 * MAX_LOBE_EXPONENT / inverse_two_sigma_squared
+    if least_cosine > 0.0 and (
+        n_dot_h <= 0.0 or n_dot_h * n_dot_h < least_cosine * least_cosine * length_squared
+    ):
+        return diffuse, 0.0
+    inverse = 1.0 / math.sqrt(length_squared)
     dx, dy, dz = nx - hx * inverse, ny - hy * inverse, nz - hz * inverse
     chord_squared = dx * dx + dy * dy + dz * dz
     return diffuse, weight * torrance_sparrow(chord_squared, n_dot_v, inverse_two_sigma_squared)

@@ -122,12 +122,14 @@ def _horizon_state(
     m = 0
     for j in range(len(point)):
         i = point[j]
+        a, b = s[j] - 0.5, t[j] - 0.5
+        targets[m, 0] = panel.centre_x + a * panel.across_x + b * panel.along_x
+        targets[m, 1] = panel.centre_y + a * panel.across_y + b * panel.along_y
+        targets[m, 2] = panel.centre_z + a * panel.across_z + b * panel.along_z
         height = plane = 0.0
-        for a in range(3):
-            q = panel.centre[a] + (s[j] - 0.5) * panel.across[a] + (t[j] - 0.5) * panel.along[a]
-            targets[m, a] = q
-            height += normals[i, a] * (q - points[i, a])
-            plane += facets[i, a] * (q - points[i, a])
+        for axis in range(3):
+            height += normals[i, axis] * (targets[m, axis] - points[i, axis])
+            plane += facets[i, axis] * (targets[m, axis] - points[i, axis])
         if height <= 0.0:
             state[j] = _BELOW
         elif plane <= 0.0:

@@ -85,16 +85,22 @@ def clip_to_square(polygon):
 
 
 def hidden_polygon(light, point, corners):
-    """The part of the panel (u, v) that a convex body with these corners hides from a surface point.
-
-    Every corner must lie nearer to the panel's plane than the point does.
-    """
+    """The part of the panel (u, v) that a convex body with these corners hides from a surface point outside it."""
     d = light.axis
-    ahead = light.distance - dot(corners, d)
-    far = light.distance - dot(point, d)
-    assert (ahead > 0).all(), "the body reaches behind the panel"
-    assert (ahead < far - 1e-9).all(), "the body reaches behind the surface point"
-    projected = point + (corners - point) * (far / (far - ahead))[:, None]
+    far = light.distance - dot(point, d)  # depths count from the panel's plane towards the part
+    depth = light.distance - dot(corners, d)
+    assert (depth > 0).all(), "the body reaches behind the panel"
+    # what lies deeper than the point hides nothing: cut the body there, a hair above, so that it can be projected
+    cut = far * (1 - 1e-5)
+    i, j = (index.ravel() for index in np.meshgrid(*[np.arange(len(corners))] * 2))
+    crossing = (depth[i] < cut) & (depth[j] > cut)
+    i, j = i[crossing], j[crossing]
+    share = (cut - depth[i]) / (depth[j] - depth[i])
+    body = np.concatenate([corners[depth <= cut], corners[i] + share[:, None] * (corners[j] - corners[i])])
+    if len(body) < 3:
+        return np.zeros((0, 2))
+    depth = light.distance - dot(body, d)
+    projected = point + (body - point) * (far / (far - depth))[:, None]
     u_axis, v_axis = light.at(1.0, 0.0) - light.at(0.0, 0.0), light.at(0.0, 1.0) - light.at(0.0, 0.0)
     relative = projected - light.at(0.0, 0.0)
     uv = np.stack([relative @ u_axis / dot(u_axis, u_axis), relative @ v_axis / dot(v_axis, v_axis)], axis=1)

@@ -247,3 +247,15 @@ def edge_pixels(image, *, crease_deg=15.0):
         mask[one] |= jump
         mask[two] |= jump
     return mask
+
+
+def cap(radius=120.0, *, half=25.0, cells=40):
+    """The top of a sphere that touches (0, 0, 0), convex and gently curved, with the sphere's own normals."""
+    x, y = (g.ravel() for g in np.meshgrid(*[np.linspace(-half, half, cells + 1)] * 2))
+    normals = np.stack([x, y, np.sqrt(radius**2 - x**2 - y**2)], axis=1) / radius
+    i, j = (g.ravel() for g in np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij"))
+    a = i * (cells + 1) + j
+    faces = np.concatenate(
+        [np.stack([a, a + 1, a + cells + 2], 1), np.stack([a, a + cells + 2, a + cells + 1], 1)]
+    )
+    return TriangleMesh(radius * normals - np.array([0, 0, radius]), faces, normals)

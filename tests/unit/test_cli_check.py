@@ -102,15 +102,17 @@ def test_an_output_that_cannot_be_written(cli, bench, option):
     assert not target.parent.exists()
 
 
-def test_a_unit_mistake_is_named(cli, bench):
-    bench.edit("part.yaml", "units: mm", "units: inch")
+@pytest.mark.parametrize(
+    ("unit", "status", "factor"),
+    [("inch", 1, "a factor of 1/25.4"), ("m", 2, "a factor of 1/1000"), ("um", 0, "1000")],
+)
+def test_a_unit_mistake_is_named(cli, bench, unit, status, factor):
+    bench.edit("part.yaml", "units: mm", f"units: {unit}")
     ran = cli("check", bench.rig, bench.part)
-    said = ran.out + ran.err
-    assert ran.status in (0, 2)
-    assert "mm" in said
-    assert "unit" in said
-    bench.edit("part.yaml", "units: inch", "units: m")
-    ran = cli("check", bench.rig, bench.part)
-    assert ran.status == 2
-    assert "unit" in ran.err
-    assert "1000" in ran.err or "mm" in ran.err
+    assert ran.status == status
+    said = next(line for line in (ran.out + ran.err).splitlines() if "a wrong unit?" in line)
+    assert said.startswith(("warning:", "error:"))
+    assert f"Read as {unit}" in said
+    assert factor in said
+    assert "if the file were in mm" in said
+    assert f"{bench.part}:3: mesh.units" in said

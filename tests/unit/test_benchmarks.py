@@ -1,0 +1,158 @@
+"""The benchmarks run, at toy size, and what they say is what they measured."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from benchmarks import auto, bare, command, peers
+from benchmarks._case import TOY, case_scene, chrome, resized
+from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
+from benchmarks._report import Table, ratios, rounds
+from benchmarks.run import main
+from lightopt.rendering import cast_rays_at, render_posture, trace_samples
+from lightopt.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return case_scene(TOY)
+
+
+def test_rounds_interleave_and_ratios_are_of_the_least_and_of_the_rounds() -> None:
+    order: list[str] = []
+    seconds = rounds({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, 3)
+    assert order == ["a", "b"] * 3
+    assert {name: len(times) for name, times in seconds.items()} == {"a": 3, "b": 3}
+    assert ratios([4.0, 9.0, 8.0], [2.0, 3.0, 1.0]) == (4.0, 3.0)
+
+
+def test_table_columns_line_up() -> None:
+    text = Table("title", ("", "s"), [("long name", "1"), ("x", "12.5")]).text()
+    assert text.splitlines() == ["title", "                s", "  long name     1", "  x          12.5"]
+
+
+def test_replay_casts_the_rays_of_the_run(scene: Scene) -> None:
+    rays = bare.record_rays(scene)
+    images = bare.render_from_mesh(scene)
+    assert rays.count == images.rays
+    answers = {
+        bare.replay(rays, block=block, threads=threads)() for block in (100, 10_000) for threads in (1, 2)
+    }
+    hits = int(images.geometry.hit.sum())
+    assert {hit for hit, _ in answers} == {hits}
+    assert len({blocked for _, blocked in answers}) == 1
+    # no ray of the four times four points was cast below the horizon, and some are
+    assert len(rays.shadow[0]) < 16 * hits
+
+
+def test_a_smaller_sensor_sees_the_same(scene: Scene) -> None:
+    wide = resized(scene.camera, 4 * scene.camera.width)
+    assert wide.height == 4 * scene.camera.height
+    assert wide.width * wide.pixel_size == pytest.approx(scene.camera.width * scene.camera.pixel_size)
+
+
+def test_reference_on_a_grid_is_the_render_with_as_many_points(scene: Scene) -> None:
+    caster = cast_rays_at(scene)
+    column, row = (a.ravel() for a in np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5))
+    hits, surface = trace_samples(caster, scene.mesh, scene.camera, column, row)
+    four = render_posture(scene, scene.postures[0], caster=caster)
+    for light, image in zip(scene.lights, four.lights, strict=True):
+        level, _ = sum_of_points(
+            surface, equally_spaced(light, 2), reflectance=scene.reflectance, caster=caster, threads=1
+        )
+        np.testing.assert_allclose(level, image.level.ravel()[hits.ray], rtol=1e-5)
+
+
+def test_reference_rules_weigh_the_whole_panel(scene: Scene) -> None:
+    light = scene.lights[0]
+    for rule in (equally_spaced, gauss_legendre):
+        panel = rule(light, 6)
+        assert panel.weights.sum() == pytest.approx(light.total_weight)
+        np.testing.assert_allclose(panel.weights @ panel.positions, light.centre, atol=1e-9)
+        offset = panel.positions - light.centre
+        assert np.abs(offset @ light.across).max() < 30.0
+        assert np.abs(offset @ light.outward).max() < 1e-9
+
+
+def test_comparison_counts_unsaturated_pixels_and_saturated_areas() -> None:
+    against = np.array([10.0, 20.0, 1000.0, 254.4, 254.6, 300.0])
+    levels = np.array([10.05, 20.3, 1000.0, 254.5, 254.6, 200.0])
+    found = auto.compare(levels, against, 255)
+    assert found.unsaturated == 2
+    assert found.largest == pytest.approx(0.3)
+    assert found.over == 0.5
+    assert found.area == 1.0
+    assert math.isnan(auto.compare(levels[:2], against[:2], 255).area)
+
+
+def test_auto_is_converged_at_the_highlights_of_chrome(scene: Scene) -> None:
+    shiny = chrome(scene)
+    found = auto.exactness("chrome", shiny, 48, near=False)
+    lit = {what: comparison for name, what, comparison in found if name == "chrome"}
+    assert lit["auto – Gauss"].largest < 0.2
+    assert lit["m = 4 – Gauss"].largest > 20.0
+
+
+def test_agreement_is_the_share_of_lit_pixels() -> None:
+    ours = [np.array([[0.0, 1.0, 2.0, 3.0]], np.float32)]
+    theirs = [np.array([[0.0, 1.0005, 2.1, 0.0]], np.float32)]
+    assert peers.agreement(theirs, ours) == pytest.approx(1 / 3)
+    assert peers.agreement(ours, ours) == 1.0
+
+
+def test_a_peer_with_other_pictures_gets_no_ratio() -> None:
+    names = ("lightopt", "other")
+    seconds = {f"{name}: {step}": [1.0] for name in names for step in ("build", "images")}
+    table = peers.table(names, dict.fromkeys(names, (1.0, 1.0)), {"lightopt": 1.0, "other": 0.9}, seconds)
+    ours, other = table.rows
+    assert ours[-2:] == ("1.00", "1.00")
+    assert other[1] == "90.000 %: disagrees"
+    assert other[-2:] == ("–", "–")
+
+
+def test_numpy_peer_renders_our_pictures(scene: Scene) -> None:
+    there, missing = peers.peers_of(scene)
+    images = {peer.name: peer.images(peer.build()) for peer in there}
+    assert {"lightopt", "trimesh.ray + NumPy"} <= set(images)
+    assert len(images) + len(missing) == 4
+    for theirs in images.values():
+        assert peers.agreement(theirs, images["lightopt"]) >= peers.AGREEMENT
+
+
+def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
+    small = command.measure([sys.executable, "-c", "pass"])
+    if sys.platform != "win32":
+        large = command.measure([sys.executable, "-c", "x = b'x' * 200_000_000"])
+        assert 180e6 < large["peak_bytes"] - small["peak_bytes"] < 230e6
+    with pytest.raises(RuntimeError, match="status 3: sorry"):
+        command.measure([sys.executable, "-c", "import sys; print('sorry', file=sys.stderr); sys.exit(3)"])
+
+
+@pytest.mark.parametrize("name", ["bare", "peers", "auto", "command"])
+def test_each_benchmark_runs_and_writes_its_numbers(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([name, "--toy", "--out", str(tmp_path)])
+    written = json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
+    assert written["size"]["name"] == "toy"
+    assert written["machine"]["cores"] >= 1
+    assert written["numbers"]
+    assert str(tmp_path / f"{name}.json") in capsys.readouterr().out
+    for table in written["tables"]:
+        assert table["rows"]
+        assert all(len(row) == len(table["header"]) for row in table["rows"])
+
+
+def test_unknown_benchmark_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as refused:
+        main(["bear"])
+    assert refused.value.code == 2
+    assert "no benchmark bear" in capsys.readouterr().err
