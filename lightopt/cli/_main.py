@@ -67,11 +67,12 @@ def run(arguments: list[str]) -> int:
             say_error(f"see: {context.command_path} --help", label="")
         return 2
     except (KeyboardInterrupt, typer.Abort):
-        say_error("interrupted; what was finished is complete on disk", label="")
-        return INTERRUPTED
+        status = INTERRUPTED
     except typer.Exit as leave:
         return leave.exit_code
     except SystemExit:
         # typer's answer to a reader of our output that went away (| head): not an error of ours
         return 0
+    if status == INTERRUPTED:  # typer's own answer to Ctrl-C
+        say_error("interrupted; what was finished is complete on disk", label="")
     return status if isinstance(status, int) else 0

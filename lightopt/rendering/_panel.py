@@ -40,14 +40,24 @@ class PanelNumbers(NamedTuple):
 
 def panel_numbers(light: PanelLight) -> PanelNumbers:
     """The numbers of a panel, in the frame that its vectors are given in."""
+    centre, outward = light.centre.tolist(), light.outward.tolist()
+    across, along = (light.size[0] * light.across).tolist(), (light.size[1] * light.along).tolist()
     return PanelNumbers(
-        *map(float, light.centre),
-        *map(float, light.size[0] * light.across),
-        *map(float, light.size[1] * light.along),
-        *map(float, light.outward),
-        float(light.distance),
-        bool(light.inverse_square),
-        float(light.emission_exponent),
+        centre_x=centre[0],
+        centre_y=centre[1],
+        centre_z=centre[2],
+        across_x=across[0],
+        across_y=across[1],
+        across_z=across[2],
+        along_x=along[0],
+        along_y=along[1],
+        along_z=along[2],
+        outward_x=outward[0],
+        outward_y=outward[1],
+        outward_z=outward[2],
+        distance=float(light.distance),
+        inverse_square=light.inverse_square,
+        emission_exponent=float(light.emission_exponent),
     )
 
 
