@@ -1,7 +1,7 @@
 """``python -m benchmarks._child COMMAND…``: run a command, print its seconds and its peak memory as JSON.
 
-A process of its own, and a small one: a child's peak memory as the system counts it is never below that of the process that
-started it.
+A process of its own, and a small one: as the system counts, a child's peak memory is never below that of the process
+that started it.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Backend(Protocol):
 
 
 def camera_rays(scene: Scene) -> tuple[NDArray[np.intp], Float32]:
-    """Raveled pixel index and direction of the rays that lightopt casts, too: those of the part's window in the image."""
+    """Raveled pixel index and direction of the rays that lightopt casts: those of the part's window in the image."""
     camera: PinholeCamera = scene.camera
     left, top, right, bottom = screen_window(camera, scene.mesh)
     column, row = (a.ravel() for a in np.meshgrid(np.arange(left, right), np.arange(top, bottom)))

@@ -58,7 +58,7 @@ class TrimeshCaster:
         """See :class:`benchmarks._numpy_shading.Backend`."""
         face = self._ray.intersects_first(np.broadcast_to(origin, directions.shape), directions)
         a, b, c = (self._mesh.vertices[i] for i in self._mesh.faces[face].T)
-        # trimesh says which triangle; where on it follows from the triangle's plane (Möller and Trumbore 1997, equation 6)
+        # trimesh says which triangle; where on it: Möller and Trumbore 1997, equation 6
         e1, e2 = b - a, c - a
         p = np.cross(directions, e2)
         determinant = np.einsum("ij,ij->i", e1, p)
@@ -68,5 +68,6 @@ class TrimeshCaster:
         return face.astype(np.int32), u.astype(np.float32), v.astype(np.float32)
 
     def occluded(self, origins: Float32, directions: Float32) -> NDArray[np.bool_]:
-        """See :class:`benchmarks._numpy_shading.Backend`; the lights stand farther out than the part, so any hit is in the way."""
+        """See :class:`benchmarks._numpy_shading.Backend`."""
+        # rays have no end here; the lights stand farther out than the part, so that any hit is in the way
         return self._ray.intersects_any(origins, directions)

@@ -1,4 +1,4 @@
-"""The reflection model in Dr.Jit around Mitsuba 3's ray caster (``llvm_ad_mono``): direct light from the same points."""
+"""The reflection model in Dr.Jit around Mitsuba 3's ray caster (``llvm_ad_mono``), from the same point lights."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Float32 = NDArray[np.float32]
 
 
 class MitsubaPeer:
-    """A Mitsuba scene with the part's mesh; pictures of it are Dr.Jit kernels, one for the surface and one per light."""
+    """A Mitsuba scene with the part's mesh; Dr.Jit kernels make pictures of it, one per light."""
 
     def __init__(self, scene: Scene, *, threads: int) -> None:
         import drjit as dr

@@ -36,7 +36,7 @@ def equally_spaced(light: PanelLight, side: int) -> ManyPoints:
 
 
 def gauss_legendre(light: PanelLight, side: int) -> ManyPoints:
-    """The Gauss–Legendre product rule of side² points: exact to many digits where the lobe is smooth across the panel."""
+    """The Gauss–Legendre product rule of side² points: exact to many digits where the whole panel is seen."""
     x, w = np.polynomial.legendre.leggauss(side)
     across = (0.5 * x * light.size[0])[None, :, None] * light.across
     along = (0.5 * x * light.size[1])[:, None, None] * light.along
@@ -47,8 +47,9 @@ def gauss_legendre(light: PanelLight, side: int) -> ManyPoints:
 def sum_of_points(
     surface: SurfacePoints, panel: ManyPoints, *, reflectance: Reflectance, caster: RayCaster, threads: int
 ) -> tuple[Float64, NDArray[np.bool_]]:
-    """Level of each surface point under a panel of points [grey level], and whether a shadow's edge crosses the panel there.
+    """Level of each surface point under a panel of points [grey level], and whether it is in a penumbra.
 
+    In a penumbra a part of the panel is seen and another, above the interpolated horizon, is hidden by the mesh.
     Without fall-off and emission, as in the case that is measured.
     """
     level = np.zeros(len(surface))
@@ -57,7 +58,7 @@ def sum_of_points(
 
     def block(start: int) -> None:
         some = surface.take(np.arange(start, min(start + step, len(surface)), dtype=np.intp))
-        facing = _facing(some.points, some.normals, some.facets, some.front, panel.positions)
+        above, facing = _facing(some.points, some.normals, some.facets, some.front, panel.positions)
         point, target = (index.astype(np.int32) for index in np.nonzero(facing))
         blocked = caster.occluded(
             some.points, some.facets, panel.positions, point_index=point, target_index=target
@@ -76,8 +77,7 @@ def sum_of_points(
             reflectance.R_s,
             reflectance.sigma,
         )
-        some_blocked = np.bincount(point[blocked], minlength=len(some)) > 0
-        crossed[own] = some_blocked & visible.any(axis=1)
+        crossed[own] = visible.any(axis=1) & (above & ~visible).any(axis=1)
 
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(block, range(0, len(surface), step)))
@@ -87,7 +87,9 @@ def sum_of_points(
 @numba.njit(nogil=True, cache=True)
 def _facing(
     points: Float64, normals: Float64, facets: Float64, front: NDArray[np.bool_], targets: Float64
-) -> NDArray[np.bool_]:
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    # whether each target is above the interpolated horizon, and whether it is above the face's own plane, too
+    above = np.zeros((len(points), len(targets)), np.bool_)
     facing = np.zeros((len(points), len(targets)), np.bool_)
     for i in range(len(points)):
         for k in range(len(targets)):
@@ -96,8 +98,9 @@ def _facing(
                 towards = targets[k, a] - points[i, a]
                 height += normals[i, a] * towards
                 plane += facets[i, a] * towards
-            facing[i, k] = front[i] and height > 0.0 and plane > 0.0
-    return facing
+            above[i, k] = front[i] and height > 0.0
+            facing[i, k] = above[i, k] and plane > 0.0
+    return above, facing
 
 
 @numba.njit(nogil=True, cache=True)

@@ -74,12 +74,7 @@ def ratio_text(times: Sequence[float], base: Sequence[float]) -> tuple[str, str]
 def machine() -> dict[str, object]:
     """What was measured on, with which versions, and how busy it was."""
     packages = ("lightopt", "numpy", "numba", "embreex", "trimesh", "open3d", "mitsuba", "typer")
-    versions: dict[str, str] = {}
-    for package in packages:
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
+    versions = {package: version for package in packages if (version := _version(package))}
     return {
         "cpu": _cpu_name(),
         "cores": os.cpu_count() or 1,
@@ -97,3 +92,10 @@ def _cpu_name() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or "unknown"
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None

@@ -99,8 +99,10 @@ def run(size: Size) -> Report:
             ],
         },
         [
-            f"{knob.camera.width} × {knob.camera.height} px, knob {len(knob.mesh.faces):,} and spout "
-            f"{len(spout.mesh.faces):,} triangles, {len(knob.lights)} lights of 60 × 60 mm, shadows, {THREADS} threads"
+            f"{knob.camera.width} × {knob.camera.height} px, {len(knob.lights)} lights of 60 × 60 mm, shadows",
+            f"{THREADS} threads, {size.repeats} rounds",
+            f"knob of {len(knob.mesh.faces):,}, spout of {len(spout.mesh.faces):,} triangles",
+            f"σ = 0.003: R_s = {chrome(knob).reflectance.R_s:,.0f}; σ = 0.0475: R_s = {knob.reflectance.R_s:,.0f}",
         ],
     )
 
@@ -159,7 +161,7 @@ def exactness(name: str, scene: Scene, side: int, *, near: bool) -> list[tuple[s
 
 
 def _surface(scene: Scene, caster: RayCaster) -> tuple[NDArray[np.intp], SurfacePoints]:
-    # the pixels that see the part, as raveled indices, and what they see; posture (0, 0), where part and world frame agree
+    # the pixels that see the part, as raveled indices, and what they see; part frame and world agree here
     left, top, right, bottom = screen_window(scene.camera, scene.mesh)
     column, row = (a.ravel() for a in np.meshgrid(np.arange(left, right), np.arange(top, bottom)))
     hits, surface = trace_samples(caster, scene.mesh, scene.camera, column + 0.5, row + 0.5)

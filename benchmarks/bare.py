@@ -154,10 +154,11 @@ def run(size: Size) -> Report:
             "median_ratio": median,
         },
         [
-            f"{scene.camera.width} × {scene.camera.height} px, {len(scene.mesh.faces):,} triangles, "
-            f"{len(scene.lights)} lights of {scene.lights[0].points} points, {hits:,} pixels see the part",
-            f"{len(rays.camera[0]):,} camera rays, {len(rays.shadow[0]):,} shadow rays ({blocked:,} blocked); "
-            f"{possible - len(rays.shadow[0]):,} below the horizon were not cast",
+            f"{scene.camera.width} × {scene.camera.height} px, {hits:,} of them see the part",
+            f"{len(scene.mesh.faces):,} triangles",
+            f"{len(scene.lights)} lights of {scene.lights[0].points} points",
+            f"{len(rays.camera[0]):,} camera rays, {len(rays.shadow[0]):,} shadow rays, of which {blocked:,} blocked",
+            f"{possible - len(rays.shadow[0]):,} shadow rays below the horizon not cast",
             f"bare embreex is fastest in blocks of {best:,} rays",
         ],
     )

@@ -23,7 +23,7 @@ ROOT = CONFIGS.parent
 HELP_TARGET = 2.5
 HELP_ROUNDS = 15
 BIG_SENSOR = 4096 / 1600
-"""The second sensor has this many times the pixels per side: 4096 × 3072 at full size, more than the 4096 × 3000 asked for."""
+"""The second sensor has this many times the pixels per side: 4096 × 3072 at full size."""
 
 
 def run(size: Size) -> Report:
@@ -65,8 +65,8 @@ def run(size: Size) -> Report:
             "help_ratio": ratios(help_seconds["lightopt --help"], help_seconds["import typer"]),
         },
         [
-            f"{len(mesh.faces):,} triangles, one posture, four lights of 4 points, shadows, patches, EXR and PNG written; "
-            f"{THREADS} threads",
+            f"{len(mesh.faces):,} triangles, one posture, four lights of 4 points, shadows, {THREADS} threads",
+            "written: EXR and PNG of each light, geometry EXR, patches, manifest",
             "peak memory: of the command, or of a process that it starts if that is larger",
         ],
     )

@@ -140,9 +140,9 @@ def _report(
             "whole_ratio": {name: ratios(times, whole["lightopt"]) for name, times in whole.items()},
         },
         [
-            f"{scene.camera.width} × {scene.camera.height} px, {len(scene.mesh.faces):,} triangles, "
-            f"{len(scene.lights)} lights of {scene.lights[0].points} points, shadows, {THREADS} threads, "
-            f"{size.repeats} rounds",
+            f"{scene.camera.width} × {scene.camera.height} px, {len(scene.mesh.faces):,} triangles",
+            f"{len(scene.lights)} lights of {scene.lights[0].points} points, shadows",
+            f"{THREADS} threads, {size.repeats} rounds",
             *missing,
         ],
     )
@@ -173,8 +173,8 @@ def table(
         )
     columns = ("within 1e-3", "first s", "build s", "images s", "whole s", "whole / ours", "median ratio")
     return Table(
-        "the same four images: share of lit pixels within 1e-3 of ours; the first time, compiling included; then the least "
-        "times to\nbuild and to make the images, and the median of the whole",
+        "the same four images: share of lit pixels within 1e-3 of ours; the first time, compiling included;\n"
+        "then the least times to build and to make the images, and the median of the whole",
         ("", *columns),
         rows,
     )

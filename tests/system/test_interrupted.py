@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -12,58 +13,45 @@ import pytest
 
 from lightopt.images import read_image_set
 
-# about a second of rendering, 8 images of 4 × 4 rays a pixel: long enough to be met in the middle on any machine
+# about a second of rendering, 8 images of 4 × 4 rays a pixel
 OPTIONS = (
-    "--exposure",
-    "1",
-    "--exposure",
-    "1/16",
-    "--layers",
-    "--noise",
-    "1",
-    "--patches",
-    "2000",
-    "--supersample",
-    "4",
+    *("--exposure", "1", "--exposure", "1/16", "--layers", "--noise", "1"),
+    *("--patches", "2000", "--supersample", "4"),
 )
+IMAGES = 8
+INTERRUPTED = "interrupted; what was finished is complete on disk"
+
 MOMENTS = (
-    "manifest.json",
     "patches.npz",
-    "posture_0_0/geometry.exr",
     "posture_0_0/light1.png",
-    "posture_0_0/light3.exr",
     "posture_-10_170/geometry.exr",
-    "posture_-10_170/light1_x0.0625.png",
+    pytest.param("manifest.json", marks=pytest.mark.slow),
+    pytest.param("posture_0_0/geometry.exr", marks=pytest.mark.slow),
+    pytest.param("posture_0_0/light3.exr", marks=pytest.mark.slow),
+    pytest.param("posture_-10_170/light1_x0.0625.png", marks=pytest.mark.slow),
 )
 """Files whose appearance is a moment to interrupt at: while tracing for patches, rendering, and writing."""
 
+one_console = pytest.mark.skipif(
+    sys.platform == "win32", reason="Windows sends Ctrl-C to all processes of a console, pytest included"
+)
+
 
 def start(bench, out: Path) -> subprocess.Popen[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "lightopt",
-        "render",
-        str(bench.rig),
-        str(bench.part),
-        "-o",
-        str(out),
-        *OPTIONS,
-    ]
-    # a group of its own, so that a signal to it on Windows does not meet the tests
-    flags = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if sys.platform == "win32" else {}
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **flags)
-
-
-def interrupt(process: subprocess.Popen[str]) -> None:
-    process.send_signal(signal.CTRL_BREAK_EVENT if sys.platform == "win32" else signal.SIGINT)
+    command = [sys.executable, "-m", "lightopt", "render", bench.rig, bench.part, "-o", out, *OPTIONS]
+    # a shell that runs the tests in the background lets its children ignore Ctrl-C; a handler is not inherited
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def wait_for(process: subprocess.Popen[str], path: Path) -> None:
     end = time.monotonic() + 120
     while not path.exists():
         assert process.poll() is None, (
-            f"the command ended before there was {path.name}: {process.communicate()}"
+            f"the command ended before {path.name} was there: {process.communicate()}"
         )
         assert time.monotonic() < end, f"no {path.name} after two minutes"
         time.sleep(0.001)
@@ -76,18 +64,27 @@ def complete(bench, out: Path) -> str:
     return said
 
 
+def check_interrupted(out: Path) -> None:
+    """The set is valid, nothing is half-written, and at most the files written last are not listed yet."""
+    assert not [path for path in out.rglob("*") if path.name.startswith(".")]
+    image_set = read_image_set(out)
+    assert len(image_set.images) < IMAGES
+    listed = {name for entry in image_set.images for name in (entry.png, entry.exr)}
+    listed |= {entry.exr for entry in image_set.geometry} | {*image_set.manifest.files, "manifest.json"}
+    there = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    assert len(there - listed) <= 2, there - listed
+
+
 @pytest.fixture(scope="module")
 def undisturbed(shared_bench, tmp_path_factory, snapshot):
     """What the command leaves when nobody disturbs it."""
     out = tmp_path_factory.mktemp("undisturbed") / "out"
     complete(shared_bench, out)
+    assert len(read_image_set(out).images) == IMAGES
     return snapshot(out)
 
 
-def files(out: Path) -> list[Path]:
-    return [path for path in out.rglob("*") if path.is_file()]
-
-
+@one_console
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_ctrl_c_leaves_a_valid_set_that_the_same_command_completes(
     shared_bench, tmp_path, undisturbed, snapshot, moment
@@ -95,25 +92,11 @@ def test_ctrl_c_leaves_a_valid_set_that_the_same_command_completes(
     out = tmp_path / "out"
     process = start(shared_bench, out)
     wait_for(process, out / moment)
-    interrupt(process)
+    process.send_signal(signal.SIGINT)
     said, errors = process.communicate(timeout=120)
-    if process.returncode == 0 and moment == MOMENTS[-1]:
-        return  # over before the signal was met: there was little left to do
     assert process.returncode == 130, errors
-    assert errors.splitlines()[-1] == "interrupted; what was finished is complete on disk"
-    assert "Traceback" not in errors
-    assert said == ""
-    image_set = read_image_set(out)
-    assert len(image_set.images) < 8
-    assert not list(out.rglob("*.partial"))
-    # at most the file written last is not listed yet
-    listed = {name for e in image_set.images for name in (e.png, e.exr)} | {g.exr for g in image_set.geometry}
-    strays = (
-        {p.relative_to(out).as_posix() for p in files(out)}
-        - listed
-        - {*image_set.manifest.files, "manifest.json"}
-    )
-    assert len(strays) <= 2, strays
+    assert (said, errors) == ("", INTERRUPTED + "\n")
+    check_interrupted(out)
     complete(shared_bench, out)
     assert snapshot(out) == undisturbed
 
@@ -133,6 +116,7 @@ def test_a_killed_run_is_completed_by_the_same_command(shared_bench, tmp_path, u
 
 
 @pytest.mark.slow
+@one_console
 @pytest.mark.parametrize("kill", [False, True], ids=["Ctrl-C", "kill"])
 def test_any_moment(shared_bench, tmp_path, undisturbed, snapshot, kill):
     """Twenty moments from the start of the process to its end; the set is valid after each, or not begun."""
@@ -143,14 +127,87 @@ def test_any_moment(shared_bench, tmp_path, undisturbed, snapshot, kill):
         out = tmp_path / str(step)
         process = start(shared_bench, out)
         time.sleep(whole * (step + 0.5) / 20)
-        if kill:
-            process.kill()
-        else:
-            interrupt(process)
+        process.send_signal(signal.SIGKILL if kill else signal.SIGINT)
         _, errors = process.communicate(timeout=120)
         if (out / "manifest.json").exists():
             read_image_set(out)
             assert kill or process.returncode in (0, 130), errors
-            assert kill or not list(out.rglob("*.partial"))
+            assert kill or not list(out.rglob(".*"))
         complete(shared_bench, out)
         assert snapshot(out) == undisturbed, f"interrupted after {step + 0.5} twentieths"
+
+
+# --- the same in process, at every single write: before the file is flushed, and before it is put in its place
+
+QUICK = ("--exposure", "1", "--exposure", "1/16", "--patches", "500")
+
+
+@pytest.fixture(scope="module")
+def quick(shared_bench, tmp_path_factory, snapshot):
+    from lightopt.cli._main import run
+
+    out = tmp_path_factory.mktemp("quick") / "out"
+    assert run(["render", str(shared_bench.rig), str(shared_bench.part), "-o", str(out), "-q", *QUICK]) == 0
+    return snapshot(out)
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_ctrl_c_at_every_write(cli, shared_bench, tmp_path, quick, snapshot, monkeypatch, call):
+    original = getattr(os, call)
+    calls = 0
+
+    def interrupted_at(number):
+        def count(*arguments):
+            nonlocal calls
+            calls += 1
+            if calls == number:
+                raise KeyboardInterrupt
+            return original(*arguments)
+
+        return count
+
+    number = 0
+    while True:
+        number += 1
+        out, calls = tmp_path / str(number), 0
+        with monkeypatch.context() as patch:
+            patch.setattr(os, call, interrupted_at(number))
+            ran = cli("render", shared_bench.rig, shared_bench.part, "-o", out, "-q", *QUICK)
+        if calls < number:  # all of the run's writes were interrupted once
+            assert ran.status == 0
+            break
+        assert (ran.status, ran.out, ran.err) == (130, "", INTERRUPTED + "\n"), number
+        if (out / "manifest.json").exists():
+            check_interrupted(out)
+        else:
+            assert number == 1
+            assert list(out.iterdir()) == []
+        again = cli("render", shared_bench.rig, shared_bench.part, "-o", out, "-q", *QUICK)
+        assert again.status == 0
+        assert snapshot(out) == quick, f"interrupted at write {number}"
+    # manifest, patches, 2 geometries, 4 EXR and 8 PNG, and the manifest after each entry
+    assert number - 1 == 1 + 2 + 2 * 2 + 4 + 8 * 2
+
+
+def test_ctrl_c_while_rays_are_cast(cli, shared_bench, tmp_path, quick, snapshot, monkeypatch):
+    from lightopt.raycast import RayCaster
+
+    first_hit, calls = RayCaster.first_hit, 0
+
+    def count(self, *arguments):
+        nonlocal calls
+        calls += 1
+        if calls == 4:  # in a worker thread, while the second posture is rendered
+            raise KeyboardInterrupt
+        return first_hit(self, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RayCaster, "first_hit", count)
+        ran = cli("render", shared_bench.rig, shared_bench.part, "-o", tmp_path / "out", *QUICK)
+    assert calls >= 4
+    assert (ran.status, ran.err) == (130, INTERRUPTED + "\n")
+    check_interrupted(tmp_path / "out")
+    assert (
+        cli("render", shared_bench.rig, shared_bench.part, "-o", tmp_path / "out", "-q", *QUICK).status == 0
+    )
+    assert snapshot(tmp_path / "out") == quick

@@ -1,0 +1,200 @@
+"""Rendering a posture: supersampling, layers, threads, progress, and the Python interface."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lightopt
+from lightopt import build_scene, load_part, load_rig, render
+from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
+from lightopt.transforms import Posture
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def scene(shared_bench):
+    return build_scene(shared_bench.rig, shared_bench.part)
+
+
+@pytest.fixture(scope="module")
+def caster(scene):
+    return cast_rays_at(scene)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize("points", ["4", "auto"])
+def test_supersampling_is_the_mean_of_a_finer_camera(bench, n, points):
+    bench.edit("rig.yaml", "points: 4", f"points: {points}")
+    coarse = build_scene(bench.rig, bench.part)
+    bench.edit("rig.yaml", "[160, 120]", f"[{160 * n}, {120 * n}]")
+    bench.edit("rig.yaml", "pixel_size_um: 44", f"pixel_size_um: {44 / n!r}")
+    fine = build_scene(bench.rig, bench.part)
+    posture = coarse.postures[1]
+    averaged = render_posture(coarse, posture, caster=cast_rays_at(coarse), supersample=n)
+    many = render_posture(fine, posture, caster=cast_rays_at(fine))
+    for a, b in zip(averaged.lights, many.lights, strict=True):
+        means = b.level.reshape(120, n, 160, n).mean(axis=(1, 3), dtype=np.float64)
+        assert np.allclose(a.level, means, rtol=1e-5, atol=1e-3)
+    assert averaged.rays > many.rays  # the pixels' centres are traced as well
+
+
+def test_geometry_is_that_of_the_pixels_centre_whatever_the_supersampling(scene, caster):
+    one, two = (
+        render_posture(scene, scene.postures[0], caster=caster, supersample=n).geometry for n in (1, 2)
+    )
+    for name in ("points", "normals", "distance", "patch", "hit"):
+        assert np.array_equal(getattr(one, name), getattr(two, name)), name
+
+
+def test_layers_are_the_two_terms(scene, caster):
+    plain = render_posture(scene, scene.postures[0], caster=caster)
+    layered = render_posture(scene, scene.postures[0], caster=caster, layers=True)
+    for a, b in zip(plain.lights, layered.lights, strict=True):
+        assert a.diffuse is None
+        assert a.specular is None
+        assert np.array_equal(a.level, b.level)
+        assert np.allclose(b.diffuse.astype(np.float64) + b.specular, b.level, rtol=2e-7, atol=0)
+        assert b.diffuse.max() <= 45.0 * 1.000001  # R_d · cos, times a gain of at most 1
+
+
+def test_arrays_are_float32_of_the_cameras_shape(scene, caster):
+    images = render_posture(scene, scene.postures[0], caster=caster)
+    assert [image.light for image in images.lights] == ["light1", "light3"]
+    for image in images.lights:
+        assert image.level.shape == (120, 160)
+        assert image.level.dtype == np.float32
+        assert (image.level[~images.geometry.hit] == 0).all()
+        assert (image.level >= 0).all()
+    assert images.geometry.points.shape == (120, 160, 3)
+
+
+@pytest.mark.parametrize("points", [4, "auto"])
+def test_blocks_and_threads_do_not_show(shared_bench, monkeypatch, points):
+    from lightopt.rendering import _images
+
+    scene = build_scene(shared_bench.rig, shared_bench.part, points=points)
+    caster = cast_rays_at(scene)
+    whole = render_posture(scene, scene.postures[1], caster=caster, threads=1)
+    monkeypatch.setattr(_images, "BLOCK_SAMPLES", 700)
+    pieces = render_posture(scene, scene.postures[1], caster=caster, threads=3)
+    for a, b in zip(whole.lights, pieces.lights, strict=True):
+        assert np.array_equal(a.level, b.level)
+    assert np.array_equal(whole.geometry.points, pieces.geometry.points)
+
+
+def test_progress_rises_to_one(scene, caster, monkeypatch):
+    from lightopt.rendering import _images
+
+    monkeypatch.setattr(_images, "BLOCK_SAMPLES", 700)
+    calls = []
+    images = render_posture(
+        scene,
+        scene.postures[0],
+        caster=caster,
+        threads=3,
+        progress=lambda share, rays: calls.append((share, rays)),
+    )
+    shares, rays = zip(*calls, strict=True)
+    assert len(calls) > 5
+    assert list(shares) == sorted(shares)
+    assert 0.0 < shares[0] < 1.0
+    assert shares[-1] == 1.0
+    assert list(rays) == sorted(rays)
+    assert rays[-1] == images.rays > 0
+
+
+def test_progress_of_a_set_names_the_posture(shared_bench, tmp_path):
+    calls = []
+    done = render_image_set(
+        shared_bench.rig,
+        shared_bench.part,
+        tmp_path,
+        options=RenderOptions(patch_budget=500),
+        report=lambda *call: calls.append(call),
+    )
+    last = {posture: (share, rays) for posture, share, rays in calls}
+    assert list(last) == [Posture(0.0, 0.0), Posture(-10.0, 170.0)]
+    assert all(share == 1.0 for share, _ in last.values())
+    assert sum(rays for _, rays in last.values()) == done.rays
+    assert (done.folder, done.images, done.resumed, done.warnings) == (tmp_path, 4, 0, ())
+
+
+def test_what_a_resumed_set_reports(shared_bench, tmp_path):
+    options = RenderOptions(patch_budget=500, lights=("light1",))
+    render_image_set(shared_bench.rig, shared_bench.part, tmp_path, options=options)
+    again = render_image_set(shared_bench.rig, shared_bench.part, tmp_path, options=options)
+    assert (again.images, again.resumed, again.rays, again.patches) == (2, 2, 0, None)
+
+
+def test_warnings_are_given_as_they_come_and_kept(bench, tmp_path):
+    bench.edit("part.yaml", "sigma_rad: 0.0475", "sigma_rad: 0.003")
+    heard = []
+    options = RenderOptions(patch_budget=500)
+    done = render_image_set(bench.rig, bench.part, tmp_path, options=options, warn=heard.append)
+    assert tuple(heard) == done.warnings
+    assert len(heard) == 2
+    again = render_image_set(bench.rig, bench.part, tmp_path, options=options)
+    assert again.warnings == done.warnings
+
+
+def test_back_faces_are_black_counted_and_told(bench, tmp_path):
+    """A single triangle seen from behind: an open mesh, whose inside has no reflection."""
+    bench.mesh.write_text(
+        "solid s\nfacet normal 0 0 0\nouter loop\nvertex -15 -15 0\nvertex 0 15 3\nvertex 15 -15 0\n"
+        "endloop\nendfacet\nendsolid s\n"
+    )
+    bench.edit("part.yaml", ", {elevation_deg: -10, rotation_deg: 170}", "")
+    scene = build_scene(bench.rig, bench.part)
+    images = render_posture(scene, scene.postures[0], caster=cast_rays_at(scene))
+    hit = int(images.geometry.hit.sum())
+    assert hit == pytest.approx(0.5 * 30 * 30 / 0.44**2, rel=0.02)
+    assert images.back_faces == hit
+    assert all((image.level == 0).all() for image in images.lights)
+    done = render_image_set(bench.rig, bench.part, tmp_path, options=RenderOptions(patch_budget=100))
+    assert len(done.warnings) == 1
+    assert done.warnings[0].startswith(
+        f"posture (0°, 0°): {hit:,} pixels see the back of a face and are black"
+    )
+
+
+# --- the Python interface
+
+
+def test_ten_lines_of_python(shared_bench):
+    rig = load_rig(shared_bench.rig)
+    part = load_part(shared_bench.part)
+    scene = build_scene(rig, part, points="auto")
+    saturated = {}
+    for images in render(scene):
+        for image in images.lights:
+            saturated[images.posture, image.light] = int((image.level >= 255).sum())
+        assert images.geometry.points[images.geometry.hit][:, 2].max() < 30.0
+    assert len(saturated) == 4
+    assert all(0 < count < 5_000 for count in saturated.values())
+
+
+@pytest.mark.slow
+def test_the_readmes_python_runs(tmp_path):
+    """The block of the README as it stands, on the full sample."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    assert block is not None
+    assert len([line for line in block[1].splitlines() if line.strip()]) <= 10
+    script = tmp_path / "readme.py"
+    script.write_text(block[1], encoding="utf-8")
+    ran = subprocess.run([sys.executable, script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.count("pixels saturated") == 16
+
+
+def test_the_package_has_no_other_names():
+    assert set(lightopt.__all__) == {"__version__", "build_scene", "load_part", "load_rig", "render"}
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        lightopt.nothing  # noqa: B018
