@@ -40,7 +40,7 @@ golden: $(BIN)/.installed  ## renew the committed golden images
 	$(BIN)/python scripts/goldens.py renew
 
 bench: $(BIN)/.installed  ## speed against the raw ray caster and peers; prints ratios
-	$(BIN)/python -m pip install --quiet '.[bench]'
+	$(BIN)/python -m pip install --quiet --editable '.[dev,bench]'
 	$(BIN)/python -m benchmarks.run
 
 docs: $(BIN)/.installed  ## make the pictures and figures of docs/ anew

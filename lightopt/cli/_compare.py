@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lightopt.cli._options import make_folder
 from lightopt.cli._terminal import say, show_table
 from lightopt.errors import CheckFailed, InputError
 
@@ -56,6 +57,9 @@ def compare(
     from lightopt.compare import Thresholds, compare_files, compare_sets
     from lightopt.images import write_text_atomic
 
+    sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
+    if sets and diff is not None:
+        make_folder(diff)
     thresholds = Thresholds(
         absolute=absolute,
         relative=relative,
@@ -64,7 +68,6 @@ def compare(
         min_iou=min_iou,
         saturation=saturation,
     )
-    sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
     result = compare_sets(golden, new, thresholds) if sets else compare_files(golden, new, thresholds)
     if json_file is not None:
         write_text_atomic(json_file, json.dumps(result.as_dict(), indent=2) + "\n")
@@ -121,7 +124,6 @@ def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thre
                 continue
             name = "_".join(Path(file.b).parts[-2:])
             path = target / f"{name}.diff.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
         picture = difference_picture(file.a, file.b, path, saturation=thresholds.saturation)
         drawn += 1
         if not isinstance(result, SetComparison):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lightopt.cli._options import Force
+from lightopt.cli._options import Force, make_folder
 from lightopt.cli._terminal import say
 from lightopt.errors import InputError
 
@@ -45,10 +45,7 @@ def init(
         raise InputError(
             f"{folder} already has {', '.join(taken)}; use --force to replace them, or choose another folder"
         )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error.strerror}; choose another folder") from error
+    make_folder(folder)
     for name, content in outputs.items():
         write_bytes_atomic(folder / name, content)
         say(f"{folder / name}")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import sys
 
 import typer
@@ -48,6 +49,14 @@ app.command(short_help="Compare images or image sets, golden against new.")(comp
 app.command(short_help="Print the JSON schema of rig or part files.")(schema)
 
 
+def _speak_utf8() -> None:
+    # redirected output on Windows is in a code page that knows neither θ nor σ
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            encoding = stream.encoding if stream.isatty() else "utf-8"
+            stream.reconfigure(encoding=encoding, errors="replace")
+
+
 def main() -> None:
     """Run the command line and leave with its exit status."""
     sys.exit(run(sys.argv[1:]))
@@ -55,6 +64,7 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run a command line and return its exit status; errors are said on standard error."""
+    _speak_utf8()
     try:
         status = app(arguments, prog_name="lightopt", standalone_mode=False)
     except LightoptError as error:
@@ -70,9 +80,13 @@ def run(arguments: list[str]) -> int:
         status = INTERRUPTED
     except typer.Exit as leave:
         return leave.exit_code
-    except SystemExit:
+    except (OSError, MemoryError) as error:
+        # what no command foresaw: the system says no
+        say_error(f"{type(error).__name__}: {error}" if str(error) else "not enough memory")
+        return 2
+    except SystemExit as leave:
         # typer's answer to a reader of our output that went away (| head): not an error of ours
-        return 0
+        return leave.code if isinstance(leave.code, int) and leave.code != 1 else 0
     if status == INTERRUPTED:  # typer's own answer to Ctrl-C
         say_error("interrupted; what was finished is complete on disk", label="")
     return status if isinstance(status, int) else 0

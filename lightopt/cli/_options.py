@@ -14,7 +14,17 @@ from lightopt.errors import InputError
 if TYPE_CHECKING:
     from lightopt.transforms import Posture
 
-__all__ = ["Force", "Out", "PartFile", "Quiet", "RigFile", "parse_exposure", "parse_points", "parse_posture"]
+__all__ = [
+    "Force",
+    "Out",
+    "PartFile",
+    "Quiet",
+    "RigFile",
+    "make_folder",
+    "parse_exposure",
+    "parse_points",
+    "parse_posture",
+]
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
 PartFile = Annotated[
@@ -23,6 +33,16 @@ PartFile = Annotated[
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace results that were made from other inputs.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
+
+
+def make_folder(folder: Path) -> None:
+    """Make an output folder, or say why that cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made: {error.strerror}; choose a folder that can be written"
+        ) from error
 
 
 def parse_posture(text: str) -> Posture:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from lightopt.kernels import kernel
 
 __all__ = ["build_pieces", "count_pieces", "find_pieces"]
 
@@ -15,7 +16,7 @@ __all__ = ["build_pieces", "count_pieces", "find_pieces"]
 _LEVELS = 512
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _longest_edge(
     a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], limit: float
 ) -> int:
@@ -30,7 +31,7 @@ def _longest_edge(
     return edge
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _halves(
     triangle: NDArray[Any], edge: int, middle: Any, first: NDArray[Any], second: NDArray[Any]
 ) -> None:
@@ -42,7 +43,7 @@ def _halves(
     second[edge] = middle
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def count_pieces(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
@@ -77,7 +78,7 @@ def count_pieces(
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def build_pieces(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
@@ -153,7 +154,7 @@ def build_pieces(
     return points, triangles, weights, depths, face, roots, children, cut_edge
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def find_pieces(
     roots: NDArray[np.int32],
     children: NDArray[np.int32],

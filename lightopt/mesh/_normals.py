@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.kernels import kernel
 from lightopt.mesh._topology import EdgePairs, merge_rows
 from lightopt.mesh._triangle_mesh import TriangleMesh
 
@@ -175,7 +175,7 @@ def _unit_or(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _join_corners(corner_count: int, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
     """Lowest corner of the group that each corner belongs to (union-find with path halving)."""
     parent = np.arange(corner_count).astype(np.int32)
@@ -189,7 +189,7 @@ def _join_corners(corner_count: int, pairs: NDArray[np.int32]) -> NDArray[np.int
     return parent
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _join(parent: NDArray[np.int32], x: int, y: int) -> None:
     while parent[x] != x:
         parent[x] = parent[parent[x]]
@@ -200,7 +200,7 @@ def _join(parent: NDArray[np.int32], x: int, y: int) -> None:
     parent[max(x, y)] = min(x, y)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _sum_by_angle(
     corners: NDArray[np.float64], flat: NDArray[np.float64], faces: NDArray[np.int32], vertex_count: int
 ) -> NDArray[np.float64]:

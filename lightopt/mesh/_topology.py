@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from lightopt.kernels import kernel
 
 __all__ = ["EdgePairs", "edge_pairs", "merge_rows"]
 
@@ -84,7 +85,7 @@ def edge_pairs(faces: NDArray[np.int32], vertex_count: int) -> EdgePairs:
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _merge_bits(bits: NDArray[np.uint64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     n, k = bits.shape
     size = 16

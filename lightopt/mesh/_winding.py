@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.kernels import kernel
 from lightopt.mesh._topology import EdgePairs, edge_pairs
 
 __all__ = ["Repaired", "repair_winding"]
@@ -121,7 +121,7 @@ def _inside_out(
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _flood(
     face_count: int, corners: NDArray[np.int32], same_direction: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
@@ -158,7 +158,7 @@ def _flood(
     return label, turn
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -> float:
     """How often closed surfaces surround a point: solid angles by van Oosterom and Strackee (1983), eq. 8."""
     total = 0.0

@@ -3,11 +3,12 @@ from __future__ import annotations
 import threading
 from typing import Any, Protocol
 
-import numba
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from numpy.typing import NDArray
+
+from lightopt.kernels import kernel
 
 __all__ = ["RayCaster", "RayRecorder"]
 
@@ -123,7 +124,7 @@ class RayCaster:
         return self._scene.run(origins, directions, query=query)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _primary_rays(
     origin: Float64, directions: Float64, centre: Float64, radius: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -152,7 +153,7 @@ def _primary_rays(
     return origins32, directions32
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _shadow_rays(
     points: Float64,
     normals: Float64,

@@ -2,9 +2,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from lightopt.kernels import kernel
 
 __all__ = ["Hits", "resolve_hits"]
 
@@ -63,7 +64,7 @@ def resolve_hits(
     return Hits(*_resolve(face, origin, directions, vertices, faces))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _resolve(
     face: NDArray[np.int32],
     origin: Float64,

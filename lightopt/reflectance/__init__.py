@@ -1,6 +1,6 @@
 """How a surface reflects: Lambert's diffuse and Torrance–Sparrow's specular component. Pure functions of numbers.
 
-A model is a scalar function compiled by numba, called per surface point and point light by the kernels of
+A model is a scalar function compiled as a kernel, called per surface point and point light by the kernels of
 :mod:`lightopt.rendering`; it knows neither meshes nor rigs.
 """
 

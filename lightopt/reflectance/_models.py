@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 
-import numba
+from lightopt.kernels import kernel
 
 __all__ = ["MAX_LOBE_EXPONENT", "MIN_COS_VIEW", "half_vector_angle_squared", "lambert", "torrance_sparrow"]
 
@@ -13,7 +13,7 @@ MAX_LOBE_EXPONENT = 60.0
 """Lobes are zero where δ²/(2σ²) exceeds this: e⁻⁶⁰ = 9e-27 of R_s is nothing beside a grey level."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def lambert(n_dot_l: float) -> float:
     """Diffuse component per unit of R_d (paper, equation 2).
 
@@ -25,7 +25,7 @@ def lambert(n_dot_l: float) -> float:
     return max(0.0, n_dot_l)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def half_vector_angle_squared(chord_squared: float) -> float:
     """δ² [rad²] of the angle between the unit vectors N and H, from c² = |N − H|².
 
@@ -45,7 +45,7 @@ def half_vector_angle_squared(chord_squared: float) -> float:
     return delta * delta
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def torrance_sparrow(chord_squared: float, n_dot_v: float, inverse_two_sigma_squared: float) -> float:
     """Specular component per unit of R_s (paper, equation 3), for N·L > 0 and N·V > 0.
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
 from lightopt.rendering._lobe import (
     gauss_legendre_table,
@@ -80,7 +80,7 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
     positions = [centre + radius * np.array(d) for d in itertools.product((-0.57, 0.57), repeat=3)]
     tilts = [towards, towards + 1.5 * light.across, towards + 1.5 * light.along]
     normals = [tilt / np.linalg.norm(tilt) for tilt in tilts]
-    for count in (2, 3, 4, 6, 8):
+    for count in (2, 3, 4, 6, 8, 12, 16, 20):
         error = max(
             abs(
                 rectangle_diffuse(p, n, n, panel, -0.5, 0.5, -0.5, 0.5, count, nodes, weights)
@@ -202,7 +202,7 @@ def _neighbours(
     return near.ravel()[sample]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _whole_panel(
     points: Float64,
     normals: Float64,
@@ -234,7 +234,7 @@ def _whole_panel(
     return diffuse, specular
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _horizon(p: Float64, n: Float64, panel: PanelNumbers) -> tuple[float, float]:
     # height of the panel's lowest and highest corner above the surface's tangent plane
     middle = n[0] * (panel.centre_x - p[0]) + n[1] * (panel.centre_y - p[1]) + n[2] * (panel.centre_z - p[2])

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.kernels import kernel
 from lightopt.rendering._panel import PanelNumbers, point_terms
 
 __all__ = ["MAX_NODES", "gauss_legendre_table", "out_of_reach", "rectangle_diffuse", "rectangle_specular"]
@@ -51,7 +51,7 @@ def gauss_legendre_table() -> tuple[Float64, Float64]:
     return nodes, weights
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def rectangle_diffuse(
     p: Float64,
     n: Float64,
@@ -105,7 +105,7 @@ def rectangle_diffuse(
     return total * (s1 - s0) * (t1 - t0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def rectangle_specular(
     p: Float64,
     n: Float64,
@@ -168,38 +168,90 @@ def rectangle_specular(
     gt = inverse_two_sigma_squared * (jxt * hx + jyt * hy)
     count_s = _node_count(a, gs, ws0 - s, ws1 - s)
     count_t = _node_count(c, gt, wt0 - t, wt1 - t)
+    # N·L > 0 is a half-plane of (s, t) with a break of the integrand along its border: rows of nodes end there, and are
+    # taken apart where it meets the window's sides
+    level = n[0] * (panel.centre_x - p[0]) + n[1] * (panel.centre_y - p[1]) + n[2] * (panel.centre_z - p[2])
+    rise_s = n[0] * panel.across_x + n[1] * panel.across_y + n[2] * panel.across_z
+    rise_t = n[0] * panel.along_x + n[1] * panel.along_y + n[2] * panel.along_z
+    lowest = level + min(rise_s * ws0, rise_s * ws1) + min(rise_t * wt0, rise_t * wt1)
+    first = last = wt1
+    if lowest <= 0.0 and rise_t != 0.0:
+        at_start, at_end = -(level + rise_s * ws0) / rise_t, -(level + rise_s * ws1) / rise_t
+        first = min(max(min(at_start, at_end), wt0), wt1)
+        last = min(max(max(at_start, at_end), wt0), wt1)
+    total = 0.0
+    for low, high in ((wt0, first), (first, last), (last, wt1)):
+        if low >= high:
+            continue
+        part = 0.0
+        for i in range(count_t):
+            t = low + (high - low) * nodes[count_t, i]
+            r0, r1 = ws0, ws1
+            if lowest <= 0.0:
+                height = level + rise_t * t
+                if rise_s > 0.0:
+                    r0 = max(r0, -height / rise_s)
+                elif rise_s < 0.0:
+                    r1 = min(r1, -height / rise_s)
+                elif height <= 0.0:
+                    continue
+                if r0 >= r1:
+                    continue
+            part += (
+                weights[count_t, i]
+                * (r1 - r0)
+                * _specular_row(
+                    p, n, v, n_dot_v, panel, r0, r1, t, count_s, inverse_two_sigma_squared, nodes, weights
+                )
+            )
+        total += part * (high - low)
+    return total
+
+
+@kernel
+def _specular_row(
+    p: Float64,
+    n: Float64,
+    v: Float64,
+    n_dot_v: float,
+    panel: PanelNumbers,
+    s0: float,
+    s1: float,
+    t: float,
+    count: int,
+    inverse_two_sigma_squared: float,
+    nodes: Float64,
+    weights: Float64,
+) -> float:
+    # mean of the specular light along a row of the panel
     px, py, pz = p[0], p[1], p[2]
     nx, ny, nz = n[0], n[1], n[2]
     vx, vy, vz = v[0], v[1], v[2]
-    total = 0.0
-    for i in range(count_t):
-        t = wt0 + (wt1 - wt0) * nodes[count_t, i]
-        row = 0.0
-        for j in range(count_s):
-            s = ws0 + (ws1 - ws0) * nodes[count_s, j]
-            _, value = point_terms(
-                px,
-                py,
-                pz,
-                nx,
-                ny,
-                nz,
-                vx,
-                vy,
-                vz,
-                n_dot_v,
-                panel.centre_x + s * panel.across_x + t * panel.along_x,
-                panel.centre_y + s * panel.across_y + t * panel.along_y,
-                panel.centre_z + s * panel.across_z + t * panel.along_z,
-                panel,
-                inverse_two_sigma_squared,
-            )
-            row += weights[count_s, j] * value
-        total += weights[count_t, i] * row
-    return total * (ws1 - ws0) * (wt1 - wt0)
+    row = 0.0
+    for j in range(count):
+        s = s0 + (s1 - s0) * nodes[count, j]
+        _, value = point_terms(
+            px,
+            py,
+            pz,
+            nx,
+            ny,
+            nz,
+            vx,
+            vy,
+            vz,
+            n_dot_v,
+            panel.centre_x + s * panel.across_x + t * panel.along_x,
+            panel.centre_y + s * panel.across_y + t * panel.along_y,
+            panel.centre_z + s * panel.across_z + t * panel.along_z,
+            panel,
+            inverse_two_sigma_squared,
+        )
+        row += weights[count, j] * value
+    return row
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def out_of_reach(
     p: Float64, n: Float64, v: Float64, panel: PanelNumbers, inverse_two_sigma_squared: float
 ) -> bool:
@@ -233,7 +285,7 @@ def out_of_reach(
     return nearest > 0.0 and nearest * nearest * inverse_two_sigma_squared > NEGLIGIBLE_EXPONENT
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _mirror_point(
     p: Float64, n: Float64, v: Float64, n_dot_v: float, panel: PanelNumbers
 ) -> tuple[float, float]:
@@ -258,7 +310,7 @@ def _mirror_point(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _half_vector_map(
     p: Float64, n: Float64, v: Float64, panel: PanelNumbers, s: float, t: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -310,7 +362,7 @@ def _half_vector_map(
     return scale * ha, scale * hb, scale * jas, scale * jat, scale * jbs, scale * jbt
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _tangent_step(
     sx: float,
     sy: float,
@@ -338,7 +390,7 @@ def _tangent_step(
     return dx * ax + dy * ay + dz * az, dx * bx + dy * by + dz * bz
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _least_in_box(
     a: float,
     b: float,
@@ -361,7 +413,7 @@ def _least_in_box(
     return s, t
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _node_count(curvature: float, gradient: float, low: float, high: float) -> int:
     # nodes that integrate exp(−q), q = curvature·x² + 2·gradient·x on [low, high], to 2e-4 of the integral: found by
     # trying; one more, since the exponent is only nearly quadratic

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
-
+from lightopt.kernels import kernel
 from lightopt.reflectance import MAX_LOBE_EXPONENT, lambert, torrance_sparrow
 from lightopt.scene import PanelLight
 
@@ -61,7 +60,7 @@ def panel_numbers(light: PanelLight) -> PanelNumbers:
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def point_terms(
     px: float,
     py: float,

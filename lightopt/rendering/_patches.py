@@ -30,7 +30,8 @@ Float64 = NDArray[np.float64]
 DEFAULT_PATCH_BUDGET = 200_000
 """Patches visible in at least one posture, unless asked otherwise."""
 
-_MOST_PATCHES = 50_000_000
+# the geometry image holds patch numbers as float32, which counts no further
+_MOST_PATCHES = 1 << 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,16 +149,18 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
     seen = np.zeros(len(mesh.faces), np.bool_)
     for view in views:
         seen[trace_posture(mesh, view, caster).face] = True
-    # a face that no pixel's centre meets is smaller than a pixel and is not cut; its centroid tells whether it shows
+    # a face too narrow for any pixel's centre, such as a wall seen at a grazing angle, shows by its centroid
     facets = face_normals(mesh)
-    uncut = np.flatnonzero(~seen)
-    centroids = mesh.vertices[mesh.faces[uncut]].mean(axis=1)
-    showing = np.any([_visible(centroids, facets[uncut], view, caster) for view in views], axis=0)
-    share = max(budget - int(showing.sum()), int(seen.sum()))
+    centroids = mesh.vertices[mesh.faces].mean(axis=1)
+    for view in views:
+        rest = np.flatnonzero(~seen)
+        seen[rest] = _visible(centroids[rest], facets[rest], view, caster)
+    hidden, shown = int((~seen).sum()), int(seen.sum())
+    most = max(budget, shown)
     edge = footprint
-    limit = len(uncut) + 16 * share + 1  # beyond it the step below is the longest anyway
-    while (count := estimate_patch_count(mesh, edge, select=seen, limit=limit) - len(uncut)) > share:
-        edge *= max(1.02, min(4.0, math.sqrt(count / share)))
+    limit = hidden + 16 * most + 1  # beyond it the step below is the longest anyway
+    while (count := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden) > most:
+        edge *= max(1.02, min(4.0, math.sqrt(count / most)))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
     visible = np.stack([_visible(patches.centroids, facets[patches.face], view, caster) for view in views])
     return PatchTable(

@@ -7,10 +7,10 @@ visible area is then integrated in strips.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
 from lightopt.rendering._lobe import out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._panel import PanelNumbers
@@ -24,8 +24,8 @@ State = NDArray[np.uint8]
 CELLS = 6
 """Cells along each side of the panel."""
 
-BISECTIONS = 4
-"""Rays that halve the side of a cell in search of the shadow's edge: it is known to 1/32 of a side."""
+BISECTIONS = 6
+"""Rays that halve the side of a cell in search of the shadow's edge: it is known to 1/128 of a side."""
 
 STRIPS = 3
 """Strips that the visible area of a crossed cell is integrated in."""
@@ -104,7 +104,7 @@ def _look(
     return state
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _horizon_state(
     points: Float64,
     normals: Float64,
@@ -164,7 +164,7 @@ def _edge_crossings(
     return crossing
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _visible_area(
     points: Float64,
     normals: Float64,
@@ -212,7 +212,7 @@ def _visible_area(
     return diffuse, specular
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _cell_kind(state: State, i: int, row: int, column: int) -> tuple[int, int]:
     # _VISIBLE, _BLOCKED, or 0 where the edge of the shadow crosses the cell; and the nodes that its light needs
     visible = blocked = below = 0
@@ -229,7 +229,7 @@ def _cell_kind(state: State, i: int, row: int, column: int) -> tuple[int, int]:
     return 0, HORIZON_NODES if below > 0 else 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _crossed_cell(
     state: State, across: Float64, along: Float64, i: int, row: int, column: int, runs: Float64
 ) -> int:
@@ -257,11 +257,17 @@ def _crossed_cell(
         bx, by = side_x[last], side_y[last]
         inside = (bx - ax) * (corner_y[first] - ay) - (by - ay) * (corner_x[first] - ax)
         sign = 1.0 if inside >= 0.0 else -1.0
+        # strips run across the edge, so that each is cut where the edge is and not counted whole or not at all
+        upright = abs(bx - ax) > abs(by - ay)
         for strip in range(STRIPS):
-            y = (strip + 0.5) / STRIPS
+            middle = (strip + 0.5) / STRIPS
             # visible where sign·((bx − ax)·(y − ay) − (by − ay)·(x − ax)) ≥ 0
-            slope = -sign * (by - ay)
-            value = sign * ((bx - ax) * (y - ay) + (by - ay) * ax)
+            if upright:
+                slope = sign * (bx - ax)
+                value = -sign * ((bx - ax) * ay + (by - ay) * (middle - ax))
+            else:
+                slope = -sign * (by - ay)
+                value = sign * ((bx - ax) * (middle - ay) + (by - ay) * ax)
             low, high = 0.0, 1.0
             if slope > 1e-12:
                 low = max(low, -value / slope)
@@ -270,7 +276,12 @@ def _crossed_cell(
             elif value < 0.0:
                 continue
             if low < high:
-                runs[count, 0], runs[count, 1] = column + low, column + high
-                runs[count, 2], runs[count, 3] = row + strip / STRIPS, row + (strip + 1) / STRIPS
+                first_end, second_end = strip / STRIPS, (strip + 1) / STRIPS
+                if upright:
+                    runs[count, 0], runs[count, 1] = column + first_end, column + second_end
+                    runs[count, 2], runs[count, 3] = row + low, row + high
+                else:
+                    runs[count, 0], runs[count, 1] = column + low, column + high
+                    runs[count, 2], runs[count, 3] = row + first_end, row + second_end
                 count += 1
     return count

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
 from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
 from lightopt.rendering._surface import SurfacePoints
@@ -14,6 +14,10 @@ from lightopt.scene import PanelLight, panel_grid
 __all__ = ["facing_pairs", "shade_points"]
 
 Float64 = NDArray[np.float64]
+
+
+PAIRS_AT_ONCE = 1 << 20
+"""Pairs of surface point and point light that are worked on at once: some 60 MiB."""
 
 
 def shade_points(
@@ -39,6 +43,23 @@ def shade_points(
     caster
         For shadows; None for none.
     """
+    # points are independent of each other: pieces bound the memory whatever m is
+    step = max(1, PAIRS_AT_ONCE // points)
+    pieces = [
+        _shade_piece(
+            surface.take(np.arange(start, min(start + step, len(surface)))), light, points, sigma, caster
+        )
+        for start in range(0, len(surface), step)
+    ]
+    if len(pieces) == 1:
+        return pieces[0]
+    empty = [np.zeros(0)]
+    return np.concatenate([d for d, _ in pieces] or empty), np.concatenate([s for _, s in pieces] or empty)
+
+
+def _shade_piece(
+    surface: SurfacePoints, light: PanelLight, points: int, sigma: float, caster: RayCaster | None
+) -> tuple[Float64, Float64]:
     grid = panel_grid(light, points)
     point, target = facing_pairs(surface, grid, geometric=caster is not None)
     if caster is None:
@@ -76,7 +97,7 @@ def facing_pairs(
     return _facing(surface.points, surface.normals, surface.facets, surface.front, targets, geometric)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _facing(
     points: Float64,
     normals: Float64,
@@ -107,7 +128,7 @@ def _facing(
     return point[:count].copy(), target[:count].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _accumulate(
     points: Float64,
     normals: Float64,

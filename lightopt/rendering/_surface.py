@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.kernels import kernel
 from lightopt.mesh import TriangleMesh
 from lightopt.raycast import Hits, RayCaster, resolve_hits
 from lightopt.scene import PinholeCamera, pixel_directions
@@ -95,7 +95,7 @@ def trace_samples(
     return hits, interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _interpolate(
     vertices: Float64,
     faces: NDArray[np.int32],

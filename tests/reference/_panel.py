@@ -7,7 +7,7 @@ import numpy as np
 from ._casting import blocked
 from ._shading import dot, point_terms, shadow_point
 
-CHUNK = 64  # pixels shaded together, times n² nodes
+CHUNK = 2**18  # pairs of pixel and node shaded together
 
 
 def product_rule(n, cells=1):
@@ -35,18 +35,40 @@ def panel_radiance(hits, light, *, R_d, R_s, sigma, triangles=None, rule=None):
     u, v, weights = product_rule(64) if rule is None else rule
     sources = light.at(u, v)
     diffuse, specular = np.zeros(len(hits.face)), np.zeros(len(hits.face))
-    for start in range(0, len(hits.face), CHUNK):
-        part = slice(start, start + CHUNK)
+    step = max(1, CHUNK // len(weights))
+    for start in range(0, len(hits.face), step):
+        part = slice(start, start + step)
         seen = hits[part]
         visible = dot(sources - seen.point[:, None], seen.geometric[:, None]) > 0
         if triangles is not None:
             ends = shadow_point(seen, triangles)
             for i in range(len(ends)):  # from the surface point, which all its rays share, to the nodes
-                visible[i] &= ~blocked(ends[i], sources, triangles)
+                near = may_hide(light, ends[i], triangles)
+                visible[i] &= ~blocked(ends[i], sources, triangles[near])
         I_d, I_s = point_terms(seen, light, sources, R_d=R_d, R_s=R_s, sigma=sigma)
         diffuse[part] = light.gain * (np.where(visible, I_d, 0) @ weights)
         specular[part] = light.gain * (np.where(visible, I_s, 0) @ weights)
     return diffuse, specular
+
+
+def may_hide(light, point, triangles):
+    """Triangles that are not surely outside the pyramid between a point and the panel."""
+    far = light.distance - dot(point, light.axis)
+    depth = light.distance - dot(triangles, light.axis)
+    ahead = (depth < far).all(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        projected = panel_coordinates(light, point + (triangles - point) * (far / (far - depth))[..., None])
+        beside = (projected.min(axis=1) > 0.5) | (projected.max(axis=1) < -0.5)
+    return (depth < far).any(axis=1) & ~(ahead & beside.any(axis=1))
+
+
+def panel_coordinates(light, points):
+    """u and v (..., 2) of points in the panel's plane."""
+    across, along = light.at(1.0, 0.0) - light.at(0.0, 0.0), light.at(0.0, 1.0) - light.at(0.0, 0.0)
+    relative = points - light.at(0.0, 0.0)
+    return np.stack(
+        [dot(relative, across) / dot(across, across), dot(relative, along) / dot(along, along)], -1
+    )
 
 
 def convex_hull(points):
@@ -101,10 +123,7 @@ def hidden_polygon(light, point, corners):
         return np.zeros((0, 2))
     depth = light.distance - dot(body, d)
     projected = point + (body - point) * (far / (far - depth))[:, None]
-    u_axis, v_axis = light.at(1.0, 0.0) - light.at(0.0, 0.0), light.at(0.0, 1.0) - light.at(0.0, 0.0)
-    relative = projected - light.at(0.0, 0.0)
-    uv = np.stack([relative @ u_axis / dot(u_axis, u_axis), relative @ v_axis / dot(v_axis, v_axis)], axis=1)
-    return clip_to_square(convex_hull(uv))
+    return clip_to_square(convex_hull(panel_coordinates(light, projected)))
 
 
 def triangle_rule(a, b, c, n):
@@ -129,7 +148,10 @@ def subtract_convex(hits, light, diffuse, specular, corners, *, R_d, R_s, sigma,
             continue
         x, y = polygon.T
         area = abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2
-        penumbra[i] = area < 1 - 1e-9
+        if area > 1 - 1e-9:
+            diffuse[i] = specular[i] = 0
+            continue
+        penumbra[i] = True
         one = hits[i : i + 1]
         for k in range(1, len(polygon) - 1):
             rule = triangle_rule(polygon[0], polygon[k], polygon[k + 1], n)

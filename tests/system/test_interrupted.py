@@ -130,8 +130,9 @@ def test_any_moment(shared_bench, tmp_path, undisturbed, snapshot, kill):
         process.send_signal(signal.SIGKILL if kill else signal.SIGINT)
         _, errors = process.communicate(timeout=120)
         if (out / "manifest.json").exists():
-            read_image_set(out)
-            assert kill or process.returncode in (0, 130), errors
+            done = len(read_image_set(out).images)
+            # once all is done, the signal meets an interpreter that is about to leave
+            assert kill or process.returncode == 130 or done == IMAGES, errors
             assert kill or not list(out.rglob(".*"))
         complete(shared_bench, out)
         assert snapshot(out) == undisturbed, f"interrupted after {step + 0.5} twentieths"

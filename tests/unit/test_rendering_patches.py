@@ -60,8 +60,13 @@ def test_with_budget_enough_patches_reach_the_pixels_footprint(scene):
     assert "the pixel's footprint" in table.message
     corners = table.patches.corners
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    cut = table.visible.any(axis=0)
-    assert np.percentile(edges[cut], 99.9) <= table.footprint * (1 + 1e-9)
+    visible = table.visible.any(axis=0)
+    # a face that shows neither at a pixel's centre nor at its own centroid is left whole; a corner of it may show
+    assert edges[visible].max() <= table.footprint * (1 + 1e-9)
+    caster = cast_rays_at(scene)
+    for posture in scene.postures:
+        channel = render_posture(scene, posture, caster=caster, patches=table.patches).geometry.patch
+        assert edges[channel[channel >= 0]].max() <= table.footprint * (1 + 1e-9)
 
 
 def test_a_mesh_finer_than_the_budget_is_not_coarsened(scene):

@@ -244,10 +244,14 @@ def test_postures_beyond_the_stage_name_both_places(bench):
     with pytest.raises(InputError) as error:
         build_scene(bench.rig, bench.part)
     assert error.value.messages == (
-        (f"{bench.part}:5: postures[0]: elevation 46° is outside the stage's range -45° to 45° "
-        f"({bench.rig}:14: stage.elevation_range_deg)"),
-        (f"{bench.part}:5: postures[0]: rotation -1° is outside the stage's range 0° to 360° "
-        f"({bench.rig}:14: stage.rotation_range_deg)"),
+        (
+            f"{bench.part}:5: postures[0]: elevation 46° is outside the stage's range -45° to 45° "
+            f"({bench.rig}:14: stage.elevation_range_deg)"
+        ),
+        (
+            f"{bench.part}:5: postures[0]: rotation -1° is outside the stage's range 0° to 360° "
+            f"({bench.rig}:14: stage.rotation_range_deg)"
+        ),
     )
     with pytest.raises(InputError, match=re.escape("elevation 45.01° is outside")):
         build_scene(bench.rig, bench.part, postures=[Posture(45.01, 0.0)])
