@@ -10,7 +10,7 @@ import numpy as np
 
 from lightopt import build_scene
 from lightopt.mesh import TriangleMesh, load_mesh, transformed
-from lightopt.scene import PinholeCamera, Scene
+from lightopt.scene import PinholeCamera, Posture, Scene
 
 __all__ = ["CONFIGS", "FULL", "QUICK", "RIG", "TOY", "Size", "case_scene", "chrome", "resized", "spout_scene"]
 
@@ -72,7 +72,9 @@ def _scene(part: str, size: Size, coarser: float) -> Scene:
         chord_tolerance_mm=coarser * size.chord_mm,
         angular_tolerance=coarser * size.angle,
     )
-    scene = replace(scene, mesh=_rest_on_table(loaded.mesh), postures=scene.postures[:1])
+    scene = replace(
+        scene, mesh=_rest_on_table(loaded.mesh), postures=(Posture(elevation_deg=0.0, rotation_deg=0.0),)
+    )
     return replace(scene, camera=resized(scene.camera, size.width))
 
 

@@ -18,7 +18,7 @@ SCENES = GOLDEN / "scenes"
 
 RENDERS: dict[str, list[str]] = {
     "knob": ["rig.yaml", "knob.yaml", "--layers", "--exposure", "1", "--exposure", "1/16"],
-    "knob-auto": ["rig.yaml", "knob.yaml", "--points", "auto", "--posture", "0,82", "--noise", "7"],
+    "knob-auto": ["rig.yaml", "knob.yaml", "--points", "auto", "--posture", "0,82"],
     "spout": ["rig-12bit.yaml", "spout.yaml"],
     "spout-auto": ["rig-12bit.yaml", "spout.yaml", "--points", "auto", "--supersample", "2"],
 }

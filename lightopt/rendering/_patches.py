@@ -156,11 +156,16 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
         rest = np.flatnonzero(~seen)
         seen[rest] = _visible(centroids[rest], facets[rest], view, caster)
     hidden, shown = int((~seen).sum()), int(seen.sum())
-    most = max(budget, shown)
     edge = footprint
-    limit = hidden + 16 * most + 1  # beyond it the step below is the longest anyway
-    while (count := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden) > most:
-        edge *= max(1.02, min(4.0, math.sqrt(count / most)))
+    if shown >= budget:
+        # finer than the budget to begin with: every face is one patch
+        edge = max(edge, _longest_edge(mesh, seen))
+    limit = hidden + 16 * max(budget, shown) + 1  # beyond it the step below is the longest anyway
+    while shown < budget and (
+        cut := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden - shown
+    ) > (budget - shown):
+        # what cutting adds goes with 1 / edge²
+        edge *= max(1.02, min(4.0, math.sqrt(cut / (budget - shown))))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
     visible = np.stack([_visible(patches.centroids, facets[patches.face], view, caster) for view in views])
     return PatchTable(
@@ -193,6 +198,11 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
     """
     columns, rows, _ = project(view_from_part(scene, posture).camera, table.patches.centroids)
     return columns, rows
+
+
+def _longest_edge(mesh: TriangleMesh, faces: NDArray[np.bool_]) -> float:
+    corners = mesh.vertices[mesh.faces[faces]]
+    return float(np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max()))
 
 
 def _smallest_footprint(view: PartView, mesh: TriangleMesh) -> float:

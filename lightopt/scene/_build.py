@@ -261,7 +261,7 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
         elif not framing.inside:
             sides = zip(("left", "top", "right", "bottom"), framing.excess, strict=True)
             by = ", ".join(
-                f"{excess:.0f} px ({excess * framing.footprint[0]:.3g} mm) at the {side}"
+                f"{excess:.3g} px ({excess * framing.footprint[0]:.3g} mm) at the {side}"
                 for side, excess in sides
                 if excess > 0.0
             )
