@@ -30,7 +30,7 @@ test-all: $(BIN)/.installed  ## all tests
 check: $(BIN)/.installed  ## formatting, lint, types, layers
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
 
 golden-check: $(BIN)/.installed  ## render the golden scenes anew and compare them with what is committed

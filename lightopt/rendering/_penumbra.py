@@ -21,13 +21,13 @@ __all__ = ["CELLS", "shade_penumbra"]
 Float64 = NDArray[np.float64]
 State = NDArray[np.uint8]
 
-CELLS = 6
+CELLS = 8
 """Cells along each side of the panel."""
 
 BISECTIONS = 6
 """Rays that halve the side of a cell in search of the shadow's edge: it is known to 1/128 of a side."""
 
-STRIPS = 3
+STRIPS = 4
 """Strips that the visible area of a crossed cell is integrated in."""
 
 HORIZON_NODES = 6
