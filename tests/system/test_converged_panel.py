@@ -107,7 +107,7 @@ def test_box_over_a_plane(view, sigma):
         shine = {"R_d": 45.0, "R_s": R_s, "sigma": sigma}
         image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[lit]
         expected = 45.0 * unit[0] + R_s * unit[1]
-        agree(image, expected, saturates=np.count_nonzero(expected >= 255) >= 50, shadows=True)
+        agree(image, expected)
 
 
 @pytest.mark.slow
@@ -143,18 +143,18 @@ def test_spout(tmp_path, sigma):
             )
         expected = 45.0 * unit[0] + R_s * unit[1]
         image = levels(scene).ravel()[lit]
-        agree(image, expected, saturates=np.count_nonzero(expected >= 255) >= 50, shadows=True)
+        agree(image, expected)
 
 
 @pytest.mark.parametrize(("points", "most"), [(4, 0.0), ("auto", 0.1)])
 def test_blocks_hardly_matter(tmp_path, monkeypatch, points, most):
     """Images may be cut into any blocks of rows: the same with points a panel.
 
-    A penumbra of the converged panel grows within a block only, which leaves less than 0.1 level at its outermost border.
+    A penumbra of the converged panel grows within a block only, which leaves less than 0.1 level at its border.
     """
     camera = ref.Camera(width=120, height=90, pixel_um=50)
     scene = scene_from_files(
-        tmp_path, camera, [ref.Light(elevation=40, azimuth=80)], PARTS / "spout.stl", points="auto"
+        tmp_path, camera, [ref.Light(elevation=40, azimuth=80)], PARTS / "spout.stl", points=points
     )
     whole = levels(scene)
     worst = 0.0
