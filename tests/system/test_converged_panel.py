@@ -43,7 +43,7 @@ def agree(image, expected, *, shadows=False):
     far = np.mean(error > 0.1 + 0.001 * expected)
     print(f"max {error.max():.4f}  over 0.1 level {far:.2%}  saturated {found} of {saturated}")
     assert np.ptp(expected) > 5, "a picture of nothing would agree as well"
-    # glossy penumbrae: the visible area is found with a finite grid, and levels go from none to saturation along its edge
+    # glossy penumbrae: the visible area is found with a finite grid, and levels go up to saturation along its edge
     assert far <= (0.08 if shadows else 0.01)
     assert np.max(error - (0.03 if shadows else 0.003) * expected) <= (1.0 if shadows else 0.5)
     assert abs(found - saturated) <= 0.01 * saturated
