@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.images._atomic import write_atomically
-from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, read_metadata, write_rows
+from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, openimageio, read_metadata, write_rows
 
 if TYPE_CHECKING:
     import OpenImageIO
@@ -53,8 +53,7 @@ def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Ma
     """
     height, width = _common_shape(path, channels)
     text = metadata_json(metadata)
-    import OpenImageIO
-
+    OpenImageIO = openimageio()
     spec = OpenImageIO.ImageSpec(width, height, len(channels), "float")
     spec.channelnames = tuple(channels)
     spec.attribute("compression", _COMPRESSION)
@@ -73,8 +72,7 @@ def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Ma
 
 def _is_whole(path: Path) -> bool:
     """Whether the last row, which is written last, can be read."""
-    import OpenImageIO
-
+    OpenImageIO = openimageio()
     source = OpenImageIO.ImageInput.open(str(path))
     if source is None:
         OpenImageIO.geterror()  # else it is printed when Python ends

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
+import threading
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,13 +19,33 @@ from lightopt.errors import InputError
 if TYPE_CHECKING:
     import OpenImageIO
 
-__all__ = ["METADATA_KEY", "metadata_json", "open_input", "read_metadata", "write_rows"]
+__all__ = ["METADATA_KEY", "metadata_json", "open_input", "openimageio", "read_metadata", "write_rows"]
 
 METADATA_KEY = "lightopt:json"
 """The attribute that carries all metadata: the only kind that both EXR and PNG keep."""
 
 _PROBE_BYTES = 1 << 20
 _FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image"}
+
+
+def openimageio() -> Any:
+    """The module OpenImageIO, imported when first asked for, so that `--help` does not pay for it.
+
+    An interrupt that reaches OpenImageIO while it is imported aborts the process, so that it is held back until then.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        import OpenImageIO
+
+        return OpenImageIO
+    held: list[tuple[int, FrameType | None]] = []
+    handler = signal.signal(signal.SIGINT, lambda number, frame: held.append((number, frame)))
+    try:
+        import OpenImageIO
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if held and callable(handler):
+        handler(*held[0])
+    return OpenImageIO
 
 
 def metadata_json(metadata: Mapping[str, Any]) -> str:
@@ -58,8 +81,7 @@ def write_rows(
     OSError
         When the file cannot be written, with the system's reason where it tells one.
     """
-    import OpenImageIO
-
+    OpenImageIO = openimageio()
     output = OpenImageIO.ImageOutput.create(file_format)
     if output is None:
         raise OSError(f"OpenImageIO has no {file_format} writer: {OpenImageIO.geterror()}")
@@ -94,8 +116,7 @@ def open_input(path: Path, *, file_format: str) -> Generator[OpenImageIO.ImageIn
     InputError
         When the file is missing, unreadable or of another format.
     """
-    import OpenImageIO
-
+    OpenImageIO = openimageio()
     try:
         path.open("rb").close()
     except OSError as error:

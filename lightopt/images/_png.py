@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.images._atomic import write_atomically
-from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, read_metadata, write_rows
+from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, openimageio, read_metadata, write_rows
 
 __all__ = ["read_png", "read_png_metadata", "write_png"]
 
@@ -56,8 +56,7 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any]) 
         )
     text = metadata_json(metadata)
     pixels = levels if picture else levels[:, :, np.newaxis]
-    import OpenImageIO
-
+    OpenImageIO = openimageio()
     spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(levels.dtype))
     spec.attribute("png:compressionLevel", _COMPRESSION_LEVEL)
     spec.attribute("oiio:ColorSpace", "unknown")  # else sRGB and gamma chunks are added, which are not true
