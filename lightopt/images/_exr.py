@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.images._atomic import write_atomically
-from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, openimageio, read_metadata, write_rows
+from lightopt.images._oiio import (
+    METADATA_KEY,
+    metadata_json,
+    open_input,
+    openimageio,
+    read_metadata,
+    write_rows,
+)
 
 if TYPE_CHECKING:
     import OpenImageIO
