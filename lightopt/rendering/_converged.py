@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
+from lightopt.reflectance import Reflectance
 from lightopt.rendering._lobe import (
     gauss_legendre_table,
     out_of_reach,
@@ -22,7 +23,7 @@ from lightopt.rendering._lobe import (
     rectangle_specular,
 )
 from lightopt.rendering._panel import PanelNumbers, panel_numbers
-from lightopt.rendering._penumbra import HORIZON_NODES, shade_penumbra
+from lightopt.rendering._penumbra import HORIZON_NODES, PenumbraLight, shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
@@ -100,7 +101,7 @@ def shade_converged(
     *,
     sample: NDArray[np.intp],
     shape: tuple[int, int],
-    sigma: float,
+    reflectance: Reflectance,
     caster: RayCaster | None,
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of a whole panel, per unit of R_d and R_s; two arrays of shape (k,).
@@ -116,13 +117,13 @@ def shade_converged(
         neighbours in this grid disagree.
     shape
         Rows and columns of that grid; the grid's own border has no neighbours beyond it.
-    sigma
-        Of the specular lobe [rad].
+    reflectance
+        Its σ shapes the lobe; how finely penumbrae are worked out depends on R_d and R_s, too.
     caster
         For shadows; None for none.
     """
     panel = panel_numbers(converged.light)
-    inverse = 0.5 / sigma**2
+    inverse = 0.5 / reflectance.sigma**2
     nodes, weights = converged.rules
     if caster is None:
         verdict = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
@@ -141,7 +142,11 @@ def shade_converged(
         nodes,
         weights,
     )
+    total = converged.light.total_weight
     if caster is not None:
+        light = PenumbraLight(
+            panel, total * reflectance.R_d, total * reflectance.R_s, inverse, converged.rules
+        )
         looked_at = np.zeros(len(surface), np.bool_)
         while uncertain.any():
             penumbra = np.zeros(len(surface), np.bool_)
@@ -149,13 +154,10 @@ def shade_converged(
             for start in range(0, len(index), PENUMBRA_BATCH):
                 batch = index[start : start + PENUMBRA_BATCH]
                 some = surface.take(batch)
-                diffuse[batch], specular[batch], penumbra[batch] = shade_penumbra(
-                    some, panel, caster, inverse_two_sigma_squared=inverse, rules=converged.rules
-                )
+                diffuse[batch], specular[batch], penumbra[batch] = shade_penumbra(some, light, caster)
             # a penumbra goes on until its neighbours, too, see the whole panel or none of it
             looked_at |= uncertain
             uncertain = _neighbours(penumbra, sample, shape) & ~looked_at & (verdict != _DARK)
-    total = converged.light.total_weight
     return total * diffuse, total * specular
 
 

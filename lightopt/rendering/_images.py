@@ -341,11 +341,13 @@ class _Job:
         grid: tuple[int, int],
     ) -> tuple[Float64, Float64]:
         caster = self.caster if self.shadows else None
-        sigma = self.scene.reflectance.sigma
+        reflectance = self.scene.reflectance
         if isinstance(panel, ConvergedPanel):
-            return shade_converged(surface, panel, sample=sample, shape=grid, sigma=sigma, caster=caster)
+            return shade_converged(
+                surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster
+            )
         assert panel.points != "auto"
-        return shade_points(surface, panel, points=panel.points, sigma=sigma, caster=caster)
+        return shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=caster)
 
     def _store_geometry(
         self,
