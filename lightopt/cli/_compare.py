@@ -25,7 +25,10 @@ def compare(
         float, typer.Option(metavar="SHARE", help="… plus this share of the golden level.")
     ] = 0.001,
     max_share: Annotated[
-        float, typer.Option(metavar="SHARE", help="Share of pixels that may differ.")
+        float, typer.Option(
+            metavar="SHARE",
+            help="Share of pixels that may differ, of those that are part (not level 0 or the black level) in A or B.",
+        ),
     ] = 0.001,
     geometry_absolute: Annotated[
         float, typer.Option(metavar="MM", help="Threshold in geometry images and patch tables.")
@@ -48,7 +51,9 @@ def compare(
     """Compare two images or image sets, golden A against new B; exit status 1 where they differ too much.
 
     Per channel: greatest and rms difference, 99th percentile, share of differing pixels, and overlap (IoU) of the
-    saturated areas. A missing golden file is a failure.
+    saturated areas. Pixels that are background in both images (level 0 or the black level, rays that miss the part)
+    do not count, so a small part cannot hide in a large frame. A file that only one set has: missing in B it is a
+    failure, missing in A a note. Exit status 2 where A or B is no image and no image set.
 
     Example: lightopt compare golden/ out/ --diff differences/
     """
