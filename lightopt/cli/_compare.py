@@ -25,7 +25,8 @@ def compare(
         float, typer.Option(metavar="SHARE", help="… plus this share of the golden level.")
     ] = 0.001,
     max_share: Annotated[
-        float, typer.Option(
+        float,
+        typer.Option(
             metavar="SHARE",
             help="Share of pixels that may differ, of those that are part (not level 0 or the black level) in A or B.",
         ),

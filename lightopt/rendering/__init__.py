@@ -1,6 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
+from lightopt.rendering._hopeless import PanelInPart, TooFewPixels, panels_in_part, too_few_pixels
 from lightopt.rendering._image_set import RenderedSet, RenderOptions, Report, render_image_set
 from lightopt.rendering._images import (
     Geometry,
@@ -27,6 +28,7 @@ __all__ = [
     "ConvergedPanel",
     "Geometry",
     "LightImage",
+    "PanelInPart",
     "PatchPixels",
     "PatchTable",
     "PostureImages",
@@ -35,10 +37,12 @@ __all__ = [
     "RenderedSet",
     "Report",
     "SurfacePoints",
+    "TooFewPixels",
     "build_patches",
     "cast_rays_at",
     "converged_panel",
     "interpolate_surface",
+    "panels_in_part",
     "patch_pixels",
     "patch_positions",
     "render",
@@ -46,5 +50,6 @@ __all__ = [
     "render_posture",
     "shade_converged",
     "shade_points",
+    "too_few_pixels",
     "trace_samples",
 ]

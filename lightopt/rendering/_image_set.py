@@ -16,6 +16,7 @@ from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.errors import InputError
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile, file_sha256
+from lightopt.rendering._hopeless import refuse_hopeless
 from lightopt.rendering._images import (
     Geometry,
     LightImage,
@@ -140,12 +141,15 @@ def render_image_set(
     Raises
     ------
     InputError
-        Whatever is wrong with the files, the options or the folder; nothing is written before all inputs are read.
+        Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that hardly a pixel
+        sees. Nothing is written before all inputs are read.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
     scene = build_scene(rig, part, postures=options.postures, lights=options.lights, points=options.points)
+    caster = cast_rays_at(scene)
+    refuse_hopeless(scene, rig, part, caster)
     plan = [
         (light.name, posture, exposure)
         for posture in scene.postures
@@ -159,7 +163,6 @@ def render_image_set(
     resumed = sum(writer.done(*key) for key in plan)
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=warnings.texts)
-    caster = cast_rays_at(scene)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
     if not writer.file_done():
         writer.add_patches(table.arrays())

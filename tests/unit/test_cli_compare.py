@@ -167,7 +167,9 @@ def test_a_path_that_is_no_image_and_no_set_is_wrong_input(cli, golden, new, tmp
     ran = cli("compare", golden / LIGHT, text)
     assert ran.status == 2
     assert "expected an EXR or PNG image" in ran.err
-    (new / LIGHT).write_bytes((golden / LIGHT).read_bytes()[:2000])  # damaged: wrong alone, a failure in a set
+    (new / LIGHT).write_bytes(
+        (golden / LIGHT).read_bytes()[:2000]
+    )  # damaged: wrong alone, a failure in a set
     assert cli("compare", golden / LIGHT, new / LIGHT).status == 2
     assert cli("compare", golden, new).status == 1
 
