@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lightopt.cli._options import make_folder
+from lightopt.cli._options import Force, make_folder
 from lightopt.cli._terminal import say, show_table
-from lightopt.errors import CheckFailed, InputError
+from lightopt.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
     from lightopt.compare import FileComparison, SetComparison, Thresholds
@@ -48,6 +48,7 @@ def compare(
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Compare two images or image sets, golden A against new B; exit status 1 where they differ too much.
 
@@ -75,11 +76,11 @@ def compare(
         saturation=saturation,
     )
     result = compare_sets(golden, new, thresholds) if sets else compare_files(golden, new, thresholds)
-    if json_file is not None:
-        write_text_atomic(json_file, json.dumps(result.as_dict(), indent=2) + "\n")
     _show(result)
+    if json_file is not None:
+        write_text_atomic(json_file, json.dumps(result.as_dict(), indent=2) + "\n", overwrite=force)
     if diff is not None:
-        _draw(result, diff, thresholds)
+        _draw(result, diff, thresholds, force)
     if not result.passed:
         raise CheckFailed(*(f"differs: {reason}" for reason in result.reasons))
     say("no difference beyond the thresholds")
@@ -117,7 +118,7 @@ def _show(result: FileComparison | SetComparison) -> None:
             say(f"note: {note}")
 
 
-def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thresholds) -> None:
+def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thresholds, force: bool) -> None:
     from lightopt.compare import SetComparison, difference_picture
 
     drawn = 0
@@ -130,12 +131,12 @@ def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thre
                 continue
             name = "_".join(Path(file.b).parts[-2:])
             path = target / f"{name}.diff.png"
-        picture = difference_picture(file.a, file.b, path, saturation=thresholds.saturation)
+        picture = difference_picture(file.a, file.b, path, saturation=thresholds.saturation, overwrite=force)
         drawn += 1
         if not isinstance(result, SetComparison):
             say(f"{picture.path}: blue lower, red higher, full colour at {picture.scale:.4g}")
     if isinstance(result, SetComparison):
-        say(f"{drawn} difference pictures in {target}")
+        say(f"{counted(drawn, 'difference picture')} in {target}")
     elif not drawn:
         raise InputError(
             f"{target}: no difference picture, since the files cannot be compared", *result.reasons

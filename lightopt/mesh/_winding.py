@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.errors import counted
 from lightopt.kernels import kernel
 from lightopt.mesh._topology import EdgePairs, edge_pairs
 
@@ -67,7 +68,7 @@ def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> R
     twisted = pairs.corners[pairs.same_direction, 0] // 3
     if len(twisted):
         warnings.append(
-            f"{len(twisted)} edges join triangles whose winding cannot be made to agree (a one-sided "
+            f"{counted(len(twisted), 'edge')} between triangles whose winding cannot be made to agree (a one-sided "
             "surface): kept"
         )
     is_open = np.bincount(label, weights=pairs.rim, minlength=components) > 0
@@ -76,8 +77,8 @@ def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> R
     if inside_out.any():
         turn = inside_out[label]
         warnings.append(
-            f"{np.count_nonzero(inside_out)} closed surfaces ({np.count_nonzero(turn)} triangles) were "
-            "inside out: turned"
+            f"{counted(int(np.count_nonzero(inside_out)), 'closed surface')} "
+            f"({counted(int(np.count_nonzero(turn)), 'triangle')}) inside out: turned"
         )
         faces = _turned(faces, turn)
         pairs = edge_pairs(faces, len(vertices))

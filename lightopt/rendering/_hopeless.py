@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.mesh import face_normals
 from lightopt.raycast import RayCaster
 from lightopt.rendering._surface import trace_samples
@@ -118,11 +118,9 @@ def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
     low, high = scene.mesh.bounds
     size = " × ".join(f"{side:.4g}" for side in high - low)
     distance = float(np.linalg.norm(scene.camera.position))
-    pixels = {0: "no pixel sees the part", 1: "1 pixel sees the part"}.get(
-        most, f"{most} pixels see the part"
-    )
+    pixels = counted(most, "pixel") if most else "no pixel"
     text = (
-        f"{pixels} at best, in any posture: it measures {size} mm, and a pixel's footprint is "
+        f"{pixels} on the part at best, in any posture: it measures {size} mm, and a pixel's footprint is "
         f"{pixel_footprint(scene.camera, distance):.3g} mm; check the mesh's units and the part's placement"
     )
     return TooFewPixels(pixels=most, text=text)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile, file_sha256
 from lightopt.rendering._hopeless import refuse_hopeless
 from lightopt.rendering._images import (
@@ -98,6 +98,8 @@ class RenderedSet:
         Number of rays cast for images.
     patches
         What the patch refinement reached; None where nothing was left to do.
+    replaced
+        Number of files of another set that were removed (with `force`).
     """
 
     folder: Path
@@ -106,6 +108,7 @@ class RenderedSet:
     warnings: tuple[str, ...]
     rays: int = 0
     patches: str | None = None
+    replaced: int = 0
 
 
 def render_image_set(
@@ -132,7 +135,7 @@ def render_image_set(
     options
         What to render.
     force
-        Replace a set made from other inputs.
+        Replace a set made from other inputs; all files of that set are removed.
     warn
         Called with each warning as it comes up.
     report
@@ -186,7 +189,7 @@ def render_image_set(
         rays += images.rays
         if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
             warnings.add(
-                f"posture {posture}: {images.back_faces:,} pixels see the back of a face and are black; the mesh is "
+                f"posture {posture}: {counted(images.back_faces, 'pixel')} on the back of a face, black; the mesh is "
                 "open or its winding is wrong there"
             )
         if not writer.geometry_done(posture):
@@ -203,6 +206,7 @@ def render_image_set(
         resumed=resumed,
         rays=rays,
         patches=table.message,
+        replaced=writer.replaced,
         warnings=warnings.texts,
     )
 

@@ -40,7 +40,7 @@ def test_a_panel_that_is_not_asked_for_does_not_matter(cli, bench):
 
 
 @pytest.mark.parametrize(
-    ("unit", "told"), [("um", "no pixel sees the part at best"), ("m", "is inside the part")]
+    ("unit", "told"), [("um", "no pixel on the part at best"), ("m", "is inside the part")]
 )
 def test_a_part_a_thousand_times_too_small_or_large(cli, bench, unit, told):
     bench.edit("part.yaml", "units: mm", f"units: {unit}")
@@ -63,6 +63,6 @@ def test_a_part_of_a_few_pixels_is_no_image_and_a_small_one_is(cli, bench):
 
     few = seen_from(1)  # a footprint of 24 mm
     assert few.status == 2
-    assert "pixels see the part at best, in any posture: it measures 52 × 45.99 × 18.49 mm" in few.err
+    assert "pixels on the part at best, in any posture: it measures 52 × 45.99 × 18.49 mm" in few.err
     assert "a pixel's footprint is 24.2 mm" in few.err
     assert seen_from(3).status == 0

@@ -141,7 +141,7 @@ def test_coordinates_that_are_not_finite(tmp_path, bad):
 
 def test_indices_out_of_range(tmp_path):
     path = written(tmp_path, "part.ply", ascii_ply(TRIANGLE, "3 0 1 2\n3 1 2 7\n", (3, 2)))
-    refused(path, "1 triangles use vertices that do not exist: indices 0 to 7 .* for 3 vertices")
+    refused(path, "1 triangle with vertices that do not exist: indices 0 to 7 .* for 3 vertices")
     path = written(tmp_path, "part.ply", ascii_ply(TRIANGLE, "3 0 1 -1\n", (3, 1)))
     refused(path, "indices -1 to 1")
 

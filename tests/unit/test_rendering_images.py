@@ -160,9 +160,7 @@ def test_back_faces_are_black_counted_and_told(bench, tmp_path):
     assert all((image.level == 0).all() for image in images.lights)
     done = render_image_set(bench.rig, bench.part, tmp_path, options=RenderOptions(patch_budget=100))
     assert len(done.warnings) == 1
-    assert done.warnings[0].startswith(
-        f"posture (0°, 0°): {hit:,} pixels see the back of a face and are black"
-    )
+    assert done.warnings[0].startswith(f"posture (0°, 0°): {hit:,} pixels on the back of a face, black")
 
 
 # --- the Python interface
