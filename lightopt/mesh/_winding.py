@@ -11,7 +11,7 @@ from lightopt.errors import counted
 from lightopt.kernels import kernel
 from lightopt.mesh._topology import EdgePairs, edge_pairs
 
-__all__ = ["Repaired", "repair_winding"]
+__all__ = ["Repaired", "repair_winding", "winding_number"]
 
 # Closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside.
 _NO_VOLUME = 1e-9
@@ -118,7 +118,7 @@ def _inside_out(
             continue
         point = corners[int(np.argmax(label == c)), 0]
         others = corners[in_closed & around[label]]
-        result[c] = abs(_winding_number(others, point)) < 0.5
+        result[c] = abs(winding_number(others, point)) < 0.5
     return result
 
 
@@ -160,8 +160,18 @@ def _flood(
 
 
 @kernel
-def _winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -> float:
-    """How often closed surfaces surround a point: solid angles by van Oosterom and Strackee (1983), eq. 8."""
+def winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+    """How often closed surfaces surround a point.
+
+    Solid angles by van Oosterom and Strackee 1983, doi:10.1109/TBME.1983.325207, eq. 8.
+
+    Parameters
+    ----------
+    triangles
+        Corners [mm], shape (m, 3, 3).
+    point
+        [mm], shape (3,).
+    """
     total = 0.0
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0] - point, triangles[t, 1] - point, triangles[t, 2] - point

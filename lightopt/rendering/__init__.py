@@ -19,6 +19,7 @@ from lightopt.rendering._patches import (
     build_patches,
     patch_pixels,
     patch_positions,
+    visible_points,
 )
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
@@ -52,4 +53,5 @@ __all__ = [
     "shade_points",
     "too_few_pixels",
     "trace_samples",
+    "visible_points",
 ]

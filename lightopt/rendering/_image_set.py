@@ -25,7 +25,7 @@ from lightopt.rendering._images import (
     render_posture,
 )
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
-from lightopt.scene import PanelLight, Scene, build_scene, coarse_points
+from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings
 from lightopt.sensor import expose, image_rng
 from lightopt.transforms import Posture
 
@@ -162,7 +162,7 @@ def render_image_set(
     writer = ImageSetWriter(folder, _header(rig, part, scene, options), force=force, plan=plan)
     warnings = _Warnings(writer, warn)
     warnings.add(*scene.warnings)
-    warnings.add(*(text for light in scene.lights if (text := coarse_points(light, scene.reflectance.sigma))))
+    warnings.add(*coarse_warnings(scene.lights, scene.reflectance.sigma))
     resumed = sum(writer.done(*key) for key in plan)
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=warnings.texts)

@@ -15,7 +15,15 @@ from lightopt.scene._camera import (
 from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
 from lightopt.scene._part_size import UnitGuess, guess_unit, is_absurd, view_size
-from lightopt.scene._sampling import COARSE_SHARE, PointSpacing, coarse_points, point_spacing, points_advice
+from lightopt.scene._sampling import (
+    COARSE_SHARE,
+    PointSpacing,
+    coarse_points,
+    coarse_warnings,
+    like_panels,
+    point_spacing,
+    points_advice,
+)
 from lightopt.scene._scene import PartView, Scene, view_from_part
 from lightopt.transforms import Posture
 
@@ -34,9 +42,11 @@ __all__ = [
     "build_lights",
     "build_scene",
     "coarse_points",
+    "coarse_warnings",
     "frame_part",
     "guess_unit",
     "is_absurd",
+    "like_panels",
     "panel_grid",
     "pixel_directions",
     "pixel_footprint",

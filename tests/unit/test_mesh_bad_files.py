@@ -72,6 +72,14 @@ def test_binary_stl_whose_size_disagrees_with_its_count(tmp_path):
     refused(written(tmp_path, "part.stl", bytes(84)), "no triangles")
 
 
+def test_binary_stl_whose_header_begins_with_solid(tmp_path):
+    data = b"solid part".ljust(80, b" ") + exported("stl")[80:]
+    whole = written(tmp_path, "whole.stl", data)
+    assert len(load_mesh(whole, unit_mm=1.0, normals="facet", crease_angle=0.5).mesh.faces) == 80
+    refused(written(tmp_path, "part.stl", data[:-10]), "a binary STL file that is cut off")
+    refused(written(tmp_path, "part.stl", data[:90]), "a binary STL file that is cut off")
+
+
 def test_ascii_stl_cut_off(tmp_path):
     data = exported("stl_ascii")
     for end in (len(data) // 2, len(data) - 12):
