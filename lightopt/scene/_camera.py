@@ -167,9 +167,10 @@ def _fold(distortion: Distortion) -> float:
     # square of the radius from which on the radial model turns back, d(r·radial)/dr = 0; the tangential terms of real
     # lenses are too small to matter
     d = distortion
-    roots = np.roots([7.0 * d.k3, 5.0 * d.k2, 3.0 * d.k1, 1.0])
+    # in 1/r², so that the leading coefficient is never small
+    roots = np.roots([1.0, 3.0 * d.k1, 5.0 * d.k2, 7.0 * d.k3])
     ahead = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
-    return float(ahead.min()) if len(ahead) else np.inf
+    return float(1.0 / ahead.max()) if len(ahead) else np.inf
 
 
 def _undistort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, Float64]:

@@ -95,8 +95,12 @@ def test_company_of_other_lights_does_not_matter():
         assert np.array_equal(levels(scene_from_mesh(CAMERA, [light], mesh)), image)
 
 
-@pytest.mark.parametrize("points", [None, "auto"])
-def test_components_add_and_are_linear_in_the_coefficients(points):
+# how finely a converged panel's penumbrae are worked out depends on what its light is worth
+EXACTLY, TO_TOLERANCE = {"rtol": 1e-6, "atol": 1e-9}, {"rtol": 1e-3, "atol": 0.1}
+
+
+@pytest.mark.parametrize(("points", "close"), [(None, EXACTLY), ("auto", TO_TOLERANCE)])
+def test_components_add_and_are_linear_in_the_coefficients(points, close):
     mesh = bumps(9)
 
     def image(**coefficients):
@@ -108,10 +112,10 @@ def test_components_add_and_are_linear_in_the_coefficients(points):
     assert both.diffuse.max() > 10
     assert both.specular.max() > 10
     np.testing.assert_allclose(both.level, both.diffuse + both.specular, rtol=1e-6)
-    np.testing.assert_allclose(image(R_d=90.0).diffuse, 2 * both.diffuse, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(image(R_s=25000.0).specular, 2 * both.specular, rtol=1e-6, atol=1e-9)
-    assert np.array_equal(image(R_s=0.0).level, both.diffuse)
-    assert np.array_equal(image(R_d=0.0).level, both.specular)
+    np.testing.assert_allclose(image(R_d=90.0).diffuse, 2 * both.diffuse, **close)
+    np.testing.assert_allclose(image(R_s=25000.0).specular, 2 * both.specular, **close)
+    np.testing.assert_allclose(image(R_s=0.0).level, both.diffuse, **close)
+    np.testing.assert_allclose(image(R_d=0.0).level, both.specular, **close)
 
 
 @pytest.mark.parametrize("points", [None, "auto"])
