@@ -43,7 +43,11 @@ def compare(
     ] = None,
     diff: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="Difference picture (PNG); a folder of them for image sets."),
+        typer.Option(
+            metavar="PATH",
+            help="Difference picture (PNG); a folder of them for image sets. Red: B is higher, blue: lower; green: "
+            "saturated in A alone, magenta: in B alone.",
+        ),
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
@@ -54,8 +58,9 @@ def compare(
 
     Per channel: greatest and rms difference, 99th percentile, share of differing pixels, and overlap (IoU) of the
     saturated areas. Pixels that are background in both images (level 0 or the black level, rays that miss the part)
-    do not count, so a small part cannot hide in a large frame. A file that only one set has: missing in B it is a
-    failure, missing in A a note. Exit status 2 where A or B is no image and no image set.
+    do not count, so a small part cannot hide in a large frame; all pixels of a PNG with noise do count. A file that
+    only one set has: missing in B it is a failure, missing in A a note. Exit status 2 where A or B is no
+    image and no image set.
 
     Example: lightopt compare golden/ out/ --diff differences/
     """

@@ -35,8 +35,14 @@ Force = Annotated[bool, typer.Option("--force", help="Replace results that are t
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 
+LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9
+"""Relative to exposure 1; it is a part of file names."""
+
+
 def make_folder(folder: Path) -> None:
     """Make an output folder, or say why that cannot be."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder for the results, found a file; choose another name")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -65,8 +71,11 @@ def parse_exposure(text: str) -> float:
         value = float(Fraction(text))
     except (ValueError, ZeroDivisionError, OverflowError):
         value = math.nan
-    if not (math.isfinite(value) and value > 0.0):
-        raise InputError(f'--exposure: expected a number above 0 or a fraction such as 1/16, found "{text}"')
+    if not LEAST_EXPOSURE <= value <= MOST_EXPOSURE:
+        raise InputError(
+            f"--exposure: expected a number from {LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g} or a fraction such as 1/16, "
+            f'found "{text}"'
+        )
     return value
 
 

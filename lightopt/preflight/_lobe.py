@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from lightopt.preflight._report import Finding
 from lightopt.preflight._subject import SceneSubject
+from lightopt.rendering import highlight_level
 from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
 
 __all__ = ["check_levels", "check_points"]
@@ -44,7 +45,7 @@ def _points(light: PanelLight, sigma: float, where: str) -> Finding:
     points = "1 point stands for" if found.points == 1 else f"{found.points} points stand apart by"
     text = (
         f"{light.name}: the panel's {points} {found.spacing:.3g} mm, the lobe of σ = {sigma:g} rad takes in "
-        f"{found.lobe:.3g} mm (2·distance·σ): saturated areas about {100 * abs(found.area_error):.1f} % too "
+        f"{found.lobe:.3g} mm (2·distance·σ): overexposed areas about {100 * abs(found.area_error):.1f} % too "
         f"{'small' if found.area_error < 0.0 else 'large'}"
     )
     if abs(found.area_error) <= NEGLIGIBLE_ERROR:
@@ -64,10 +65,18 @@ def check_levels(subject: SceneSubject) -> Iterator[Finding]:
     saturation = (sensor.saturated_from - sensor.black_level) / sensor.max_level * reflectance.full_scale
     brightest = max(subject.scene.lights, key=lambda light: light.total_weight)
     level = reflectance.R_d * brightest.total_weight
-    values = {"diffuse_level": level, "saturation_level": saturation, "full_scale": reflectance.full_scale}
+    peak, mirrored = max(
+        (highlight_level(subject.scene, light), light.name) for light in subject.scene.lights
+    )
+    values = {
+        "diffuse_level": level,
+        "highlight_level": peak,
+        "saturation_level": saturation,
+        "full_scale": reflectance.full_scale,
+    }
     text = (
-        f"a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light at exposure 1; saturation is "
-        f"at {saturation:.4g}"
+        f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one that "
+        f"mirrors the whole panel of {mirrored} {peak:.3g} of specular light; saturation is at {saturation:.4g}"
     )
     if level >= saturation:
         exposure = 0.5 * saturation / level

@@ -1,6 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
+from lightopt.rendering._highlight import highlight_level
 from lightopt.rendering._hopeless import PanelInPart, TooFewPixels, panels_in_part, too_few_pixels
 from lightopt.rendering._image_set import RenderedSet, RenderOptions, Report, render_image_set
 from lightopt.rendering._images import (
@@ -42,6 +43,7 @@ __all__ = [
     "build_patches",
     "cast_rays_at",
     "converged_panel",
+    "highlight_level",
     "interpolate_surface",
     "panels_in_part",
     "patch_pixels",

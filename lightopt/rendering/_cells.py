@@ -21,6 +21,8 @@ stake
     Of crossed cells, the light of the whole cell in units of the error allowed; 0 of others; shape (q, n, n).
 inverse_two_sigma_squared
     1/(2σ²) [rad⁻²].
+panel_nodes
+    Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission; a cell needs fewer.
 nodes, weights
     Gauss–Legendre rules.
 terms
@@ -41,7 +43,6 @@ from lightopt.rendering._panel import PanelNumbers
 __all__ = [
     "BELOW",
     "BLOCKED",
-    "HORIZON_NODES",
     "MOST_BISECTIONS",
     "SIDE_SHARE",
     "VISIBLE",
@@ -57,10 +58,7 @@ State = NDArray[np.uint8]
 BELOW, VISIBLE, BLOCKED = 1, 2, 3
 """What a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle."""
 
-HORIZON_NODES = 6
-"""Gauss–Legendre nodes a side where the panel is partly below the surface's horizon."""
-
-SIDE_SHARE = 4.0
+SIDE_SHARE = 8.0
 """The edge is found to within a cell's side divided by this and by what is at stake in the cell, in tolerances."""
 
 MOST_BISECTIONS = 12
@@ -146,6 +144,7 @@ def add_visible_cells(
     diffuse_level: float,
     specular_level: float,
     inverse_two_sigma_squared: float,
+    panel_nodes: int,
     nodes: Float64,
     weights: Float64,
     terms: Float64,
@@ -153,6 +152,7 @@ def add_visible_cells(
     """Add the light of the visible cells to `terms`; return the levels of the whole of each crossed one, (q, n, n)."""
     q, n = len(point), state.shape[1] - 1
     stake = np.zeros((q, n, n))
+    few = math.ceil(2.0 * panel_nodes * cell)
     for i in range(q):
         k = point[i]
         p, normal, v = points[k], normals[k], views[k]
@@ -162,15 +162,16 @@ def add_visible_cells(
             t0 = t[i] + row * cell - 0.5
             column = 0
             while column < n:
-                kind, order = _cell_kind(state, i, row, column)
+                kind = _cell_kind(state, i, row, column)
                 end = column + 1
                 if kind == BLOCKED:
                     column = end
                     continue
                 # visible cells of one row in one go
-                while kind == VISIBLE and end < n and _cell_kind(state, i, row, end) == (kind, order):
+                while kind == VISIBLE and end < n and _cell_kind(state, i, row, end) == kind:
                     end += 1
                 s0, s1 = s[i] + column * cell - 0.5, s[i] + end * cell - 0.5
+                order = max(2, math.ceil(panel_nodes * (s1 - s0))) if kind == VISIBLE else few
                 d = rectangle_diffuse(p, normal, v, panel, s0, s1, t0, t0 + cell, order, nodes, weights)
                 g = 0.0
                 if glossy:
@@ -185,6 +186,7 @@ def add_visible_cells(
                         t0,
                         t0 + cell,
                         inverse_two_sigma_squared,
+                        panel_nodes,
                         nodes,
                         weights,
                     )
@@ -213,6 +215,7 @@ def add_crossed_cells(
     stake: Float64,
     left_out: Bool,
     inverse_two_sigma_squared: float,
+    panel_nodes: int,
     nodes: Float64,
     weights: Float64,
     terms: Float64,
@@ -220,6 +223,7 @@ def add_crossed_cells(
     """Add the light of the visible part of the crossed cells, except those `left_out`, to `terms`."""
     q, n = len(point), state.shape[1] - 1
     runs = np.empty((4 * MOST_STRIPS, 4))
+    few = math.ceil(2.0 * panel_nodes * cell)
     for i in range(q):
         k = point[i]
         p, normal, v = points[k], normals[k], views[k]
@@ -227,7 +231,7 @@ def add_crossed_cells(
         glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse_two_sigma_squared)
         for row in range(n):
             for column in range(n):
-                kind, order = _cell_kind(state, i, row, column)
+                kind = _cell_kind(state, i, row, column)
                 if kind != 0 or left_out[i, row, column]:
                     continue
                 strips = math.ceil(math.sqrt(STRIP_SHARE * stake[i, row, column]))
@@ -236,9 +240,7 @@ def add_crossed_cells(
                 for j in range(count):
                     s0, s1 = s[i] + runs[j, 0] * cell - 0.5, s[i] + runs[j, 1] * cell - 0.5
                     t0, t1 = t[i] + runs[j, 2] * cell - 0.5, t[i] + runs[j, 3] * cell - 0.5
-                    terms[k, 0] += rectangle_diffuse(
-                        p, normal, v, panel, s0, s1, t0, t1, order, nodes, weights
-                    )
+                    terms[k, 0] += rectangle_diffuse(p, normal, v, panel, s0, s1, t0, t1, few, nodes, weights)
                     if glossy:
                         terms[k, 1] += rectangle_specular(
                             p,
@@ -251,26 +253,23 @@ def add_crossed_cells(
                             t0,
                             t1,
                             inverse_two_sigma_squared,
+                            panel_nodes,
                             nodes,
                             weights,
                         )
 
 
 @kernel
-def _cell_kind(state: State, i: int, row: int, column: int) -> tuple[int, int]:
-    # VISIBLE, BLOCKED, or 0 where the edge of the shadow crosses the cell; and the nodes that its light needs
-    visible = blocked = below = 0
+def _cell_kind(state: State, i: int, row: int, column: int) -> int:
+    # VISIBLE, BLOCKED, or 0 where the edge of the shadow crosses the cell
+    visible = blocked = 0
     for corner in range(4):
         value = state[i, row + corner // 2, column + corner % 2]
         visible += value == VISIBLE
         blocked += value == BLOCKED
-        below += value == BELOW
-    order = HORIZON_NODES if below > 0 else 2
     if visible == 0:
-        return BLOCKED, order
-    if blocked == 0:
-        return VISIBLE, order
-    return 0, HORIZON_NODES if below > 0 else 1
+        return BLOCKED
+    return VISIBLE if blocked == 0 else 0
 
 
 @kernel

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
 from lightopt.reflectance import Reflectance
-from lightopt.rendering._cells import HORIZON_NODES
 from lightopt.rendering._lobe import (
     gauss_legendre_table,
     out_of_reach,
@@ -33,8 +32,8 @@ __all__ = ["ConvergedPanel", "converged_panel", "shade_converged"]
 
 Float64 = NDArray[np.float64]
 
-DIFFUSE_TOLERANCE = 2e-4
-"""Error of the diffuse quadrature per unit of R_d: 0.05 level of 255."""
+DIFFUSE_TOLERANCE = 1e-4
+"""Error of the diffuse quadrature per unit of R_d: 0.025 level of 255."""
 
 PROBE_INSET = 0.98
 """The rays to the corners go this far from the panel's centre towards them."""
@@ -55,7 +54,7 @@ class ConvergedPanel:
     light
         The panel, part frame.
     nodes
-        Gauss–Legendre nodes a side for diffuse light.
+        Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do.
     rules
         From :func:`gauss_legendre_table`.
     """
@@ -80,7 +79,9 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
     towards = light.centre - centre
     towards = towards / np.linalg.norm(towards)
     positions = [centre + radius * np.array(d) for d in itertools.product((-0.57, 0.57), repeat=3)]
-    tilts = [towards, towards + 1.5 * light.across, towards + 1.5 * light.along]
+    # facing the panel, leaning, and so steep that the panel reaches below the horizon
+    leanings = [a * side for side in (light.across, light.along) for a in (1.5, 5.0, -5.0)]
+    tilts = [towards, *(towards + leaning for leaning in leanings)]
     normals = [tilt / np.linalg.norm(tilt) for tilt in tilts]
     for count in (2, 3, 4, 6, 8, 12, 16, 20):
         error = max(
@@ -146,7 +147,7 @@ def shade_converged(
     total = converged.light.total_weight
     if caster is not None:
         light = PenumbraLight(
-            panel, total * reflectance.R_d, total * reflectance.R_s, inverse, converged.rules
+            panel, total * reflectance.R_d, total * reflectance.R_s, inverse, converged.nodes, converged.rules
         )
         looked_at = np.zeros(len(surface), np.bool_)
         while uncertain.any():
@@ -212,7 +213,7 @@ def _whole_panel(
     views: Float64,
     verdict: NDArray[np.uint8],
     panel: PanelNumbers,
-    diffuse_nodes: int,
+    panel_nodes: int,
     inverse_two_sigma_squared: float,
     nodes: Float64,
     weights: Float64,
@@ -223,25 +224,23 @@ def _whole_panel(
         if verdict[i] != _CLEAR:
             continue
         p, n, v = points[i], normals[i], views[i]
-        least, most = _horizon(p, n, panel)
-        if most <= 0.0:
-            continue
-        count = diffuse_nodes if least > 0.0 else HORIZON_NODES
-        diffuse[i] = rectangle_diffuse(p, n, v, panel, -0.5, 0.5, -0.5, 0.5, count, nodes, weights)
+        diffuse[i] = rectangle_diffuse(p, n, v, panel, -0.5, 0.5, -0.5, 0.5, panel_nodes, nodes, weights)
         n_dot_v = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
         if out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
             continue
         specular[i] = rectangle_specular(
-            p, n, v, n_dot_v, panel, -0.5, 0.5, -0.5, 0.5, inverse_two_sigma_squared, nodes, weights
+            p,
+            n,
+            v,
+            n_dot_v,
+            panel,
+            -0.5,
+            0.5,
+            -0.5,
+            0.5,
+            inverse_two_sigma_squared,
+            panel_nodes,
+            nodes,
+            weights,
         )
     return diffuse, specular
-
-
-@kernel
-def _horizon(p: Float64, n: Float64, panel: PanelNumbers) -> tuple[float, float]:
-    # height of the panel's lowest and highest corner above the surface's tangent plane
-    middle = n[0] * (panel.centre_x - p[0]) + n[1] * (panel.centre_y - p[1]) + n[2] * (panel.centre_z - p[2])
-    across = n[0] * panel.across_x + n[1] * panel.across_y + n[2] * panel.across_z
-    along = n[0] * panel.along_x + n[1] * panel.along_y + n[2] * panel.along_z
-    half = 0.5 * (abs(across) + abs(along))
-    return middle - half, middle + half

@@ -121,7 +121,8 @@ def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
     pixels = counted(most, "pixel") if most else "no pixel"
     text = (
         f"{pixels} on the part at best, in any posture: it measures {size} mm, and a pixel's footprint is "
-        f"{pixel_footprint(scene.camera, distance):.3g} mm; check the mesh's units and the part's placement"
+        f"{pixel_footprint(scene.camera, distance):.3g} mm; check the mesh's units, the part's placement and the "
+        "camera's lens"
     )
     return TooFewPixels(pixels=most, text=text)
 

@@ -78,31 +78,81 @@ def rectangle_diffuse(
     nodes, weights
         From :func:`gauss_legendre_table`.
     """
+    level, rise_s, rise_t, lowest = _height_above_horizon(p, n, panel, s0, s1, t0, t1)
+    first, last = _broken_rows(level, rise_s, rise_t, lowest, s0, s1, t0, t1)
     total = 0.0
-    for i in range(count):
-        t = t0 + (t1 - t0) * nodes[count, i]
-        for j in range(count):
-            s = s0 + (s1 - s0) * nodes[count, j]
-            # a view from below (n_dot_v = 0) leaves out the specular term
-            d, _ = point_terms(
-                p[0],
-                p[1],
-                p[2],
-                n[0],
-                n[1],
-                n[2],
-                v[0],
-                v[1],
-                v[2],
-                0.0,
-                panel.centre_x + s * panel.across_x + t * panel.along_x,
-                panel.centre_y + s * panel.across_y + t * panel.along_y,
-                panel.centre_z + s * panel.across_z + t * panel.along_z,
-                panel,
-                0.0,
-            )
-            total += weights[count, i] * weights[count, j] * d
-    return total * (s1 - s0) * (t1 - t0)
+    for low, high in ((t0, first), (first, last), (last, t1)):
+        if low >= high:
+            continue
+        part = 0.0
+        for i in range(count):
+            t = low + (high - low) * nodes[count, i]
+            r0, r1 = _row_above_horizon(level + rise_t * t, rise_s, lowest, s0, s1)
+            if r0 >= r1:
+                continue
+            row = 0.0
+            for j in range(count):
+                s = r0 + (r1 - r0) * nodes[count, j]
+                # a view from below (n_dot_v = 0) leaves out the specular term
+                d, _ = point_terms(
+                    p[0],
+                    p[1],
+                    p[2],
+                    n[0],
+                    n[1],
+                    n[2],
+                    v[0],
+                    v[1],
+                    v[2],
+                    0.0,
+                    panel.centre_x + s * panel.across_x + t * panel.along_x,
+                    panel.centre_y + s * panel.across_y + t * panel.along_y,
+                    panel.centre_z + s * panel.across_z + t * panel.along_z,
+                    panel,
+                    0.0,
+                )
+                row += weights[count, j] * d
+            part += weights[count, i] * (r1 - r0) * row
+        total += part * (high - low)
+    return total
+
+
+@kernel
+def _height_above_horizon(
+    p: Float64, n: Float64, panel: PanelNumbers, s0: float, s1: float, t0: float, t1: float
+) -> tuple[float, float, float, float]:
+    # height of the panel above the surface's tangent plane: level + rise_s·s + rise_t·t; and the least on a rectangle
+    level = n[0] * (panel.centre_x - p[0]) + n[1] * (panel.centre_y - p[1]) + n[2] * (panel.centre_z - p[2])
+    rise_s = n[0] * panel.across_x + n[1] * panel.across_y + n[2] * panel.across_z
+    rise_t = n[0] * panel.along_x + n[1] * panel.along_y + n[2] * panel.along_z
+    lowest = level + min(rise_s * s0, rise_s * s1) + min(rise_t * t0, rise_t * t1)
+    return level, rise_s, rise_t, lowest
+
+
+@kernel
+def _broken_rows(
+    level: float, rise_s: float, rise_t: float, lowest: float, s0: float, s1: float, t0: float, t1: float
+) -> tuple[float, float]:
+    # N·L > 0 is a half-plane of (s, t) with a break of the integrand along its border: rows of nodes end there, and are
+    # taken apart where it meets the rectangle's sides, between these two t
+    if lowest > 0.0 or rise_t == 0.0:
+        return t1, t1
+    at_start, at_end = -(level + rise_s * s0) / rise_t, -(level + rise_s * s1) / rise_t
+    return min(max(min(at_start, at_end), t0), t1), min(max(max(at_start, at_end), t0), t1)
+
+
+@kernel
+def _row_above_horizon(
+    height: float, rise_s: float, lowest: float, s0: float, s1: float
+) -> tuple[float, float]:
+    # the part of a row of the rectangle that is above the horizon; empty where none is
+    if lowest > 0.0:
+        return s0, s1
+    if rise_s > 0.0:
+        return max(s0, -height / rise_s), s1
+    if rise_s < 0.0:
+        return s0, min(s1, -height / rise_s)
+    return (s0, s1) if height > 0.0 else (s0, s0)
 
 
 @kernel
@@ -117,12 +167,14 @@ def rectangle_specular(
     t0: float,
     t1: float,
     inverse_two_sigma_squared: float,
+    panel_nodes: int,
     nodes: Float64,
     weights: Float64,
 ) -> float:
     """Specular light, per unit of R_s, of the rectangle [s0, s1] × [t0, t1] of a panel of total weight 1.
 
-    Parameters as in :func:`rectangle_diffuse`; `n_dot_v` is cosθ_o, `inverse_two_sigma_squared` 1/(2σ²) [rad⁻²].
+    Parameters as in :func:`rectangle_diffuse`; `n_dot_v` is cosθ_o, `inverse_two_sigma_squared` 1/(2σ²) [rad⁻²], and
+    `panel_nodes` the nodes a side that the whole panel needs for its fall-off and emission.
     """
     if n_dot_v <= 0.0:
         return 0.0
@@ -166,19 +218,10 @@ def rectangle_specular(
             return 0.0
     gs = inverse_two_sigma_squared * (jxs * hx + jys * hy)
     gt = inverse_two_sigma_squared * (jxt * hx + jyt * hy)
-    count_s = _node_count(a, gs, ws0 - s, ws1 - s)
-    count_t = _node_count(c, gt, wt0 - t, wt1 - t)
-    # N·L > 0 is a half-plane of (s, t) with a break of the integrand along its border: rows of nodes end there, and are
-    # taken apart where it meets the window's sides
-    level = n[0] * (panel.centre_x - p[0]) + n[1] * (panel.centre_y - p[1]) + n[2] * (panel.centre_z - p[2])
-    rise_s = n[0] * panel.across_x + n[1] * panel.across_y + n[2] * panel.across_z
-    rise_t = n[0] * panel.along_x + n[1] * panel.along_y + n[2] * panel.along_z
-    lowest = level + min(rise_s * ws0, rise_s * ws1) + min(rise_t * wt0, rise_t * wt1)
-    first = last = wt1
-    if lowest <= 0.0 and rise_t != 0.0:
-        at_start, at_end = -(level + rise_s * ws0) / rise_t, -(level + rise_s * ws1) / rise_t
-        first = min(max(min(at_start, at_end), wt0), wt1)
-        last = min(max(max(at_start, at_end), wt0), wt1)
+    count_s = max(_node_count(a, gs, ws0 - s, ws1 - s), math.ceil(panel_nodes * (ws1 - ws0)) + 1)
+    count_t = max(_node_count(c, gt, wt0 - t, wt1 - t), math.ceil(panel_nodes * (wt1 - wt0)) + 1)
+    level, rise_s, rise_t, lowest = _height_above_horizon(p, n, panel, ws0, ws1, wt0, wt1)
+    first, last = _broken_rows(level, rise_s, rise_t, lowest, ws0, ws1, wt0, wt1)
     total = 0.0
     for low, high in ((wt0, first), (first, last), (last, wt1)):
         if low >= high:
@@ -186,17 +229,9 @@ def rectangle_specular(
         part = 0.0
         for i in range(count_t):
             t = low + (high - low) * nodes[count_t, i]
-            r0, r1 = ws0, ws1
-            if lowest <= 0.0:
-                height = level + rise_t * t
-                if rise_s > 0.0:
-                    r0 = max(r0, -height / rise_s)
-                elif rise_s < 0.0:
-                    r1 = min(r1, -height / rise_s)
-                elif height <= 0.0:
-                    continue
-                if r0 >= r1:
-                    continue
+            r0, r1 = _row_above_horizon(level + rise_t * t, rise_s, lowest, ws0, ws1)
+            if r0 >= r1:
+                continue
             part += (
                 weights[count_t, i]
                 * (r1 - r0)

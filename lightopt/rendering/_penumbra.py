@@ -60,6 +60,8 @@ class PenumbraLight:
         Grey levels per unit of the two terms: R_d and R_s times the panel's total weight.
     inverse_two_sigma_squared
         1/(2σ²) [rad⁻²].
+    nodes
+        Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission.
     rules
         Gauss–Legendre nodes and weights.
     """
@@ -68,6 +70,7 @@ class PenumbraLight:
     diffuse_level: float
     specular_level: float
     inverse_two_sigma_squared: float
+    nodes: int
     rules: tuple[Float64, Float64]
 
 
@@ -144,7 +147,7 @@ def _shade_squares(work: _Work, squares: _Squares, *, depth: int) -> Bool:
     surface, light = work.surface, work.light
     geometry = surface.points, surface.normals, surface.views, light.panel
     place = squares.point, squares.s, squares.t, squares.cell
-    lobe = light.inverse_two_sigma_squared, *light.rules
+    lobe = light.inverse_two_sigma_squared, light.nodes, *light.rules
     state = _look_at_corners(work, squares, GRIDS[depth])
     stake = add_visible_cells(
         *geometry, *place, state, light.diffuse_level, light.specular_level, *lobe, work.terms

@@ -201,6 +201,10 @@ def build_lights(
 def _light(light: LightConfig, shared: LightSourceConfig, points: int | Literal["auto"] | None) -> PanelLight:
     own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
     source = shared.model_copy(update=own)
+    if points is not None and points != "auto" and not _is_square(points):
+        raise InputError(
+            f"points of {light.name}: expected auto or a square number (1, 4, 9, …), found {points!r}"
+        )
     return place_light(
         name=light.name,
         distance=light.distance_mm,
@@ -213,6 +217,10 @@ def _light(light: LightConfig, shared: LightSourceConfig, points: int | Literal[
         inverse_square=source.falloff == "inverse_square",
         emission_exponent=source.emission_exponent,
     )
+
+
+def _is_square(points: object) -> bool:
+    return isinstance(points, int) and points > 0 and math.isqrt(points) ** 2 == points
 
 
 def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, tuple[str, ...]]:
@@ -265,13 +273,14 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
     where = part.source.at("mesh", "file")
     warnings: list[str] = []
     outside: list[str] = []
+    hint = unit_hint(part, scene)
     for posture in scene.postures:
         camera = view_from_part(scene, posture).camera
         if inside_mesh(camera.position, scene.mesh):
             raise InputError(
                 f"{where}: the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, which "
                 f"measures {size} mm; check the mesh's units and the part's placement",
-                *unit_hint(part, scene),
+                *hint,
             )
         framing = frame_part(camera, scene.mesh)
         if framing.outside:
@@ -287,8 +296,10 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
                 if excess > 0.0
             )
             warnings.append(
-                f"posture {posture}: the part leaves the view by {by or 'reaching behind the camera'}"
+                f"posture {posture}: the part leaves the view by {by}"
+                if by
+                else "; ".join((f"posture {posture}: the part, {size} mm, reaches behind the camera", *hint))
             )
     if outside:
-        raise InputError(*outside, *unit_hint(part, scene))
+        raise InputError(*outside, *hint)
     return tuple(warnings)

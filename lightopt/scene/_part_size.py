@@ -96,7 +96,7 @@ def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | Non
         for name in likely
     )
     read = f"Read as {unit}, the part's longest side is {longest:.4g} mm"
-    text = f"a wrong unit? {read}; it would fit the view if the file were in {told}"
+    text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {told}"
     return UnitGuess(unit, likely, text)
 
 

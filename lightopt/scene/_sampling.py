@@ -105,15 +105,14 @@ def coarse_points(light: PanelLight, sigma: float) -> str | None:
         return None
     share = 100.0 * abs(found.area_error)
     error = (
-        f"saturated areas about {share:.0f} % too {'small' if found.area_error < 0 else 'large'}"
-        if share < 90.0
-        else "less than a tenth of the saturated area"
+        "separate spots instead of one highlight, whose levels and areas are not the panel's"
+        if found.separate
+        else f"overexposed areas about {share:.0f} % too {'small' if found.area_error < 0 else 'large'}"
     )
-    spots = "separate spots instead of one highlight, " if found.separate else ""
     points = "1 point stands for" if found.points == 1 else f"{found.points} points stand apart by"
     return (
         f"{light.name}: the panel's {points} {found.spacing:.3g} mm, but a lobe of σ = {sigma:g} rad takes in only "
-        f"{found.lobe:.3g} mm (2·distance·σ): {spots}{error}. {points_advice(light, found.enough)}"
+        f"{found.lobe:.3g} mm (2·distance·σ): {error}. {points_advice(light, found.enough)}"
     )
 
 

@@ -473,7 +473,7 @@ OPTIONS = {
     ),
     "exposure zero": (
         ("--exposure", "0"),
-        '--exposure: expected a number above 0 or a fraction such as 1/16, found "0"',
+        '--exposure: expected a number from 1e-09 to 1e+09 or a fraction such as 1/16, found "0"',
     ),
     "exposure negative": (("--exposure", "-1"), 'found "-1"'),
     "exposure NaN": (("--exposure", "nan"), 'found "nan"'),

@@ -1,6 +1,6 @@
 """`points: auto` against brute force: the lobe and the shadows integrated over the panel with 64 × 64 nodes or more.
 
-Expected: within 0.1 level + 0.1 % on 99.9 % of the pixels (saturated in both counts as agreeing), within 0.2 level +
+Expected: within 0.1 level or 0.1 % on 99.9 % of the pixels (saturated in both counts as agreeing), within 0.2 level +
 0.1 % on every unsaturated pixel, and the saturated area within 1 %.
 
 The nodes are those of a Gauss–Legendre product rule. An equally spaced 64 × 64 grid is no measure of this: at σ = 0.003
@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import reference as ref
+import trimesh
 from worlds import (
     BOX_CORNERS,
     PARTS,
@@ -27,6 +28,7 @@ from worlds import (
 )
 
 import lightopt.rendering._images as blocks
+from lightopt.mesh import TriangleMesh
 
 UNIT = {"R_d": 1.0, "R_s": 1.0}
 SIGMAS = [0.003, 0.0475, 0.15]
@@ -40,7 +42,7 @@ def agree(image, expected):
     unsaturated = expected < 255
     error = np.where(unsaturated, np.abs(image - expected), 0)
     saturated, found = np.count_nonzero(~unsaturated), np.count_nonzero(image >= 255)
-    far = np.mean(error > 0.1 + 0.001 * expected)
+    far = np.mean(error > np.maximum(0.1, 0.001 * expected))
     print(f"max {error.max():.4f}  over 0.1 level {far:.2%}  saturated {found} of {saturated}")
     assert np.ptp(expected) > 5, "a picture of nothing would agree as well"
     assert far <= 0.001
@@ -76,6 +78,34 @@ def test_convex_part(sigma, real):
     assert np.count_nonzero(expected >= 255) > 70
 
 
+@pytest.mark.parametrize(
+    ("size", "distance", "real", "shine"),
+    [
+        ((400, 30), 80, True, {"R_d": 45.0, "R_s": 0.0, "sigma": 0.05}),
+        ((200, 200), 150, False, {"R_d": 200.0, "R_s": 0.0, "sigma": 0.05}),
+        ((300, 300), 100, True, {"R_d": 45.0, "R_s": 60.0, "sigma": 0.4}),
+        ((300, 300), 100, True, {"R_d": 45.0, "R_s": 100.0, "sigma": 0.15}),
+    ],
+)
+def test_large_panels_near_the_part(size, distance, real, shine):
+    """Panels that dip below the horizon of much of a steep cap, and whose fall-off varies more than the lobe does."""
+    camera = ref.Camera(width=48, height=36, pixel_um=100)
+    light = ref.Light(
+        distance=distance,
+        elevation=50,
+        azimuth=30,
+        size=size,
+        falloff="inverse_square" if real else "none",
+        emission=1.0 if real else 0.0,
+    )
+    mesh = cap(30.0, half=15.0, cells=60)
+    hits = ref.trace(camera, *corners(mesh))
+    lit = np.flatnonzero(hits.front)
+    parts = ref.panel_radiance(hits[lit], light, **shine, rule=ref.product_rule(6, 24))
+    image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[lit]
+    agree(image, parts[0] + parts[1])
+
+
 LOW, HIGH = np.array([-7.0, -4.0, 9.0]), np.array([6.0, 8.0, 14.0])
 VIEWS = {
     # where the box's shadow falls beside the highlight of the panel
@@ -90,8 +120,18 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize("sigma", slow_but_one(SIGMAS, 0.0475))
-@pytest.mark.parametrize("view", VIEWS)
+# the last one fails unless penumbrae grow beyond the pixels whose coarse rays disagree
+QUICK_BOXES = [("aligned", 0.0475), ("mirror", 0.0475), ("plan", 0.15)]
+
+
+@pytest.mark.parametrize(
+    ("view", "sigma"),
+    [
+        pytest.param(view, sigma, marks=() if (view, sigma) in QUICK_BOXES else pytest.mark.slow)
+        for view in VIEWS
+        for sigma in SIGMAS
+    ],
+)
 def test_box_over_a_plane(view, sigma):
     """The hidden part of the panel is a polygon here, integrated as such: the expected levels are exact."""
     camera, light = VIEWS[view]
@@ -108,6 +148,53 @@ def test_box_over_a_plane(view, sigma):
         image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[lit]
         expected = 45.0 * unit[0] + R_s * unit[1]
         agree(image, expected)
+
+
+BALL, CENTRE = 7.0, np.array([0.0, 2.0, 15.0])
+
+
+def ball():
+    """A finely faceted ball whose outline has the radius of the round one, on average."""
+    sphere = trimesh.creation.icosphere(subdivisions=6, radius=BALL)
+    edge = np.linalg.norm(np.diff(sphere.vertices[sphere.edges_unique], axis=1), axis=-1).mean()
+    return TriangleMesh(sphere.vertices * (1 + edge**2 / (12 * BALL**2)) + CENTRE, sphere.faces, None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("view", ["plan", "mirror"])
+def test_ball_over_a_plane(view):
+    """A curved edge: at 30 pixels of the penumbra, summed over 640,000 points of the panel behind a round ball."""
+    sigma = 0.0475
+    camera, light = VIEWS[view]
+    mesh = merged(plane(40), ball())
+    hits = ref.trace(camera, *corners(merged(plane(40), box(CENTRE - BALL, CENTRE + BALL))))
+    on_plane = np.flatnonzero(hits.front & (hits.face < 2))
+    rule = ref.equally_spaced(800)
+    sources = light.at(*rule[:2])
+    rng = np.random.default_rng(2)
+    chosen, expected = [], []
+    for pixel in rng.permutation(on_plane):
+        one = hits[[pixel]]
+        towards = sources - one.point
+        along = np.clip(((CENTRE - one.point) * towards).sum(1) / (towards**2).sum(1), 0, 1)
+        hidden = ((one.point + along[:, None] * towards - CENTRE) ** 2).sum(1) < BALL**2
+        if not hidden.any() or hidden.all():
+            continue
+        terms = ref.point_terms(one, light, sources, **UNIT, sigma=sigma)
+        expected.append([light.gain * np.mean(np.where(hidden, 0, term[0])) for term in terms])
+        chosen.append(pixel)
+        if len(chosen) == 30:
+            break
+    unit = np.array(expected).T
+    for R_s in (DIM[sigma], BRIGHT[sigma]):
+        shine = {"R_d": 45.0, "R_s": R_s, "sigma": sigma}
+        image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[
+            chosen
+        ]
+        summed = 45.0 * unit[0] + R_s * unit[1]
+        off = np.abs(image - summed) / (0.1 + 0.001 * summed)
+        print(f"at most {off.max():.2f} of 0.1 level + 0.1 %")
+        assert off.max() <= (1.0 if R_s == DIM[sigma] else 1.5)  # the sum's own steps are some 0.3 there
 
 
 @pytest.mark.slow

@@ -100,7 +100,7 @@ def test_warning_says_what_is_wrong_and_what_to_do():
         "σ = 0.01",
         "6.6 mm",
         "separate spots",
-        "35 % too small",
+        "levels and areas are not the panel's",
         "points: auto",
         "361",
     ):
@@ -116,6 +116,6 @@ def test_one_point_is_one_spot():
 def test_advice_is_possible():
     # a rig file may not ask for so many points, nor for auto with sum
     text = coarse_points(panel(4, normalisation="sum"), 1e-4)
-    assert "less than a tenth" in text
+    assert "separate spots" in text
     assert "points: auto with normalisation: mean" in text
     assert "or points:" not in text

@@ -9,10 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import lightopt
 from lightopt import build_scene, load_part, load_rig, render
-from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
+from lightopt.rendering import (
+    RenderOptions,
+    cast_rays_at,
+    highlight_level,
+    render_image_set,
+    render_posture,
+)
 from lightopt.transforms import Posture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -205,3 +212,21 @@ def test_the_package_has_no_other_names():
     assert set(lightopt.__all__) == {"__version__", "build_scene", "load_part", "load_rig", "render"}
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         lightopt.nothing  # noqa: B018
+
+
+def test_highlight_level_is_that_of_a_mirroring_plate(bench):
+    """In the middle of a plate that mirrors light 1 into the camera; R_s/cosθ_o where the lobe is wide."""
+    plate = trimesh.creation.box((30, 30, 2))
+    plate.apply_translation((0, 0, -1))
+    plate.export(bench.folder / "knob.stl")
+    bench.edit("rig.yaml", "  elevation_deg: 90\n", "  elevation_deg: 60\n  azimuth_deg: 225\n")
+    bench.edit("part.yaml", "rest_on_table", "as_modelled")
+    flat = [Posture(elevation_deg=0, rotation_deg=0)]
+    for sigma in (0.01, 0.0475, 0.15):
+        text = bench.part.read_text(encoding="utf-8")
+        bench.part.write_text(re.sub(r"sigma_rad: [\d.]+", f"sigma_rad: {sigma}", text), encoding="utf-8")
+        scene = build_scene(bench.rig, bench.part, points="auto", postures=flat)
+        image = next(iter(render(scene, layers=True))).lights[0].specular
+        level = highlight_level(scene, scene.lights[0])
+        assert level == pytest.approx(image[58:62, 78:82].max(), rel=1e-2)
+    assert level == pytest.approx(12500 / np.sin(np.deg2rad(60)), rel=0.1)

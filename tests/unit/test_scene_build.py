@@ -211,6 +211,9 @@ def test_points_asked_for_replace_all_others(block):
         "auto"
     ] * 2
     assert [light.points for light in build_scene(block.rig, block.part, points=1).lights] == [1, 1]
+    for wrong in (5, 0, -4, 4.0, "foo"):
+        with pytest.raises(InputError, match="expected auto or a square number"):
+            build_scene(block.rig, block.part, points=wrong)
 
 
 def test_lights_asked_for_come_in_the_order_of_the_rig(block):

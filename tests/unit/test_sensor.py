@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from lightopt.errors import InputError
 from lightopt.sensor import Sensor, expose, image_rng, saturated
+from lightopt.sensor._expose import _poisson
 
 EIGHT_BIT = Sensor(bit_depth=8)
 
@@ -57,6 +59,32 @@ def test_shot_and_read_noise_have_the_mean_and_variance_of_the_model():
     variance = signal / 4.0 + 3.0**2 + 1 / 12
     assert noisy.mean() == pytest.approx(100 + signal, abs=5 * np.sqrt(variance / noisy.size))
     assert noisy.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / noisy.size))
+
+
+@pytest.mark.parametrize("mean", [0.1, 3.0, 19.9, 20.0, 300.0, 15000.0, 1e6])
+def test_shot_noise_is_poisson(mean):
+    uniform = np.random.default_rng(1).random(100_000)
+    counts = _poisson(np.full(len(uniform), mean), uniform, stats.norm.ppf(uniform))
+    exact = stats.poisson.ppf(uniform, mean)
+    assert np.mean(counts != exact) < (0.01 if mean >= 20 else 1e-12)
+    assert np.max(np.abs(counts - exact)) <= 1
+
+
+def test_noise_of_a_pixel_does_not_depend_on_other_pixels():
+    sensor = Sensor(bit_depth=12, read_noise_levels=0.8, electrons_per_level=2)
+    levels = np.random.default_rng(0).uniform(0, 200, (60, 80))
+    other = levels.copy()
+    other[10:20, 30:40] = 0
+    noisy, changed = (
+        expose(
+            image, sensor=sensor, exposure=1, full_scale=255, rng=image_rng(1, light=0, posture=0, exposure=0)
+        )
+        for image in (levels, other)
+    )
+    differs = noisy != changed
+    assert differs[10:20, 30:40].mean() > 0.9
+    differs[10:20, 30:40] = False
+    assert not differs.any()
 
 
 def test_dark_pixels_get_read_noise_but_no_shot_noise():
