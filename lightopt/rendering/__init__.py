@@ -11,6 +11,7 @@ from lightopt.rendering._images import (
     render,
     render_posture,
 )
+from lightopt.rendering._layers import LightLayer, light_layer
 from lightopt.rendering._patches import (
     DEFAULT_PATCH_BUDGET,
     PatchPixels,
@@ -19,17 +20,31 @@ from lightopt.rendering._patches import (
     patch_pixels,
     patch_positions,
 )
+from lightopt.rendering._pixels import (
+    LEFT_OUT,
+    UNLIT,
+    WHOLE,
+    PosturePixels,
+    in_threads,
+    panel_verdict,
+    trace_pixels,
+)
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
 
 __all__ = [
     "DEFAULT_PATCH_BUDGET",
+    "LEFT_OUT",
+    "UNLIT",
+    "WHOLE",
     "ConvergedPanel",
     "Geometry",
     "LightImage",
+    "LightLayer",
     "PatchPixels",
     "PatchTable",
     "PostureImages",
+    "PosturePixels",
     "Progress",
     "RenderOptions",
     "RenderedSet",
@@ -38,7 +53,10 @@ __all__ = [
     "build_patches",
     "cast_rays_at",
     "converged_panel",
+    "in_threads",
     "interpolate_surface",
+    "light_layer",
+    "panel_verdict",
     "patch_pixels",
     "patch_positions",
     "render",
@@ -46,5 +64,6 @@ __all__ = [
     "render_posture",
     "shade_converged",
     "shade_points",
+    "trace_pixels",
     "trace_samples",
 ]
