@@ -179,7 +179,8 @@ def estimate(
     budget = max(50, SCAN_SAMPLES // (8 * len(samples.groups)))
     few = thinned(samples, budget)
     free = _places(samples, freed)
-    r_d = first_guess(few) if freed.diffuse or held is None else float(held[0])
+    guess = first_guess(few)
+    r_d = guess if freed.diffuse or held is None else float(held[0])
     scan: list[ScanPoint] = []
     best = _scan(few, free, r_d, freed, held, scan, threads, report)
     coarse = _climb_with_table(few, best, free, WIDEST_TABLE, threads)
@@ -193,10 +194,25 @@ def estimate(
     return _finished(final, free, tuple(sorted(scan, key=lambda point: point.sigma)))
 
 
-def refine(samples: Samples, start: Estimate, *, threads: int | None = None) -> Estimate:
-    """Fit the same parameters to other samples, from an estimate that cannot be far off."""
-    final = _climb_with_table(samples, start.x, start.free, WIDEST_TABLE, threads)
-    return _finished(final, start.free, start.scan)
+def refine(
+    samples: Samples, start: Estimate, *, only_reflectance: bool = False, threads: int | None = None
+) -> Estimate:
+    """Fit the same parameters to other samples, from an estimate that cannot be far off.
+
+    Parameters
+    ----------
+    samples
+        The others.
+    start
+        Where to climb from.
+    only_reflectance
+        Whether gains and dark level stay as they are.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+    noise = (start.likelihood.log_tau2, start.likelihood.logit_epsilon)
+    free = [p for p in start.free if not only_reflectance or p < DARK or p in noise]
+    return _finished(_climb_with_table(samples, start.x, free, WIDEST_TABLE, threads), free, start.scan)
 
 
 def _finished(
@@ -313,7 +329,7 @@ def _covariance(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> Floa
     matrix = information(likelihood, x, free)
     # a noise that is nothing or a share of no pixels is at its bound and tells nothing of the others
     scale = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-12))
-    scaled = matrix / np.outer(scale, scale)
+    scaled = np.nan_to_num(matrix / np.outer(scale, scale))
     values, vectors = np.linalg.eigh(scaled)
     inverse = (vectors / np.maximum(values, 1e-10)) @ vectors.T
     return inverse / np.outer(scale, scale)

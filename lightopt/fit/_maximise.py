@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._likelihood import R_D, Evaluation, Likelihood
+from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, R_D, Evaluation, Likelihood
 
 __all__ = ["Maximum", "bounds", "information", "maximise"]
 
@@ -19,6 +19,8 @@ TOLERANCE = 1e-4
 
 LEAST_LOG_TAU2, MOST_LOG_TAU2 = np.log(1e-4), np.log(1e10)
 LEAST_LOGIT, MOST_LOGIT = -14.0, 2.0
+LEAST_LOG_R_S, MOST_LOG_R_S = np.log(1e-3), np.log(1e12)
+MOST_LOG_GAIN = np.log(100.0)
 LONGEST_STEP = 1.5
 """No logarithm changes by more than this in one step."""
 
@@ -49,6 +51,9 @@ def bounds(likelihood: Likelihood) -> tuple[Float64, Float64]:
     """Lowest and highest value of each parameter, two arrays of shape (K,)."""
     low, high = np.full(likelihood.size, -np.inf), np.full(likelihood.size, np.inf)
     low[R_D] = 0.0
+    low[LOG_R_S], high[LOG_R_S] = LEAST_LOG_R_S, MOST_LOG_R_S
+    low[FIRST_GAIN : likelihood.log_tau2] = -MOST_LOG_GAIN
+    high[FIRST_GAIN : likelihood.log_tau2] = MOST_LOG_GAIN
     low[likelihood.log_tau2], high[likelihood.log_tau2] = LEAST_LOG_TAU2, MOST_LOG_TAU2
     low[likelihood.logit_epsilon], high[likelihood.logit_epsilon] = LEAST_LOGIT, MOST_LOGIT
     return low, high

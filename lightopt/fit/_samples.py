@@ -144,6 +144,19 @@ class Samples:
             saturated=self.saturated[where],
         )
 
+    def remeasured(
+        self, levels: Sequence[NDArray[np.float32]], saturated: Sequence[NDArray[np.bool_]]
+    ) -> Samples:
+        """The same pixels of other images of the same lights, postures and exposures; one array per image."""
+        rows = np.concatenate([group.row for group in self.groups])[self.sample]
+        columns = np.concatenate([group.column for group in self.groups])[self.sample]
+        stack, flags = np.stack(levels), np.stack(saturated)
+        return replace(
+            self,
+            level=stack[self.image, rows, columns],
+            saturated=flags[self.image, rows, columns],
+        )
+
     def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
         parts = [
@@ -159,6 +172,7 @@ def collect_samples(
     *,
     caster: RayCaster,
     budget: int,
+    uniform: bool = False,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Samples:
@@ -174,6 +188,8 @@ def collect_samples(
         Of the scene's part.
     budget
         Most pixels per octave of the deflection, per light and posture.
+    uniform
+        Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
     threads
         Number of threads; the result does not depend on it.
     progress
@@ -191,7 +207,7 @@ def collect_samples(
     for done, (posture, light) in enumerate(wanted):
         if pixels is None or pixels.posture != scene.postures[posture]:
             pixels = trace_pixels(scene, scene.postures[posture], caster, threads=threads)
-        groups += _choose(pixels, posture, light, caster, budget, threads)
+        groups += _choose(pixels, posture, light, caster, budget, uniform, threads)
         if progress is not None:
             progress((done + 1) / len(wanted))
     return _assemble(scene, groups, observations)
@@ -219,14 +235,21 @@ def thinned(samples: Samples, budget: int) -> Samples:
 
 
 def _choose(
-    pixels: PosturePixels, posture: int, light: int, caster: RayCaster, budget: int, threads: int | None
+    pixels: PosturePixels,
+    posture: int,
+    light: int,
+    caster: RayCaster,
+    budget: int,
+    uniform: bool,
+    threads: int | None,
 ) -> list[SampleGroup]:
     panel = pixels.view.lights[light]
     verdict = panel_verdict(pixels, panel, caster, threads=threads)
     whole = np.flatnonzero(pixels.clean & (verdict == WHOLE))
     unlit = np.flatnonzero(pixels.clean & (verdict == UNLIT))
     layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
-    keep = _by_octave(layer.deflection, budget, (posture, light))
+    angle = np.zeros(len(whole)) if uniform else layer.deflection
+    keep = _by_octave(angle, budget, (posture, light))
     few = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, light))
     lit = layer.take(keep)
     return [

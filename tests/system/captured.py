@@ -91,15 +91,4 @@ def captured(scene: Scene, *, reflectance=None, mesh=None, **options) -> tuple[O
 
 def remeasured(samples: Samples, observations: tuple[Observation, ...]) -> Samples:
     """The same pixels with the levels of other images of the same lights and postures."""
-    levels, saturated = [], []
-    for group in samples.groups:
-        for image, seen in enumerate(observations):
-            if seen.posture == group.posture and samples.facts.light[image] == group.light:
-                levels.append(seen.levels[group.row, group.column])
-                saturated.append(seen.saturated[group.row, group.column])
-    return replace(
-        samples,
-        images=observations,
-        level=np.concatenate(levels),
-        saturated=np.concatenate(saturated),
-    )
+    return samples.remeasured([o.levels for o in observations], [o.saturated for o in observations])
