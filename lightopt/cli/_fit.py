@@ -25,7 +25,11 @@ Method = Annotated[
 ]
 Free = Annotated[
     list[str] | None,
-    typer.Option("--free", metavar="WHAT", help="Also fit gain (of each light) or dark (level); repeatable."),
+    typer.Option(
+        "--free",
+        metavar="WHAT",
+        help="Also fit gain (of each light), dark (level) or shift (of the part on the stage); repeatable.",
+    ),
 ]
 Pixels = Annotated[
     int, typer.Option(metavar="N", help="About how many pixels to look at, over all images. [1500000]")
@@ -34,7 +38,7 @@ Threads = Annotated[
     int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
 ]
 METHODS = ("likelihood", "paper")
-FREE = ("gain", "dark")
+FREE = ("gain", "dark", "shift")
 
 
 def fit_diffuse(
@@ -241,6 +245,7 @@ def _options(
         joint=joint,
         gain="gain" in (free or ()),
         dark="dark" in (free or ()),
+        shift="shift" in (free or ()),
         points=chosen,
         pixels=pixels,
         validate=validate,
@@ -285,6 +290,13 @@ def _show(result: FitResult) -> None:
         say("gains: " + ", ".join(f"{name} {gain:.4g}" for name, gain in result.gains.items()))
     if result.dark is not None:
         say(f"black level: {result.dark:.4g}")
+    if result.placement is not None:
+        p = result.placement
+        turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
+        say(
+            f"the part lies {p.x:+.3f} mm in x, {p.y:+.3f} mm in y and {turn:+.3f}° from where its file has it "
+            f"(standard errors {p.errors[0]:.1g} mm, {p.errors[1]:.1g} mm, {error:.1g}°)"
+        )
     if result.quality is not None:
         q = result.quality
         say(

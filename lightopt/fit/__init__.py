@@ -3,7 +3,6 @@
 from lightopt.fit._estimate import Estimate, Freed, ScanPoint, estimate, refine
 from lightopt.fit._fit import FitOptions, fit_diffuse, fit_specular
 from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Likelihood, predicted
-from lightopt.fit._observations import Observation, observed_postures, read_observations
 from lightopt.fit._paper import PaperDiffuse, PaperOptions, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.fit._predict import predict_images
 from lightopt.fit._profile import profile_interval
@@ -28,7 +27,6 @@ __all__ = [
     "Freed",
     "LeftOut",
     "Likelihood",
-    "Observation",
     "PaperDiffuse",
     "PaperOptions",
     "PaperSpecular",
@@ -45,14 +43,12 @@ __all__ = [
     "fit_diffuse",
     "fit_specular",
     "leave_lights_out",
-    "observed_postures",
     "paper_diffuse",
     "paper_specular",
     "predict_images",
     "predicted",
     "profile_interval",
     "provenance",
-    "read_observations",
     "refine",
     "thinned",
     "write_fit",

@@ -5,16 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.align import (
+    Observation,
+    Placement,
+    find_placement,
+    observed_postures,
+    place_part,
+    read_observations,
+    refine_placement,
+)
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.fit._estimate import Estimate, Freed, estimate
 from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, R_D
-from lightopt.fit._observations import Observation, observed_postures, read_observations
 from lightopt.fit._paper import PaperDiffuse, PaperOptions, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, poor_fit, refuse_strangers, words
 from lightopt.fit._regions import PointsRow, compare_regions
@@ -35,6 +44,7 @@ Progress = Callable[[str, float], None]
 KeepImage = Callable[[Observation, NDArray[np.float32]], None]
 
 MOST_PER_OCTAVE = 20_000
+PLACING_PER_OCTAVE = 800
 PAPER_PIXELS = 150_000
 """Pixels per image that the paper's procedure counts."""
 
@@ -59,8 +69,8 @@ class FitOptions:
         ``"likelihood"`` or ``"paper"``.
     joint
         Whether a specular fit fits R_d along instead of keeping the part file's.
-    gain, dark
-        What else is freed.
+    gain, dark, shift
+        What else is freed; `shift` is the part's place on the stage.
     points
         Point lights per panel to try; the rig's own where empty.
     pixels
@@ -77,6 +87,7 @@ class FitOptions:
     joint: bool = False
     gain: bool = False
     dark: bool = False
+    shift: bool = False
     points: tuple[Points, ...] = ()
     pixels: int = 1_500_000
     validate: bool = True
@@ -89,6 +100,7 @@ class _World:
     scene: Scene
     caster: RayCaster
     observations: tuple[Observation, ...]
+    placement: Placement | None = None
 
 
 def fit_diffuse(
@@ -120,7 +132,7 @@ def fit_diffuse(
         Images that are not the rig's or not the part's, or that do not tell R_d.
     """
     points = options.points[0] if options.points else None
-    world = _world(rig, part, image_set, points)
+    world = _world(rig, part, image_set, points, options, progress)
     if options.method == "paper":
         samples = _collect(world, options, progress, uniform=True)
         record = paper_diffuse(samples, options.paper)
@@ -154,6 +166,7 @@ def fit_diffuse(
         fitted=("R_d",),
         gains=_gains(world, found) if options.gain else None,
         dark=float(world.scene.sensor.black_level + found.x[DARK]) if options.dark else None,
+        placement=world.placement,
         observations=len(plain.sample),
         pixels=len(np.unique(plain.sample)),
         quality=quality,
@@ -189,7 +202,7 @@ def fit_specular(
     tried: list[tuple[FitResult, _World, Samples, PointsRow | None]] = []
     choices: tuple[Points | None, ...] = options.points or (None,)
     for points in choices:
-        world = _world(rig, part, image_set, points)
+        world = _world(rig, part, image_set, points, options, progress)
         result, samples = _fit_one(world, options, progress)
         row = None
         if len(choices) > 1 and result.estimate is not None:
@@ -223,12 +236,49 @@ def fit_specular(
     return result
 
 
-def _world(rig: RigConfig, part: PartConfig, image_set: ImageSet, points: Points | None) -> _World:
+def _world(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    points: Points | None,
+    options: FitOptions,
+    progress: Progress | None,
+) -> _World:
     observations = read_observations(image_set, rig, part)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points)
-    return _World(scene, cast_rays_at(scene), observations)
+    world = _World(scene, cast_rays_at(scene), observations)
+    return _placed(world, options, progress) if options.shift else world
+
+
+def _placed(world: _World, options: FitOptions, progress: Progress | None) -> _World:
+    # find the part by its outline, fit a first reflectance there, refine the place with it
+    def stage(name: str) -> Callable[[float], None] | None:
+        return None if progress is None else partial(progress, name)
+
+    threads = options.threads
+    scene = world.scene
+    start = find_placement(
+        scene, world.observations, caster=world.caster, threads=threads, progress=stage("finding the part")
+    )
+    moved = place_part(scene, start)
+    caster = cast_rays_at(moved)
+    samples = collect_samples(
+        moved, world.observations, caster=caster, budget=PLACING_PER_OCTAVE, threads=threads
+    )
+    first = estimate(samples, freed=Freed(gain=options.gain, dark=options.dark), threads=threads)
+    reflectance = replace(scene.reflectance, R_d=first.R_d, R_s=first.R_s, sigma=first.sigma)
+    placement = refine_placement(
+        replace(scene, reflectance=reflectance),
+        world.observations,
+        start,
+        caster=world.caster,
+        threads=threads,
+        progress=stage("refining the part's place"),
+    )
+    moved = place_part(scene, placement)
+    return _World(moved, cast_rays_at(moved), world.observations, placement)
 
 
 def _collect(
@@ -281,6 +331,7 @@ def _fit_one(world: _World, options: FitOptions, progress: Progress | None) -> t
         fitted=("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad"),
         gains=_gains(world, found) if options.gain else None,
         dark=float(world.scene.sensor.black_level + found.x[DARK]) if options.dark else None,
+        placement=world.placement,
         correlation=found.correlation(LOG_R_S, LOG_R_S + 1),
         observations=len(samples.sample),
         pixels=len(samples.diffuse),
@@ -300,7 +351,7 @@ def _paper_result(
     options: FitOptions,
     paper: PaperDiffuse | PaperSpecular,
 ) -> FitResult:
-    if options.gain or options.dark or options.joint:
+    if options.gain or options.dark or options.shift or options.joint:
         raise InputError(
             "--method paper knows no --free and no --joint: it fits what sections 4.2 and 4.3 fit"
         )

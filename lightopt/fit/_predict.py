@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.align import Observation
 from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
-from lightopt.fit._observations import Observation
 from lightopt.raycast import RayCaster
 from lightopt.reflectance import Reflectance
 from lightopt.rendering import render_posture

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.align import Observation
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._observations import Observation
 from lightopt.fit._predict import predict_images
 from lightopt.raycast import RayCaster
 from lightopt.scene import Scene

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from lightopt.align import Placement
 from lightopt.fit._estimate import Estimate
 from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._paper import PaperDiffuse, PaperSpecular
@@ -72,6 +73,8 @@ class FitResult:
         Gain of each light as it belongs into the rig file, where gains were freed.
     dark
         Black level as it belongs into the rig file [sensor level], where it was freed.
+    placement
+        Where the part was found to lie, where that was freed.
     correlation
         Of ln R_s and ln σ; None where they were not both fitted.
     observations, pixels
@@ -97,6 +100,7 @@ class FitResult:
     fitted: tuple[str, ...]
     gains: Mapping[str, float] | None = None
     dark: float | None = None
+    placement: Placement | None = None
     correlation: float | None = None
     observations: int = 0
     pixels: int = 0
@@ -124,6 +128,7 @@ class FitResult:
             "correlation_ln_R_s_ln_sigma": self.correlation,
             "gains": None if self.gains is None else {k: float(f"{v:.8g}") for k, v in self.gains.items()},
             "black_level": self.dark,
+            "placement": None if self.placement is None else self.placement.as_dict(),
             "observations": self.observations,
             "pixels": self.pixels,
             "quality": None if self.quality is None else self.quality.as_dict(),

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.align import Observation
 from lightopt.errors import InputError
-from lightopt.fit._observations import Observation
 from lightopt.raycast import RayCaster
 from lightopt.rendering import (
     UNLIT,

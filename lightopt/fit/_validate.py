@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.align import Observation
 from lightopt.fit._estimate import Estimate, refine
-from lightopt.fit._observations import Observation
 from lightopt.fit._predict import predict_images
 from lightopt.fit._samples import Samples, thinned
 from lightopt.raycast import RayCaster

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from lightopt import render
-from lightopt.fit import Observation, Samples
+from lightopt.align import Observation
+from lightopt.fit import Samples
 from lightopt.rendering import PostureImages
 from lightopt.scene import Scene
 from lightopt.sensor import expose, image_rng

@@ -158,6 +158,27 @@ def test_a_fit_of_other_inputs_is_not_replaced(cli, bench, images):
     assert cli(*command, "--free", "dark", "--force").status == 0
 
 
+def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path):
+    bench.edit("part.yaml", "translate_mm: [0, 0, 0]", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]")
+    bench.edit("rig.yaml", "points: 4", "points: auto")
+    exposures = ("--exposure", "1", "--exposure", "1/16", "--patches", "500", "--noise", "2", "-q")
+    assert cli("render", bench.rig, bench.part, "-o", tmp_path / "off", *exposures).status == 0
+    bench.edit("part.yaml", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]", "translate_mm: [0, 0, 0]")
+    bench.edit("part.yaml", *GUESS)
+    command = ("fit-specular", bench.rig, bench.part, tmp_path / "off", "--joint", "--no-validation")
+    assert "describes these images badly" in cli(*command, "-o", tmp_path / "nominal").err
+    ran = cli(*command, "-o", bench.out, "--free", "shift")
+    assert ran.status == 0
+    fitted = load_part(bench.out / "part.fitted.yaml").reflectance
+    assert fitted.R_d == pytest.approx(45.0, rel=0.01)
+    assert fitted.R_s == pytest.approx(12500, rel=0.02)
+    assert fitted.sigma_rad == pytest.approx(0.0475, rel=0.01)
+    placement = json.loads((bench.out / "fit.json").read_text())["placement"]
+    assert placement["x_mm"] == pytest.approx(0.8, abs=0.02)
+    assert placement["y_mm"] == pytest.approx(-0.6, abs=0.02)
+    assert placement["turn_deg"] == pytest.approx(1.0, abs=0.05)
+
+
 # --- what is said
 
 
