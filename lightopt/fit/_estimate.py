@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,16 @@ SCAN_SAMPLES = 50_000
 
 SCAN_STEPS = 30
 GOLDEN_STEPS = 7
+CLUSTERED = 2.0
+LEAST_DUST = 5e-4
+"""Where this many times as many pixels are unexplained as among those away from the highlights, it is not dust."""
+
+HIGHLIGHT_LEVEL = 0.1
+WIDENINGS = (2.0, 1.5, 1.2, 1.0)
+LEAST_FAR = 500
+"""Pixels are away from the highlights where a lobe so many times wider than the one found leaves less than this level;
+the widest that leaves enough pixels is taken."""
+
 TABLE_NODES = 5
 MOST_TABLES = 8
 WIDEST_TABLE = 0.06
@@ -99,6 +109,8 @@ class Estimate:
         How the climb ended.
     scan
         Along σ.
+    unexplained
+        Share of the pixels that the model would have left out if it could.
     """
 
     x: Float64
@@ -108,6 +120,7 @@ class Estimate:
     likelihood: Likelihood
     maximum: Maximum
     scan: tuple[ScanPoint, ...]
+    unexplained: float
 
     @property
     def R_d(self) -> float:  # noqa: N802
@@ -131,7 +144,7 @@ class Estimate:
 
     @property
     def epsilon(self) -> float:
-        """Share of the pixels that the model does not explain at all."""
+        """Share of the pixels that the fit takes for dust, glints and the like."""
         return 1.0 / (1.0 + math.exp(-self.x[-1]))
 
     def standard_error(self, place: int) -> float:
@@ -184,6 +197,14 @@ def estimate(
     scan: list[ScanPoint] = []
     best = _scan(few, free, r_d, freed, held, scan, threads, report)
     coarse = _climb_with_table(few, best, free, WIDEST_TABLE, threads)
+    unexplained = 1.0 / (1.0 + math.exp(-coarse[1].x[-1]))
+    dust = _share_of_dust(few, coarse[0], coarse[1].x)
+    if dust is not None and unexplained > CLUSTERED * dust + LEAST_DUST:
+        # what the model cannot explain lies where the highlights are: the model's fault, which is not to be left out
+        free = free[:-1]
+        start = coarse[1].x.copy()
+        start[-1] = math.log(max(dust, LEAST_DUST))
+        coarse = _climb_with_table(few, start, free, WIDEST_TABLE, threads)
     report("refining", 0.2)
     width = _width(coarse, free)
     final = _climb_with_table(samples, coarse[1].x, free, width, threads)
@@ -191,7 +212,8 @@ def estimate(
     if (narrow := _width(final, free)) < 0.5 * width:
         final = _climb_with_table(samples, final[1].x, free, narrow, threads)
     report("refining", 1.0)
-    return _finished(final, free, tuple(sorted(scan, key=lambda point: point.sigma)))
+    found = _finished(final, free, tuple(sorted(scan, key=lambda point: point.sigma)))
+    return replace(found, unexplained=max(found.unexplained, unexplained))
 
 
 def refine(
@@ -233,6 +255,7 @@ def _finished(
         likelihood=likelihood,
         maximum=maximum,
         scan=scan,
+        unexplained=1.0 / (1.0 + math.exp(-maximum.x[-1])),
     )
 
 
@@ -304,6 +327,24 @@ def _scan(
             found[1] = at(inner[1])
         report("scanning σ", (SCAN_POINTS + i + 1) / (SCAN_POINTS + GOLDEN_STEPS))
     return max([*results, *found], key=lambda result: result[0])[1]
+
+
+def _share_of_dust(samples: Samples, likelihood: Likelihood, x: Float64) -> float | None:
+    # share of outliers among the pixels that no highlight reaches; dust falls everywhere alike
+    reach = math.sqrt(2.0 * math.log(max(math.exp(x[LOG_R_S]) / HIGHLIGHT_LEVEL, 1.0)))
+    angle = samples.deflection[samples.sample]
+    lit = samples.diffuse[samples.sample] > 0.0
+    for widening in WIDENINGS:
+        far = lit & (angle > widening * math.exp(x[LOG_SIGMA]) * reach)
+        count = int(np.count_nonzero(far))
+        if count >= LEAST_FAR:
+            part = Likelihood(
+                samples.keep(far), likelihood.log_sigmas, likelihood.specular, threads=likelihood.threads
+            )
+            # the slope by logit ε is the sum of what each pixel is an outlier by, minus ε
+            share = 1.0 / (1.0 + math.exp(-x[-1]))
+            return max(0.0, share + float(part.evaluate(x).gradient[-1]) / count)
+    return None
 
 
 def _climb_with_table(

@@ -29,7 +29,7 @@ from lightopt.fit._quality import appraise, poor_fit, refuse_strangers, words
 from lightopt.fit._regions import PointsRow, compare_regions
 from lightopt.fit._result import FitResult, FittedValue, fitted_values
 from lightopt.fit._samples import OCTAVES, Samples, collect_samples
-from lightopt.fit._validate import leave_lights_out
+from lightopt.fit._validate import leave_lights_out, unseen
 from lightopt.images import ImageSet
 from lightopt.raycast import RayCaster
 from lightopt.rendering import cast_rays_at
@@ -228,11 +228,7 @@ def fit_specular(
             keep=keep,
             progress=None if progress is None else lambda share: progress("validating", share),
         )
-        result = replace(result, left_out=left_out)
-        if not left_out:
-            result = replace(
-                result, words=(*result.words, "one light alone cannot be left out: not validated")
-            )
+        result = replace(result, left_out=left_out, words=(*result.words, *unseen(left_out)))
     return result
 
 

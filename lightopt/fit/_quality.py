@@ -47,7 +47,7 @@ class Quality:
     explained
         Share of the variance of the unsaturated pixels that the model explains, 1 for all of it.
     epsilon
-        Share of the pixels that the model does not explain at all.
+        Share of the pixels that the model would have left out if it could.
     tau
         Deviation beside the sensor's noise [grey level].
     saturated
@@ -84,7 +84,7 @@ def appraise(samples: Samples, found: Estimate, *, full_scale: float) -> Quality
         typical=unit * 1.4826 * float(np.median(np.abs(residual))) if seen.any() else 0.0,
         noise=unit * math.sqrt(float(np.median(variance * np.ones(len(signal))))) if seen.any() else 0.0,
         explained=1.0 - float(np.mean(residual**2)) / spread if spread > 0.0 else 1.0,
-        epsilon=found.epsilon,
+        epsilon=found.unexplained,
         tau=unit * found.tau,
         saturated=float(np.mean(samples.saturated)),
     )

@@ -214,24 +214,34 @@ def collect_samples(
 
 
 def thinned(samples: Samples, budget: int) -> Samples:
-    """Fewer of the pixels: at most `budget` per octave, light and posture."""
+    """At most `budget` of the pixels per octave, light and posture, with the observations that there are of them."""
     groups: list[SampleGroup] = []
+    kept: list[NDArray[np.intp]] = []
     start = 0
     for group in samples.groups:
-        deflection = samples.deflection[start : start + len(group)]
-        keep = _by_octave(deflection, budget, (len(groups), group.light))
+        keep = _by_octave(samples.deflection[start : start + len(group)], budget, (len(groups), group.light))
+        kept.append(start + keep)
         start += len(group)
-        layer = None if group.layer is None else group.layer.take(keep)
         groups.append(
-            SampleGroup(
-                light=group.light,
-                posture=group.posture,
-                layer=layer,
+            replace(
+                group,
+                layer=None if group.layer is None else group.layer.take(keep),
                 row=group.row[keep],
                 column=group.column[keep],
             )
         )
-    return _flatten(groups, samples.images, samples.facts, samples.lights, samples.sensor)
+    pixels = np.concatenate(kept)
+    place = np.full(start, -1, np.int32)
+    place[pixels] = np.arange(len(pixels), dtype=np.int32)
+    left = samples.keep(place[samples.sample] >= 0)
+    return replace(
+        left,
+        groups=tuple(groups),
+        diffuse=samples.diffuse[pixels],
+        deflection=samples.deflection[pixels],
+        block=samples.block[pixels],
+        sample=place[left.sample],
+    )
 
 
 def _choose(

@@ -18,12 +18,16 @@ from lightopt.raycast import RayCaster
 from lightopt.scene import Scene
 from lightopt.sensor import Sensor
 
-__all__ = ["Comparison", "LeftOut", "compare_image", "leave_lights_out"]
+__all__ = ["Comparison", "LeftOut", "compare_image", "leave_lights_out", "unseen"]
 
 BUDGET = 1500
 """Pixels per octave, light and posture that the fits without a light look at."""
 
 MOST_BORDER_PIXELS = 4000
+
+POOR_RMS = 5.0
+"""A prediction that is further off than this is worth a word [grey level]."""
+
 Keep = Callable[[Observation, NDArray[np.float32]], None]
 """Gets each image that was left out and the sensor levels that were predicted for it."""
 
@@ -151,6 +155,20 @@ def leave_lights_out(
         if progress is not None:
             progress((done + 1) / len(used))
     return tuple(results)
+
+
+def unseen(left_out: tuple[LeftOut, ...]) -> tuple[str, ...]:
+    """What a person should know of the predictions of lights that were left out."""
+    if not left_out:
+        return ("one light alone cannot be left out: not validated",)
+    worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms)
+    if worst.rms <= POOR_RMS:
+        return ()
+    text = (
+        f"{worst.image}, predicted from the other lights, is {worst.rms:.3g} grey levels rms off: do not rely on "
+        "predicted images of this surface"
+    )
+    return (text,)
 
 
 def compare_image(
