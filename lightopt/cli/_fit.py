@@ -310,7 +310,18 @@ def _show(result: FitResult) -> None:
 
 
 def _show_points(result: FitResult) -> None:
-    head = ["m", "R_d", "R_s", "σ [rad]", "area [px]", "measured", "perimeter [px]", "measured", ""]
+    head = [
+        "m",
+        "R_d",
+        "R_s",
+        "σ [rad]",
+        "area [px]",
+        "measured",
+        "perimeter [px]",
+        "measured",
+        "likelihood",
+        "",
+    ]
     rows = [
         [
             str(row.points),
@@ -321,6 +332,7 @@ def _show_points(result: FitResult) -> None:
             f"{row.measured_area:,}",
             f"{row.perimeter:,.0f}",
             f"{row.measured_perimeter:,.0f}",
+            f"{row.likelihood:.5f}",
             "kept" if row.points == result.points else "",
         ]
         for row in result.rows

@@ -189,8 +189,8 @@ def fit_specular(
     Parameters
     ----------
     rig, part, image_set, options, progress
-        As in :func:`fit_diffuse`. With several numbers of points each is fitted, and the one that reproduces the
-        saturated regions best is kept.
+        As in :func:`fit_diffuse`. With several numbers of points each is fitted, and the one under which
+        the images are likeliest is kept.
     keep
         Called with each image that validation predicted without having seen it, and its prediction.
 
@@ -215,7 +215,7 @@ def fit_specular(
                 threads=options.threads,
             )
         tried.append((result, world, samples, row))
-    best = min(tried, key=lambda t: t[3].difference if t[3] is not None else 0.0)
+    best = max(tried, key=lambda t: t[3].likelihood if t[3] is not None else 0.0)
     result, world, samples, _ = best
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
     if options.validate and result.estimate is not None:

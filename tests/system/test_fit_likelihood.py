@@ -15,7 +15,17 @@ import pytest
 from captured import PART, PARTS, RIG, captured, expose_all, remeasured
 
 from lightopt import build_scene, render
-from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, Estimate, collect_samples, estimate, profile_interval
+from lightopt.fit import (
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    Estimate,
+    appraise,
+    collect_samples,
+    estimate,
+    profile_interval,
+)
+from lightopt.fit._quality import poor_fit
 from lightopt.reflectance import Reflectance
 from lightopt.rendering import cast_rays_at
 
@@ -33,6 +43,7 @@ class World:
         (folder / "rig.yaml").write_text(rig, encoding="utf-8")
         (folder / "fine.yaml").write_text(fine, encoding="utf-8")
         (folder / "part.yaml").write_text(PART.replace("knob.stl, units: mm", "knob.step"), encoding="utf-8")
+        self.rig = folder / "rig.yaml"
         self.scene = build_scene(folder / "rig.yaml", folder / "part.yaml", points="auto")
         self.fine = build_scene(folder / "fine.yaml", folder / "part.yaml").mesh
         self.caster = cast_rays_at(self.scene)
@@ -99,6 +110,24 @@ def test_lobes_of_any_width_and_strength(world, sigma, R_s):
     truth = Reflectance(R_d=45.0, R_s=R_s, sigma=sigma)
     found = world.fit(truth, exposures=(1.0, 1 / 16))
     assert_recovers(found, truth, R_d=0.01, R_s=0.05, sigma=0.02)
+
+
+@pytest.mark.slow
+def test_normals_guessed_from_facets_are_noticed(world, tmp_path):
+    """The same images, fitted with the STL file: no figure is far off, and the fit says not to trust its intervals."""
+    shutil.copy(PARTS / "cover-knob.stl", tmp_path / "knob.stl")
+    (tmp_path / "part.yaml").write_text(PART, encoding="utf-8")
+    scene = build_scene(world.rig, tmp_path / "part.yaml", points="auto")
+    images = captured(world.scene, mesh=world.fine, exposures=(1.0, 1 / 16))
+    samples = collect_samples(scene, images, caster=cast_rays_at(scene), budget=BUDGET)
+    found = estimate(samples)
+    low, high = np.exp(profile_interval(found, LOG_R_S)) / TRUTH.R_s - 1.0
+    quality = appraise(samples, found, full_scale=255.0)
+    print(f"interval of R_s {low:+.2%} to {high:+.2%}, unexplained {quality.epsilon:.1%}")
+    assert_recovers(found, TRUTH, R_d=0.01, R_s=0.05, sigma=0.01)
+    assert quality.epsilon > 0.02
+    assert any("describes these images badly" in text for text in poor_fit(quality))
+    assert high - low > 0.02
 
 
 @pytest.mark.slow
