@@ -18,8 +18,15 @@ $(BIN)/.installed: pyproject.toml
 
 install: $(BIN)/.installed  ## a virtual environment in .venv with lightopt and the tools to develop it
 
-demo: $(BIN)/.installed  ## render the sample rig and part into out/demo, with a contact sheet
-	$(BIN)/lightopt render configs/rigs/four-panel.yaml configs/parts/cover-knob.yaml -o $(OUT)/demo --sheet
+RIG  := configs/rigs/four-panel.yaml
+PART := configs/parts/cover-knob.yaml
+
+demo: $(BIN)/.installed  ## render the sample rig and part into out/demo, with a contact sheet, and fit the noisy renders
+	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo --sheet
+	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo-noisy --noise 1 --exposure 1 --exposure 1/16 --posture 0,0
+	$(BIN)/lightopt fit-specular $(RIG) $(PART) $(OUT)/demo-noisy -o $(OUT)/demo-fit --joint
+	@echo "true:      $$(grep -E '^ +(R_d|R_s|sigma_rad):' $(PART) | sed -E 's/#.*//' | tr -s ' \n' ' ')"
+	@echo "recovered: $$(grep -E '^ +(R_d|R_s|sigma_rad):' $(OUT)/demo-fit/part.fitted.yaml | sed -E 's/#.*//' | tr -s ' \n' ' ')"
 
 test: $(BIN)/.installed  ## the tests that take less than ten minutes
 	$(BIN)/python -m pytest -m "not slow"

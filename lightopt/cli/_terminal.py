@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lightopt.rendering import Report
     from lightopt.transforms import Posture
 
-__all__ = ["say", "say_error", "say_warning", "show_progress", "show_table", "version_wanted"]
+__all__ = ["say", "say_error", "say_warning", "show_progress", "show_share", "show_table", "version_wanted"]
 
 
 def say(text: str) -> None:
@@ -84,5 +84,24 @@ def show_progress(label: str, total: int, *, quiet: bool) -> Generator[Report | 
                 description=f"{label} {posture}",
                 rays=f"{speed:.1f} Mray/s",
             )
+
+        yield report
+
+
+@contextmanager
+def show_share(*, quiet: bool) -> Generator[Callable[[str, float], None] | None]:
+    """A progress bar that says what is going on and which share of that is done; None where nobody looks at it."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+
+        def report(stage: str, share: float) -> None:
+            bar.update(task, completed=share, description=stage)
 
         yield report

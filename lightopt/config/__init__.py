@@ -5,6 +5,7 @@ into physics.
 """
 
 from lightopt.config._camera import CameraConfig, DistortionConfig, SensorConfig
+from lightopt.config._edit import with_values
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, PostureConfig, ReflectanceConfig
@@ -29,4 +30,5 @@ __all__ = [
     "json_schema",
     "load_part",
     "load_rig",
+    "with_values",
 ]

@@ -13,6 +13,7 @@ from lightopt.rendering._images import (
     render,
     render_posture,
 )
+from lightopt.rendering._layers import LightLayer, light_layer
 from lightopt.rendering._patches import (
     DEFAULT_PATCH_BUDGET,
     PatchPixels,
@@ -22,18 +23,32 @@ from lightopt.rendering._patches import (
     patch_positions,
     visible_points,
 )
+from lightopt.rendering._pixels import (
+    LEFT_OUT,
+    UNLIT,
+    WHOLE,
+    PosturePixels,
+    in_threads,
+    panel_verdict,
+    trace_pixels,
+)
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
 
 __all__ = [
     "DEFAULT_PATCH_BUDGET",
+    "LEFT_OUT",
+    "UNLIT",
+    "WHOLE",
     "ConvergedPanel",
     "Geometry",
     "LightImage",
+    "LightLayer",
     "PanelInPart",
     "PatchPixels",
     "PatchTable",
     "PostureImages",
+    "PosturePixels",
     "Progress",
     "RenderOptions",
     "RenderedSet",
@@ -44,7 +59,10 @@ __all__ = [
     "cast_rays_at",
     "converged_panel",
     "highlight_level",
+    "in_threads",
     "interpolate_surface",
+    "light_layer",
+    "panel_verdict",
     "panels_in_part",
     "patch_pixels",
     "patch_positions",
@@ -54,6 +72,7 @@ __all__ = [
     "shade_converged",
     "shade_points",
     "too_few_pixels",
+    "trace_pixels",
     "trace_samples",
     "visible_points",
 ]

@@ -1,0 +1,144 @@
+"""Levels of single pixels under any placement and reflectance of the part: what finding the part compares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.align._observations import Observation
+from lightopt.raycast import RayCaster
+from lightopt.rendering import WHOLE, PosturePixels, light_layer, panel_verdict, trace_samples
+from lightopt.scene import PartView, Scene, view_from_part
+from lightopt.transforms import Posture, rotation_z
+
+__all__ = ["PixelSet", "light_at", "sensor_scale", "view_of_placed"]
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelSet:
+    """Pixels of one posture and what was measured there.
+
+    Attributes
+    ----------
+    posture
+        Of the part.
+    row, column
+        Shape (n,).
+    images
+        The images of the posture.
+    levels
+        Sensor levels above black, one row per image, shape (images, n).
+    saturated
+        Where those are lower bounds, same shape.
+    """
+
+    posture: Posture
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    images: tuple[Observation, ...]
+    levels: Float64
+    saturated: NDArray[np.bool_]
+
+    @staticmethod
+    def look_up(
+        posture: Posture,
+        row: NDArray[np.int32],
+        column: NDArray[np.int32],
+        images: Sequence[Observation],
+        black: float,
+    ) -> PixelSet:
+        """What the images of a posture have at some pixels."""
+        return PixelSet(
+            posture=posture,
+            row=row,
+            column=column,
+            images=tuple(images),
+            levels=np.stack([image.levels[row, column] - black for image in images]).astype(np.float64),
+            saturated=np.stack([image.saturated[row, column] for image in images]),
+        )
+
+
+def view_of_placed(scene: Scene, posture: Posture, x: float, y: float, turn: float) -> PartView:
+    """Camera and lights as a part sees them that was shifted by x, y [mm] and turned [rad] on the stage.
+
+    The part's own frame stays, so that one ray caster serves all placements.
+    """
+    view = view_from_part(scene, posture)
+    # x_placed = pivot + R·(x − pivot) + t, inverted
+    back = rotation_z(turn).T
+    shift = scene.pivot - back @ (scene.pivot + np.array([x, y, 0.0]))
+    return PartView(
+        camera=view.camera.moved(back, shift),
+        lights=tuple(light.moved(back, shift) for light in view.lights),
+        rotation=view.rotation,
+        translation=view.translation,
+    )
+
+
+def light_at(
+    scene: Scene,
+    pixels: PixelSet,
+    view: PartView,
+    caster: RayCaster,
+    *,
+    sigma: float | None,
+    threads: int | None = None,
+) -> tuple[Float64, Float64]:
+    """Diffuse and specular light of each pixel under the light of each image, per unit of R_d and R_s.
+
+    Two arrays of shape (images, n); 0 where a ray misses the part or no light arrives, NaN where only some of a panel
+    is seen. Without σ, the second is all 0.
+
+    Parameters
+    ----------
+    scene
+        For the names of the lights.
+    pixels
+        The pixels.
+    view
+        From :func:`view_of_placed`.
+    caster
+        Of the part, in its own frame.
+    sigma
+        Width of the lobe [rad].
+    threads
+        Number of threads; the result does not depend on it.
+    """
+    columns, rows = pixels.column.astype(np.float64) + 0.5, pixels.row.astype(np.float64) + 0.5
+    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns, rows)
+    some = PosturePixels(
+        posture=pixels.posture,
+        view=view,
+        row=pixels.row[hits.ray],
+        column=pixels.column[hits.ray],
+        surface=surface,
+        clean=surface.front,
+        shape=(scene.camera.height, scene.camera.width),
+    )
+    diffuse = np.zeros((len(pixels.images), len(pixels.row)))
+    specular = np.zeros_like(diffuse)
+    names = [light.name for light in scene.lights]
+    for name in dict.fromkeys(image.light for image in pixels.images):
+        panel = view.lights[names.index(name)]
+        verdict = panel_verdict(some, panel, caster, threads=threads)
+        whole = np.flatnonzero(verdict == WHOLE)
+        layer = light_layer(surface.take(whole), panel, caster, threads=threads)
+        mine = [i for i, image in enumerate(pixels.images) if image.light == name]
+        d = np.where(verdict == WHOLE, 0.0, np.where(verdict == 0, 0.0, np.nan))
+        s = d.copy()
+        d[whole] = layer.diffuse
+        if sigma is not None:
+            s[whole] = layer.specular(sigma, threads=threads)
+        for i in mine:
+            diffuse[i, hits.ray], specular[i, hits.ray] = d, s
+    return diffuse, specular
+
+
+def sensor_scale(scene: Scene, image: Observation) -> float:
+    """Sensor levels per grey level at exposure 1."""
+    return image.exposure * scene.sensor.max_level / scene.reflectance.full_scale

@@ -1,0 +1,357 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from lightopt.cli._inputs import load_inputs
+from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, make_folder, parse_points
+from lightopt.cli._terminal import say, say_warning, show_share, show_table
+from lightopt.errors import InputError
+
+if TYPE_CHECKING:
+    from lightopt.fit import FitOptions, FitResult, PaperOptions
+
+__all__ = ["fit_diffuse", "fit_specular"]
+
+Images = Annotated[
+    Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
+]
+Method = Annotated[
+    str, typer.Option(metavar="NAME", help="likelihood, or paper: sections 4.2 and 4.3. [likelihood]")
+]
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--free",
+        metavar="WHAT",
+        help="Also fit gain (of each light), dark (level) or shift (of the part on the stage); repeatable.",
+    ),
+]
+Pixels = Annotated[
+    int, typer.Option(metavar="N", help="About how many pixels to look at, over all images. [1500000]")
+]
+Threads = Annotated[
+    int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
+]
+METHODS = ("likelihood", "paper")
+FREE = ("gain", "dark", "shift")
+
+
+def fit_diffuse(
+    rig: RigFile,
+    part: PartFile,
+    images: Images,
+    out: Out,
+    method: Method = "likelihood",
+    free: Free = None,
+    points: Annotated[
+        str | None, typer.Option(metavar="M", help="Point lights per panel: 1, 4, 9, … or auto. [the rig's]")
+    ] = None,
+    pixels: Pixels = 1_500_000,
+    lambda_d: Annotated[
+        float, typer.Option(metavar="LEVEL", help="Paper's λ_d: difference of mean brightness.")
+    ] = 0.01,
+    start: Annotated[float, typer.Option(metavar="LEVEL", help="Paper's starting R_d.")] = 10.0,
+    away: Annotated[
+        float,
+        typer.Option(metavar="DEG", help="Paper: diffuse only this far from mirroring a panel, in normals."),
+    ] = 20.0,
+    threads: Threads = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit R_d to the pixels of IMAGES that are away from every highlight.
+
+    Writes part.fitted.yaml (PART with the fitted value), fit.json and a chart; rig.fitted.yaml where gain or dark is
+    freed.
+
+    Example: lightopt fit-diffuse rig.yaml part.yaml captured/ -o fitted
+    """
+    from lightopt.fit import PaperOptions
+
+    paper = PaperOptions(lambda_d=lambda_d, R_d_start=start, away=math.radians(away))
+    _run("diffuse", rig, part, images, out, method, free, points, pixels, paper, threads, force, quiet)
+
+
+def fit_specular(
+    rig: RigFile,
+    part: PartFile,
+    images: Images,
+    out: Out,
+    method: Method = "likelihood",
+    joint: Annotated[
+        bool, typer.Option("--joint", help="Fit R_d along instead of keeping the part file's.")
+    ] = False,
+    free: Free = None,
+    points: Annotated[
+        str | None,
+        typer.Option(
+            metavar="M,…", help="Point lights per panel, such as auto, or 1,4,9,16 to compare. [the rig's]"
+        ),
+    ] = None,
+    pixels: Pixels = 1_500_000,
+    no_validation: Annotated[
+        bool, typer.Option("--no-validation", help="Do not predict each light from the others.")
+    ] = False,
+    lambda_s1: Annotated[
+        float, typer.Option(metavar="SHARE", help="Paper's λ_s1: saturated pixels that may differ.")
+    ] = 0.005,
+    lambda_s2: Annotated[
+        float, typer.Option(metavar="SHARE", help="Paper's λ_s2: total brightness that may differ.")
+    ] = 0.05,
+    sigma_step: Annotated[float, typer.Option(metavar="RAD", help="Paper's σ_step.")] = 0.0025,
+    sigma_start: Annotated[float, typer.Option(metavar="RAD", help="Paper's starting σ.")] = 0.01,
+    start: Annotated[float, typer.Option(metavar="LEVEL", help="Paper's starting R_s.")] = 255.0,
+    threads: Threads = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit R_s and σ to IMAGES, R_d kept from PART or fitted along.
+
+    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the ridge, and pictures of measured
+    minus predicted for each light left out in turn; rig.fitted.yaml where gain or dark is freed.
+
+    Example: lightopt fit-specular rig.yaml part.yaml captured/ -o fitted --joint
+    """
+    from lightopt.fit import PaperOptions
+
+    paper = PaperOptions(
+        lambda_s1=lambda_s1,
+        lambda_s2=lambda_s2,
+        sigma_step=sigma_step,
+        sigma_start=sigma_start,
+        R_s_start=start,
+    )
+    _run(
+        "specular",
+        rig,
+        part,
+        images,
+        out,
+        method,
+        free,
+        points,
+        pixels,
+        paper,
+        threads,
+        force,
+        quiet,
+        joint=joint,
+        validate=not no_validation,
+    )
+
+
+def _run(
+    kind: Literal["diffuse", "specular"],
+    rig: Path,
+    part: Path,
+    images: Path,
+    out: Path,
+    method: str,
+    free: list[str] | None,
+    points: str | None,
+    pixels: int,
+    paper: PaperOptions,
+    threads: int | None,
+    force: bool,
+    quiet: bool,
+    *,
+    joint: bool = False,
+    validate: bool = True,
+) -> None:
+    from lightopt import fit
+    from lightopt.images import read_image_set
+
+    options = _options(kind, method, free, points, pixels, paper, threads, joint, validate)
+    loaded_rig, loaded_part = load_inputs(rig, part)
+    assert loaded_part is not None
+    image_set = read_image_set(images)
+    asked: dict[str, Any] = {**vars(options), "kind": kind, "paper": paper.as_dict()}
+    del asked["threads"]
+    made_from = fit.provenance(loaded_rig, loaded_part, image_set, asked)
+    fit.check_folder(out, made_from, force=force)
+    make_folder(out)
+    with show_share(quiet=quiet) as progress:
+        if kind == "diffuse":
+            result = fit.fit_diffuse(loaded_rig, loaded_part, image_set, options=options, progress=progress)
+        else:
+            keep = _keep_pictures(
+                out, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
+            )
+            result = fit.fit_specular(
+                loaded_rig, loaded_part, image_set, options=options, progress=progress, keep=keep
+            )
+    written = fit.write_fit(out, result, loaded_rig, loaded_part, made_from)
+    from lightopt.report import fit_chart
+
+    chart = fit_chart(result, out / "fit.png")
+    for text in result.words:
+        say_warning(text)
+    if quiet:
+        return
+    _show(result)
+    for path in (*written, *([chart] if chart else [])):
+        say(f"{path}")
+
+
+def _options(
+    kind: str,
+    method: str,
+    free: list[str] | None,
+    points: str | None,
+    pixels: int,
+    paper: PaperOptions,
+    threads: int | None,
+    joint: bool,
+    validate: bool,
+) -> FitOptions:
+    from lightopt.fit import FitOptions
+
+    problems: list[str] = []
+    if method not in METHODS:
+        problems.append(f'--method: expected likelihood or paper, found "{method}"')
+    problems += [
+        f'--free: expected {" or ".join(FREE)}, found "{name}"' for name in free or () if name not in FREE
+    ]
+    if pixels < 1000:
+        problems.append(f"--pixels: expected at least 1000, found {pixels}")
+    if threads is not None and threads < 1:
+        problems.append(f"--threads: expected at least 1, found {threads}")
+    chosen: tuple[int | Literal["auto"], ...] = ()
+    if points is not None:
+        chosen = tuple(parse_points(text.strip()) for text in points.split(","))
+    problems += [
+        f"--points: expected a square (1, 4, 9, 16, …) or auto, found {m}"
+        for m in chosen
+        if isinstance(m, int) and not (1 <= m <= 65536 and math.isqrt(m) ** 2 == m)
+    ]
+    if kind == "diffuse" and len(chosen) > 1:
+        problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
+    if len(chosen) > 1 and method == "paper":
+        problems.append("--points: several numbers of points are compared by the default method only")
+    for name, value in paper.as_dict().items():
+        if not (math.isfinite(value) and value > 0.0):
+            problems.append(f"{name}: expected a number above 0, found {value:g}")
+    if method == "paper" and (free or joint):
+        problems.append("--method paper: takes neither --free nor --joint")
+    if problems:
+        raise InputError(*problems)
+    return FitOptions(
+        method="paper" if method == "paper" else "likelihood",
+        joint=joint,
+        gain="gain" in (free or ()),
+        dark="dark" in (free or ()),
+        shift="shift" in (free or ()),
+        points=chosen,
+        pixels=pixels,
+        validate=validate,
+        paper=paper,
+        threads=threads,
+    )
+
+
+def _keep_pictures(out: Path, bit_depth: int, saturation: float | None) -> Callable[[Any, Any], None]:
+    # a picture of measured minus predicted for each image that was left out
+    from lightopt.images import png_name
+    from lightopt.report import residual_picture
+
+    full = float(2**bit_depth - 1)
+
+    def keep(seen: Any, levels: Any) -> None:
+        folder = out / "left-out"
+        make_folder(folder)
+        name = png_name(seen.light, seen.posture, seen.exposure).replace("/", "_")
+        residual_picture(
+            folder / name,
+            measured=seen.levels,
+            predicted=levels,
+            saturated_from=full if saturation is None else saturation,
+            full=full,
+        )
+
+    return keep
+
+
+def _show(result: FitResult) -> None:
+    rows = []
+    for value in result.values:
+        held = "held" if value.name not in (*result.fitted, "half_angle_rad") else ""
+        error = f"{value.standard_error:.2g}" if value.standard_error else ""
+        interval = "" if value.interval is None else "{:.6g} to {:.6g}".format(*value.interval)
+        rows.append([value.name, f"{value.value:.6g}", error, interval or held])
+    show_table(["", "value", "std. error", "95 % interval"], rows)
+    if result.correlation is not None:
+        say(f"correlation of ln R_s and ln σ: {result.correlation:.3f}")
+    if result.gains is not None:
+        say("gains: " + ", ".join(f"{name} {gain:.4g}" for name, gain in result.gains.items()))
+    if result.dark is not None:
+        say(f"black level: {result.dark:.4g}")
+    if result.placement is not None:
+        p = result.placement
+        turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
+        say(
+            f"the part lies {p.x:+.3f} mm in x, {p.y:+.3f} mm in y and {turn:+.3f}° from where its file has it "
+            f"(standard errors {p.errors[0]:.1g} mm, {p.errors[1]:.1g} mm, {error:.1g}°)"
+        )
+    if result.quality is not None:
+        q = result.quality
+        say(
+            f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} levels rms (sensor "
+            f"noise {q.noise:.2g}), {100.0 * q.epsilon:.2f} % of the pixels unexplained"
+        )
+    if result.rows:
+        _show_points(result)
+    if result.left_out:
+        _show_left_out(result)
+
+
+def _show_points(result: FitResult) -> None:
+    head = [
+        "m",
+        "R_d",
+        "R_s",
+        "σ [rad]",
+        "area [px]",
+        "measured",
+        "perimeter [px]",
+        "measured",
+        "likelihood",
+        "",
+    ]
+    rows = [
+        [
+            str(row.points),
+            f"{row.R_d:.4g}",
+            f"{row.R_s:.6g}",
+            f"{row.sigma:.4g}",
+            f"{row.area:,}",
+            f"{row.measured_area:,}",
+            f"{row.perimeter:,.0f}",
+            f"{row.measured_perimeter:,.0f}",
+            f"{row.likelihood:.5f}",
+            "kept" if row.points == result.points else "",
+        ]
+        for row in result.rows
+    ]
+    show_table(head, rows, numbers_from=0)
+
+
+def _show_left_out(result: FitResult) -> None:
+    say("each light predicted from the others:")
+    rows = [
+        [
+            image.image,
+            f"{left.R_s:.5g}",
+            f"{left.sigma:.4g}",
+            f"{image.rms:.3g}",
+            "-" if image.iou is None else f"{image.iou:.4f}",
+            "-" if image.border is None else f"{image.border:.2g}",
+        ]
+        for left in result.left_out
+        for image in left.images
+    ]
+    show_table(["image", "R_s", "σ [rad]", "rms [level]", "IoU", "border [px]"], rows)

@@ -1,0 +1,90 @@
+"""Change values in a YAML file and nothing else: comments, order and layout stay as a person wrote them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import yaml
+
+from lightopt.config._document import YamlError, parse
+from lightopt.config._source import Keys, dotted
+from lightopt.errors import InputError
+
+__all__ = ["with_values"]
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A span of the text to replace, or, where it is empty, a place to insert."""
+
+    start: int
+    end: int
+    text: str
+
+
+def with_values(text: str, values: Mapping[Keys, str]) -> str:
+    """The text of a YAML file with some scalars replaced, or added to mappings that are there.
+
+    Parameters
+    ----------
+    text
+        A YAML document that :func:`lightopt.config.load_rig` or ``load_part`` has accepted.
+    values
+        New text of each value by its path of keys, as it is to stand in the file.
+
+    Raises
+    ------
+    InputError
+        The mapping around a key is not in the file, or is an alias that stands for a mapping somewhere else.
+    """
+    spans, mappings = _index(text)
+    places: list[_Place] = []
+    for keys, value in values.items():
+        if keys in spans:
+            places.append(_Place(*spans[keys], value))
+        elif keys[:-1] in mappings:
+            at, flow, column = mappings[keys[:-1]]
+            line = f"{keys[-1]}: {value}"
+            places.append(_Place(at, at, f"{line}, " if flow else f"{line}\n{' ' * column}"))
+        else:
+            raise InputError(
+                f"{dotted(keys)} cannot be written: the file has no mapping {dotted(keys[:-1])} of its own; "
+                "write it out"
+            )
+    for place in sorted(places, key=lambda p: p.start, reverse=True):
+        text = text[: place.start] + place.text + text[place.end :]
+    try:
+        parse(text)
+    except YamlError as error:
+        raise InputError(
+            f"the fitted values cannot be put into the file: {error.problem.message}; write anchors and aliases out"
+        ) from None
+    return text
+
+
+def _index(text: str) -> tuple[dict[Keys, tuple[int, int]], dict[Keys, tuple[int, bool, int]]]:
+    # the span of every scalar, and where every mapping that is not empty begins: place, whether in braces, column
+    spans: dict[Keys, tuple[int, int]] = {}
+    mappings: dict[Keys, tuple[int, bool, int]] = {}
+    events: Iterator[yaml.Event] = yaml.parse(text, Loader=yaml.SafeLoader)
+
+    def value(event: yaml.Event, keys: Keys) -> None:
+        if isinstance(event, (yaml.ScalarEvent, yaml.AliasEvent)):
+            spans[keys] = event.start_mark.index, event.end_mark.index
+        elif isinstance(event, yaml.SequenceStartEvent):
+            number = 0
+            while not isinstance(item := next(events), yaml.SequenceEndEvent):
+                value(item, (*keys, number))
+                number += 1
+        elif isinstance(event, yaml.MappingStartEvent):
+            while not isinstance(key := next(events), yaml.MappingEndEvent):
+                mark = key.start_mark
+                mappings.setdefault(keys, (mark.index, bool(event.flow_style), mark.column))
+                name: str = key.value if isinstance(key, yaml.ScalarEvent) else ""
+                value(next(events), (*keys, name))
+
+    for event in events:
+        if isinstance(event, yaml.NodeEvent):
+            value(event, ())
+    return spans, mappings

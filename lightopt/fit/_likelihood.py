@@ -1,0 +1,286 @@
+"""How likely the images are: interval-censored levels of a noisy sensor, some of which the model cannot explain.
+
+A quantised level q says that the signal was between q − ½ and q + ½, a saturated one that it was at least that, a zero
+that it was at most ½ (Tobin 1958, doi:10.2307/1907382). The signal is Gaussian about the model's level with the
+sensor's shot and read noise (EMVA Standard 1288) and a further deviation τ that is estimated, since neither meshes nor
+noise figures are exact. A share ε of the pixels, estimated as well, may show anything at all: dust, scratches, glints.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.fit._samples import ImageFacts, Samples
+from lightopt.kernels import kernel
+from lightopt.rendering import in_threads
+from lightopt.sensor import Sensor
+
+__all__ = ["DARK", "FIRST_GAIN", "LOG_R_S", "LOG_SIGMA", "R_D", "Evaluation", "Likelihood", "predicted"]
+
+Float64 = NDArray[np.float64]
+
+R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
+"""Places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε."""
+
+EXTREME_SHARE = 0.05
+"""Share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
+evenly over the levels between."""
+
+_PIECE = 16_384
+_SQRT_HALF = math.sqrt(0.5)
+_SQRT_TWO_PI = math.sqrt(2.0 * math.pi)
+
+
+class SensorNumbers(NamedTuple):
+    """A sensor's numbers as the kernels want them."""
+
+    black: float
+    read_variance: float
+    levels_per_electron: float
+    ceiling: float
+    outlier: float
+
+
+def sensor_numbers(sensor: Sensor) -> SensorNumbers:
+    """Black level, noise, and the level from which a pixel is saturated."""
+    electrons = sensor.electrons_per_level
+    return SensorNumbers(
+        black=sensor.black_level,
+        read_variance=sensor.read_noise_levels**2,
+        levels_per_electron=0.0 if electrons is None else 1.0 / electrons,
+        ceiling=float(math.ceil(sensor.saturated_from)),
+        outlier=(1.0 - 2.0 * EXTREME_SHARE) / max(1.0, sensor.max_level - 1.0),
+    )
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Log-likelihood at a vector of parameters.
+
+    Attributes
+    ----------
+    value
+        [nat].
+    gradient
+        Shape (K,).
+    curvature
+        Positive semi-definite matrix that bounds the likelihood's curvature from above, shape (K, K): that of the
+        pixels that the model explains, weighted by how surely it does.
+    """
+
+    value: float
+    gradient: Float64
+    curvature: Float64
+
+
+class Likelihood:
+    """The likelihood of a set of samples, for σ near those that the specular light was worked out for.
+
+    Parameters
+    ----------
+    samples
+        What was measured.
+    log_sigmas
+        ln σ of the columns of `specular`, shape (m,); between them the light is interpolated by a polynomial.
+    specular
+        Per unit of R_s, shape (n, m).
+    threads
+        Number of threads; the result does not depend on it.
+    """
+
+    def __init__(
+        self, samples: Samples, log_sigmas: Float64, specular: Float64, *, threads: int | None = None
+    ) -> None:
+        self.samples = samples
+        self.log_sigmas = log_sigmas
+        self.specular = specular
+        self.threads = threads
+        self.size = FIRST_GAIN + len(samples.lights) + 2
+        self._sensor = sensor_numbers(samples.sensor)
+
+    @property
+    def log_tau2(self) -> int:
+        """Place of ln τ² in the vector of parameters."""
+        return self.size - 2
+
+    @property
+    def logit_epsilon(self) -> int:
+        """Place of logit ε in the vector of parameters."""
+        return self.size - 1
+
+    def specular_weights(self, log_sigma: float) -> tuple[Float64, Float64]:
+        """Weights of the columns for the light at ln σ, and for its derivative by ln σ; each of shape (m,)."""
+        return lagrange(self.log_sigmas, log_sigma)
+
+    def evaluate(self, x: Float64) -> Evaluation:
+        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
+        s = self.samples
+        c, dc = self.specular_weights(float(x[LOG_SIGMA]))
+
+        def piece(start: int) -> tuple[float, Float64, Float64]:
+            gradient = np.zeros(self.size)
+            curvature = np.zeros((self.size, self.size))
+            end = min(start + _PIECE, len(s.sample))
+            value = _accumulate(
+                s.sample, s.level, s.saturated, s.image, start, end, s.diffuse, self.specular, c, dc,
+                s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x, gradient, curvature,
+            )  # fmt: skip
+            return value, gradient, curvature
+
+        parts = in_threads(piece, range(0, len(s.sample), _PIECE), self.threads)
+        return Evaluation(
+            sum(p[0] for p in parts),
+            np.sum([p[1] for p in parts], axis=0),
+            np.sum([p[2] for p in parts], axis=0),
+        )
+
+    def scores(self, x: Float64) -> Float64:
+        """Gradients of the pieces of the images, shape (blocks, K); they sum up to the whole gradient."""
+        s = self.samples
+        block = s.block[s.sample]
+        order = np.argsort(block, kind="stable")
+        ends = np.append(np.flatnonzero(np.diff(block[order])) + 1, len(order))
+        starts = np.append(0, ends[:-1])
+        sample, level, saturated, image = (a[order] for a in (s.sample, s.level, s.saturated, s.image))
+        c, dc = self.specular_weights(float(x[LOG_SIGMA]))
+        gradients = np.zeros((len(ends), self.size))
+        curvature = np.zeros((self.size, self.size))
+        for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
+            _accumulate(
+                sample, level, saturated, image, start, end, s.diffuse, self.specular, c, dc,
+                s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x, gradients[number], curvature,
+            )  # fmt: skip
+        return gradients
+
+
+def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
+    """Sensor levels, not clipped, that the parameters `x` predict for each observation, shape (N,).
+
+    Parameters
+    ----------
+    samples
+        The observations.
+    specular
+        Per unit of R_s at the σ of `x`, shape (n,).
+    x
+        Parameters, shape (K,).
+    """
+    light = x[R_D] * samples.diffuse + math.exp(x[LOG_R_S]) * specular
+    facts: ImageFacts = samples.facts
+    factor = facts.factor * np.exp(x[FIRST_GAIN + facts.light])
+    return samples.sensor.black_level + x[DARK] + factor[samples.image] * light[samples.sample]
+
+
+def lagrange(nodes: Float64, at: float) -> tuple[Float64, Float64]:
+    """Weights of the values at `nodes` in the interpolating polynomial at a place, and in its derivative there."""
+    m = len(nodes)
+    weights, slopes = np.ones(m), np.zeros(m)
+    for j in range(m):
+        others = [k for k in range(m) if k != j]
+        scale = math.prod(nodes[j] - nodes[k] for k in others)
+        weights[j] = math.prod(at - nodes[k] for k in others) / scale
+        slopes[j] = sum(math.prod(at - nodes[k] for k in others if k != i) for i in others) / scale
+    return weights, slopes
+
+
+@kernel
+def _normal_interval(a: float, b: float) -> float:
+    # Φ(b) − Φ(a) without cancellation in either tail
+    if a > 0.0:
+        return 0.5 * (math.erfc(a * _SQRT_HALF) - math.erfc(b * _SQRT_HALF))
+    return 0.5 * (math.erfc(-b * _SQRT_HALF) - math.erfc(-a * _SQRT_HALF))
+
+
+@kernel
+def _accumulate(
+    sample: NDArray[np.int32],
+    level: NDArray[np.float32],
+    saturated: NDArray[np.bool_],
+    image: NDArray[np.int32],
+    start: int,
+    end: int,
+    diffuse: Float64,
+    specular: Float64,
+    c: Float64,
+    dc: Float64,
+    factors: Float64,
+    lights: NDArray[np.int32],
+    half_widths: Float64,
+    sensor: SensorNumbers,
+    x: Float64,
+    gradient: Float64,
+    curvature: Float64,
+) -> float:
+    size = len(x)
+    r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
+    tau2 = math.exp(x[size - 2])
+    epsilon = 1.0 / (1.0 + math.exp(-x[size - 1]))
+    place = np.empty(5, np.int64)
+    slope = np.empty(5)
+    total = 0.0
+    for j in range(start, end):
+        i, m = sample[j], image[j]
+        s = ds = 0.0
+        for k in range(len(c)):
+            s += c[k] * specular[i, k]
+            ds += dc[k] * specular[i, k]
+        gain_place = 4 + lights[m]
+        factor = factors[m] * math.exp(x[gain_place])
+        signal = factor * (r_d * diffuse[i] + r_s * s)
+        mean = sensor.black + dark + signal
+        variance = sensor.read_variance + tau2
+        shot = 0.0
+        if signal > 0.0:
+            shot = sensor.levels_per_electron
+            variance += shot * signal
+        deviation = math.sqrt(variance)
+        q, half = level[j], half_widths[m]
+        # the interval that the signal was in, in standard deviations from the mean
+        a, b, outlier = -math.inf, math.inf, sensor.outlier
+        if saturated[j]:
+            a = (min(q, sensor.ceiling) - half - mean) / deviation if half >= 0.5 else (q - mean) / deviation
+            outlier = EXTREME_SHARE
+        elif q <= 0.0:
+            b = (half - mean) / deviation
+            outlier = EXTREME_SHARE
+        else:
+            a, b = (q - half - mean) / deviation, (q + half - mean) / deviation
+            outlier *= 2.0 * half
+        f = _normal_interval(a, b)
+        pa = math.exp(-0.5 * a * a) / _SQRT_TWO_PI if a > -math.inf else 0.0
+        pb = math.exp(-0.5 * b * b) / _SQRT_TWO_PI if b < math.inf else 0.0
+        apa = a * pa if pa > 0.0 else 0.0
+        bpb = b * pb if pb > 0.0 else 0.0
+        p = (1.0 - epsilon) * f + epsilon * outlier
+        total += math.log(p)
+        by_mean = (pa - pb) / deviation
+        by_variance = (apa - bpb) / (2.0 * variance)
+        inside = (1.0 - epsilon) / p
+        score = inside * (by_mean + shot * by_variance)
+        surely = inside * f
+        bend = 0.0
+        if f > 1e-200:
+            ratio = by_mean / f
+            bend = min(max(ratio * ratio - (apa - bpb) / (variance * f), 0.0), 1.0 / variance)
+        bend *= surely
+        place[0], slope[0] = 0, factor * diffuse[i]
+        place[1], slope[1] = 1, factor * r_s * s
+        place[2], slope[2] = 2, factor * r_s * ds
+        place[3], slope[3] = gain_place, signal
+        # the dark level makes no shot noise
+        place[4], slope[4] = 3, 1.0
+        for k in range(5):
+            gradient[place[k]] += (score if k < 4 else inside * by_mean) * slope[k]
+            for n in range(5):
+                curvature[place[k], place[n]] += bend * slope[k] * slope[n]
+        share = tau2 / variance
+        gradient[size - 2] += inside * by_variance * tau2
+        curvature[size - 2, size - 2] += 0.5 * surely * share * share
+        gradient[size - 1] += (outlier - f) / p * epsilon * (1.0 - epsilon)
+        curvature[size - 1, size - 1] += epsilon * (1.0 - epsilon)
+    return total

@@ -1,0 +1,184 @@
+"""What a fit hands on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lightopt.align import Placement
+from lightopt.fit._estimate import Estimate
+from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._paper import PaperDiffuse, PaperSpecular
+from lightopt.fit._profile import profile_interval
+from lightopt.fit._quality import Quality
+from lightopt.fit._regions import PointsRow
+from lightopt.fit._validate import LeftOut
+
+__all__ = ["FitResult", "FittedValue", "fitted_values"]
+
+MOST_LOG = 700.0
+"""Logarithm of the greatest value that is written."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedValue:
+    """A coefficient with what is known of it.
+
+    Attributes
+    ----------
+    name
+        ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light stops
+        being saturated.
+    value
+        In the part file's unit.
+    standard_error
+        0 for a value that was held.
+    interval
+        95 %, by profile likelihood; None for a value that was held or by a method that knows none.
+    """
+
+    name: str
+    value: float
+    standard_error: float = 0.0
+    interval: tuple[float, float] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "value": float(f"{self.value:.8g}"),
+            "standard_error": float(f"{self.standard_error:.4g}"),
+            "interval_95": None if self.interval is None else [float(f"{v:.8g}") for v in self.interval],
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitResult:
+    """Fitted reflectance.
+
+    Attributes
+    ----------
+    kind
+        Which coefficients were asked for.
+    method
+        How.
+    points
+        Point lights per panel, or ``"auto"``.
+    values
+        R_d, R_s, σ and the saturated half-angle.
+    fitted
+        Names of those that were fitted and belong into the part file.
+    gains
+        Gain of each light as it belongs into the rig file, where gains were freed.
+    dark
+        Black level as it belongs into the rig file [sensor level], where it was freed.
+    placement
+        Where the part was found to lie, where that was freed.
+    correlation
+        Of ln R_s and ln σ; None where they were not both fitted.
+    observations, pixels
+        Number of levels looked at, and of pixels that they belong to.
+    quality
+        Residuals.
+    words
+        What a person should know.
+    estimate
+        Of the default method.
+    left_out
+        Validation, one entry per light.
+    rows
+        One per number of points that was tried.
+    paper
+        Record of the paper's procedure.
+    """
+
+    kind: Literal["diffuse", "specular"]
+    method: Literal["likelihood", "paper"]
+    points: int | Literal["auto"]
+    values: tuple[FittedValue, ...]
+    fitted: tuple[str, ...]
+    gains: Mapping[str, float] | None = None
+    dark: float | None = None
+    placement: Placement | None = None
+    correlation: float | None = None
+    observations: int = 0
+    pixels: int = 0
+    quality: Quality | None = None
+    words: tuple[str, ...] = ()
+    estimate: Estimate | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    rows: tuple[PointsRow, ...] = ()
+    paper: PaperDiffuse | PaperSpecular | None = None
+
+    def value(self, name: str) -> float:
+        """A coefficient by name."""
+        return next(v.value for v in self.values if v.name == name)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form, without provenance."""
+        scan = () if self.estimate is None else self.estimate.scan
+        best = max((point.value for point in scan), default=0.0)
+        return {
+            "kind": self.kind,
+            "method": self.method,
+            "points": self.points,
+            "fitted": list(self.fitted),
+            "values": {v.name: v.as_dict() for v in self.values},
+            "correlation_ln_R_s_ln_sigma": self.correlation,
+            "gains": None if self.gains is None else {k: float(f"{v:.8g}") for k, v in self.gains.items()},
+            "black_level": self.dark,
+            "placement": None if self.placement is None else self.placement.as_dict(),
+            "observations": self.observations,
+            "pixels": self.pixels,
+            "quality": None if self.quality is None else self.quality.as_dict(),
+            "words": list(self.words),
+            "ridge": [
+                {
+                    "sigma_rad": float(f"{point.sigma:.8g}"),
+                    "R_d": float(f"{point.R_d:.8g}"),
+                    "R_s": float(f"{point.R_s:.8g}"),
+                    "twice_log_likelihood_below_best": float(f"{2.0 * (best - point.value):.6g}"),
+                }
+                for point in scan
+            ],
+            "left_out": [left.as_dict() for left in self.left_out],
+            "by_points": [row.as_dict() for row in self.rows],
+            "paper": None if self.paper is None else self.paper.as_dict(),
+        }
+
+
+def fitted_values(found: Estimate, *, weight: float, full_scale: float) -> tuple[FittedValue, ...]:
+    """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals.
+
+    Parameters
+    ----------
+    found
+        The estimate.
+    weight
+        Of a panel's light, its gain included; the half-angle is that of a point light of this weight.
+    full_scale
+        Grey level of a saturated pixel.
+    """
+    values: list[FittedValue] = []
+    for name, place, log in (("R_d", R_D, False), ("R_s", LOG_R_S, True), ("sigma_rad", LOG_SIGMA, True)):
+        value = math.exp(found.x[place]) if log else float(found.x[place])
+        if place not in found.free:
+            values.append(FittedValue(name=name, value=value))
+            continue
+        low, high = profile_interval(found, place)
+        error = found.standard_error(place) * (value if log else 1.0)
+        interval = (math.exp(low), math.exp(min(high, MOST_LOG))) if log else (low, high)
+        values.append(FittedValue(name=name, value=value, standard_error=error, interval=interval))
+    over = math.log(max(weight * found.R_s / full_scale, 1e-300))
+    if over > 0.0:
+        angle = found.sigma * math.sqrt(2.0 * over)
+        error = 0.0
+        if LOG_R_S in found.free and LOG_SIGMA in found.free:
+            # d ln(angle) = d ln σ + d ln R_s / (2·ln(wR_s / full scale))
+            a, b = found.standard_error(LOG_SIGMA), found.standard_error(LOG_R_S) / (2.0 * over)
+            error = angle * math.sqrt(
+                max(a * a + b * b + 2.0 * a * b * found.correlation(LOG_R_S, LOG_SIGMA), 0.0)
+            )
+        values.append(FittedValue(name="half_angle_rad", value=angle, standard_error=error))
+    return tuple(values)

@@ -1,0 +1,223 @@
+"""The pixels of a posture whose light can be predicted: off silhouettes, creases and the edges of shadows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.raycast import RayCaster
+from lightopt.rendering._points import facing_pairs
+from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
+from lightopt.transforms import Posture
+
+__all__ = ["LEFT_OUT", "UNLIT", "WHOLE", "PosturePixels", "in_threads", "panel_verdict", "trace_pixels"]
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
+"""What a pixel sees of a panel: nothing, all of it, or (penumbrae) something that is not predicted here."""
+
+STEEPEST_STEP = 0.6
+"""A neighbouring point further from the tangent plane than this share of its distance lies across a silhouette."""
+
+CREASE_COSINE = 0.985
+"""Normals of neighbouring pixels that differ by more than 10° are those of a crease or of a silhouette."""
+
+LEAST_COS_VIEW = 0.15
+"""Below this cosine of the angle of view a pixel's footprint is too long for a ray at its centre to stand for it."""
+
+MARGIN_PX = 2
+"""Pixels next to those that are left out are left out, too: the part never lies exactly where the model has it."""
+
+_BLOCK_ROWS = 64
+_PIECE = 32_768
+_INSET = 0.98
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosturePixels:
+    """What the pixel centres of one posture's images look at, k of them.
+
+    Attributes
+    ----------
+    posture, view
+        Of the part; camera and lights in the part's frame.
+    row, column
+        Of each pixel, shape (k,).
+    surface
+        Where the rays meet the part, part frame.
+    clean
+        Off silhouettes, creases, back faces and grazing views, shape (k,).
+    shape
+        Rows and columns of the image.
+    """
+
+    posture: Posture
+    view: PartView
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    surface: SurfacePoints
+    clean: Bool
+    shape: tuple[int, int]
+
+
+def trace_pixels(
+    scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None
+) -> PosturePixels:
+    """Cast a ray through every pixel centre that can show the part.
+
+    Parameters
+    ----------
+    scene, posture, caster
+        The part, how it stands, and its ray caster.
+    threads
+        Number of threads; all the machine's by default. The result does not depend on it.
+    """
+    view = view_from_part(scene, posture)
+    left, top, right, bottom = screen_window(view.camera, scene.mesh)
+    columns = np.arange(left, right, dtype=np.int32)
+
+    def block(first: int) -> tuple[NDArray[np.int32], NDArray[np.int32], SurfacePoints]:
+        rows = np.arange(first, min(first + _BLOCK_ROWS, bottom), dtype=np.int32)
+        column, row = (a.ravel() for a in np.meshgrid(columns, rows))
+        x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
+        hits, surface = trace_samples(caster, scene.mesh, view.camera, x, y)
+        return row[hits.ray], column[hits.ray], surface
+
+    blocks = in_threads(block, range(top, bottom, _BLOCK_ROWS), threads)
+    row = np.concatenate([b[0] for b in blocks] or [np.zeros(0, np.int32)])
+    column = np.concatenate([b[1] for b in blocks] or [np.zeros(0, np.int32)])
+    empty, none = np.zeros((0, 3)), np.zeros(0, np.bool_)
+    surface = SurfacePoints(
+        np.concatenate([b[2].points for b in blocks] or [empty]),
+        np.concatenate([b[2].normals for b in blocks] or [empty]),
+        np.concatenate([b[2].facets for b in blocks] or [empty]),
+        np.concatenate([b[2].views for b in blocks] or [empty]),
+        np.concatenate([b[2].front for b in blocks] or [none]),
+    )
+    shape = (scene.camera.height, scene.camera.width)
+    edge = _spread(_edges(surface, row, column, shape), row, column, shape)
+    cosine: Float64 = np.einsum("ij,ij->i", surface.normals, surface.views)
+    clean = surface.front & ~edge & (cosine >= LEAST_COS_VIEW)
+    return PosturePixels(
+        posture=posture, view=view, row=row, column=column, surface=surface, clean=clean, shape=shape
+    )
+
+
+def panel_verdict(
+    pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, threads: int | None = None
+) -> NDArray[np.uint8]:
+    """What each pixel sees of a panel: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (k,).
+
+    Parameters
+    ----------
+    pixels
+        From :func:`trace_pixels`.
+    light
+        Part frame.
+    caster
+        Of the part.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+    surface = pixels.surface
+    targets = _probes(light)
+    asked = np.flatnonzero(surface.front)
+
+    def piece(start: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        some = surface.take(asked[start : start + _PIECE])
+        point, target = facing_pairs(some, targets, geometric=True)
+        blocked = caster.occluded(some.points, some.facets, targets, point_index=point, target_index=target)
+        above, _ = facing_pairs(some, targets, geometric=False)
+        return (
+            np.bincount(point[~blocked], minlength=len(some)),
+            np.bincount(above, minlength=len(some)),
+            asked[start : start + _PIECE],
+        )
+
+    clear = np.zeros(len(surface), np.intp)
+    above = np.zeros(len(surface), np.intp)
+    for seen, facing, where in in_threads(piece, range(0, len(asked), _PIECE), threads):
+        clear[where], above[where] = seen, facing
+    # below the horizon of the interpolated normal there is no light, whatever is in the way
+    # the terminator, where that horizon runs across the panel, moves with the least error of a normal
+    mixed = ((clear > 0) & (clear < above)) | ((above > 0) & (above < len(targets)))
+    hidden = (clear == 0) & (above > 0) & ~mixed
+    lit = (clear > 0) & ~mixed
+    shape, row, column = pixels.shape, pixels.row, pixels.column
+    near_hidden = _spread(hidden | mixed, row, column, shape)
+    near_lit = _spread(lit | mixed, row, column, shape)
+    verdict = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
+    verdict[mixed | (lit & near_hidden) | (hidden & near_lit)] = LEFT_OUT
+    return verdict
+
+
+def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | None = None) -> list[T]:
+    """Results of a function of pieces' starts, in order, worked out by a pool of threads."""
+    count = threads or (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    if count == 1 or len(starts) < 2:
+        return [work(start) for start in starts]
+    with ThreadPoolExecutor(count) as pool:
+        return list(pool.map(work, starts))
+
+
+def _probes(light: PanelLight) -> Float64:
+    # the points that shine; for the converged panel its centre and its corners
+    if light.points != "auto":
+        return panel_grid(light, light.points)
+    half = 0.5 * _INSET
+    return np.array(
+        [
+            light.centre + s * light.size[0] * light.across + t * light.size[1] * light.along
+            for s, t in ((0.0, 0.0), (-half, -half), (-half, half), (half, -half), (half, half))
+        ]
+    )
+
+
+def _edges(
+    surface: SurfacePoints, row: NDArray[np.int32], column: NDArray[np.int32], shape: tuple[int, int]
+) -> Bool:
+    # pixels that differ from the next one to the right or below by a step, by a crease, or by seeing no part at all
+    index = np.full((shape[0] + 1, shape[1] + 1), -1, np.int32)
+    index[row, column] = np.arange(len(row), dtype=np.int32)
+    edge = np.zeros(len(row), np.bool_)
+    for dy, dx in ((0, 1), (1, 0)):
+        here = index[: shape[0] - dy, : shape[1] - dx].ravel()
+        there = index[dy : shape[0], dx : shape[1]].ravel()
+        lonely = (here >= 0) != (there >= 0)
+        edge[np.maximum(here, there)[lonely]] = True
+        both = (here >= 0) & (there >= 0)
+        a, b = here[both], there[both]
+        crease = np.einsum("ij,ij->i", surface.normals[a], surface.normals[b]) < CREASE_COSINE
+        step = surface.points[b] - surface.points[a]
+        rise = np.abs(np.einsum("ij,ij->i", step, surface.facets[a]))
+        differ = crease | (rise > STEEPEST_STEP * np.linalg.norm(step, axis=1))
+        edge[a[differ]] = True
+        edge[b[differ]] = True
+    return edge
+
+
+def _spread(flags: Bool, row: NDArray[np.int32], column: NDArray[np.int32], shape: tuple[int, int]) -> Bool:
+    # pixels with a flagged one within MARGIN_PX rows and columns
+    m = MARGIN_PX
+    grid = np.zeros((shape[0] + 2 * m, shape[1] + 2 * m), np.bool_)
+    grid[row + m, column + m] = flags
+    wide = np.zeros_like(grid)
+    for dx in range(-m, m + 1):
+        wide |= np.roll(grid, dx, axis=1)
+    near = np.zeros_like(grid)
+    for dy in range(-m, m + 1):
+        near |= np.roll(wide, dy, axis=0)
+    return near[row + m, column + m]

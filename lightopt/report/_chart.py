@@ -1,0 +1,145 @@
+"""A plain chart of lines over a common axis, one panel below the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.report._canvas import Canvas, check_png_path, write_picture
+from lightopt.report._typeface import Typeface
+
+__all__ = ["ChartPanel", "draw_chart"]
+
+INK, SOFT, FAINT, LINE, MARK = "#1c1f24", "#5c636e", "#e3e6ea", "#1f5fbf", "#c2410c"
+WIDTH, PANEL_HEIGHT = 900, 300
+LEFT, RIGHT, TOP, GAP, BOTTOM = 110, 30, 70, 60, 60
+MOST_TICKS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChartPanel:
+    """One panel: a line of values, and a mark on it.
+
+    Attributes
+    ----------
+    label
+        What the values are, with their unit.
+    values
+        Shape (n,).
+    log
+        Whether the axis is logarithmic; values must be above 0 then.
+    mark
+        Place (x, value) of a dot; None for none.
+    """
+
+    label: str
+    values: NDArray[np.float64]
+    log: bool = False
+    mark: tuple[float, float] | None = None
+
+
+def draw_chart(
+    path: str | Path,
+    *,
+    title: str,
+    x_label: str,
+    x: NDArray[np.float64],
+    panels: Sequence[ChartPanel],
+    log_x: bool = False,
+) -> Path:
+    """Draw panels over a common axis into a PNG; the same values give the same bytes.
+
+    Parameters
+    ----------
+    path
+        The PNG to make or to replace, in a folder that exists.
+    title, x_label
+        Texts above and below.
+    x
+        Common coordinate, ascending, shape (n,).
+    panels
+        From top to bottom.
+    log_x
+        Whether the common axis is logarithmic.
+
+    Raises
+    ------
+    InputError
+        The name does not end in ``.png``, or the file cannot be written.
+    """
+    path = check_png_path(path)
+    height = TOP + len(panels) * PANEL_HEIGHT + (len(panels) - 1) * GAP + BOTTOM
+    canvas = Canvas(WIDTH, height)
+    texts: list[tuple[float, float, str, Literal["left", "centre", "right"]]] = []
+    across = _Axis.over([x], log_x)
+    for i, panel in enumerate(panels):
+        top = TOP + i * (PANEL_HEIGHT + GAP)
+        up = _Axis.over([panel.values], panel.log)
+        for tick in across.ticks():
+            place = LEFT + across.share(tick) * (WIDTH - LEFT - RIGHT)
+            canvas.line(np.array([[place, top], [place, top + PANEL_HEIGHT]]), colour=FAINT, width=1.0)
+            if i == len(panels) - 1:
+                texts.append((place, top + PANEL_HEIGHT + 22, f"{tick:g}", "centre"))
+        for tick in up.ticks():
+            place = top + (1.0 - up.share(tick)) * PANEL_HEIGHT
+            canvas.line(np.array([[LEFT, place], [WIDTH - RIGHT, place]]), colour=FAINT, width=1.0)
+            texts.append((LEFT - 8, place + 5, f"{tick:g}", "right"))
+        places = [_place(across, up, top, a, b) for a, b in zip(x, panel.values, strict=True)]
+        canvas.line(np.array(places), colour=LINE, width=2.0)
+        for place in places:
+            canvas.disc(np.array(place), 2.5, fill=LINE)
+        if panel.mark is not None:
+            canvas.disc(np.array(_place(across, up, top, *panel.mark)), 6.0, fill=MARK)
+        texts.append((LEFT, top - 12, panel.label, "left"))
+    image = canvas.finished()
+    head, body = Typeface(22), Typeface(15)
+    head.paint(image, LEFT, 32, head.fit(title, WIDTH - LEFT - RIGHT), fill=INK)
+    for left, baseline, text, align in texts:
+        body.paint(image, left, baseline, text, fill=SOFT, align=align)
+    body.paint(image, 0.5 * (LEFT + WIDTH - RIGHT), height - 14, x_label, fill=INK, align="centre")
+    return write_picture(path, image)
+
+
+@dataclass(frozen=True)
+class _Axis:
+    low: float
+    high: float
+    log: bool
+
+    @staticmethod
+    def over(values: Sequence[NDArray[np.float64]], log: bool) -> _Axis:
+        every = np.concatenate([np.asarray(v, dtype=np.float64) for v in values])
+        low, high = float(every.min()), float(every.max())
+        if log:
+            low, high = math.log10(max(low, 1e-300)), math.log10(max(high, 1e-300))
+        room = 0.04 * (high - low) or 1.0
+        return _Axis(low - room, high + room, log)
+
+    def share(self, value: float) -> float:
+        at = math.log10(max(value, 1e-300)) if self.log else value
+        return (at - self.low) / (self.high - self.low)
+
+    def ticks(self) -> list[float]:
+        span = self.high - self.low
+        if self.log and span > 1.5:
+            step = max(1, math.ceil(span / MOST_TICKS))
+            return [10.0**e for e in range(math.ceil(self.low), math.floor(self.high) + 1, step)]
+        low, high = (10.0**self.low, 10.0**self.high) if self.log else (self.low, self.high)
+        raw = (high - low) / MOST_TICKS
+        unit = 10.0 ** math.floor(math.log10(raw))
+        step = next(m * unit for m in (1.0, 2.0, 5.0, 10.0) if m * unit >= raw)
+        first = math.ceil(low / step)
+        return [float(f"{k * step:.12g}") for k in range(first, math.floor(high / step) + 1)]
+
+
+def _place(across: _Axis, up: _Axis, top: float, x: float, y: float) -> tuple[float, float]:
+    return (
+        LEFT + across.share(x) * (WIDTH - LEFT - RIGHT),
+        top + (1.0 - up.share(y)) * PANEL_HEIGHT,
+    )

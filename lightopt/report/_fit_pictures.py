@@ -1,0 +1,126 @@
+"""Pictures of a fit: its ridge, the paper's sweep, measured minus predicted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.fit import FitResult, PaperDiffuse, PaperSpecular
+from lightopt.images import write_png
+from lightopt.report._chart import ChartPanel, draw_chart
+
+__all__ = ["fit_chart", "residual_picture"]
+
+RESIDUAL_SCALE = 0.08
+"""Difference of the full colours, as a share of the sensor's full scale: 20 of 255 levels."""
+
+_BELOW, _EQUAL, _ABOVE = (33, 102, 172), (247, 247, 247), (178, 24, 43)
+
+
+def fit_chart(result: FitResult, path: str | Path) -> Path | None:
+    """Draw how a fit came about: the ridge of R_s and σ, or the rounds of the paper's procedure.
+
+    Returns
+    -------
+    pathlib.Path
+        The file; None where there is nothing to draw.
+    """
+    if isinstance(result.paper, PaperSpecular):
+        return _paper_sweep(result.paper, path)
+    if isinstance(result.paper, PaperDiffuse):
+        rounds = np.arange(1.0, len(result.paper.iterations) + 1.0)
+        return draw_chart(
+            path,
+            title="R_d, round by round (section 4.2)",
+            x_label="round",
+            x=rounds,
+            panels=(
+                ChartPanel(
+                    label="R_d [grey level]", values=np.array([i[0] for i in result.paper.iterations])
+                ),
+                ChartPanel(
+                    label="D, difference of the mean brightness [grey level]",
+                    values=np.array([i[2] for i in result.paper.iterations]),
+                ),
+            ),
+        )
+    scan = () if result.estimate is None else result.estimate.scan
+    if len(scan) < 3:
+        return None
+    sigma = np.array([point.sigma for point in scan])
+    fall = 2.0 * (max(point.value for point in scan) - np.array([point.value for point in scan]))
+    place = result.value("sigma_rad")
+    mark = (place, result.value("R_s")) if "sigma_rad" in result.fitted else None
+    return draw_chart(
+        path,
+        title="The ridge: at each sigma, the R_s that fits best, and how much worse it fits",
+        x_label="sigma [rad]",
+        x=sigma,
+        log_x=True,
+        panels=(
+            ChartPanel(
+                label="R_s [grey level]", values=np.array([point.R_s for point in scan]), log=True, mark=mark
+            ),
+            ChartPanel(label="twice the log-likelihood below the best, plus 1", values=fall + 1.0, log=True),
+        ),
+    )
+
+
+def residual_picture(
+    path: str | Path,
+    *,
+    measured: NDArray[np.float32],
+    predicted: NDArray[np.float32],
+    saturated_from: float,
+    full: float,
+) -> Path:
+    """Write a PNG of measured minus predicted: blue darker than predicted, white equal, red brighter.
+
+    Parameters
+    ----------
+    path
+        The PNG, in a folder that exists.
+    measured, predicted
+        Sensor levels, shape (height, width); both are clipped at the saturation level first.
+    saturated_from, full
+        Saturation level and full scale of the sensor.
+    """
+    top = np.float32(saturated_from)
+    difference = np.minimum(measured, top) - np.clip(predicted, 0.0, top)
+    scale = RESIDUAL_SCALE * full
+    channels = [
+        np.interp(difference / scale, [-1.0, 0.0, 1.0], [low, middle, high])
+        for low, middle, high in zip(_BELOW, _EQUAL, _ABOVE, strict=True)
+    ]
+    pixels = np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
+    write_png(path, pixels, metadata={"picture": "measured minus predicted", "full_colours_at_levels": scale})
+    return Path(path)
+
+
+def _paper_sweep(record: PaperSpecular, path: str | Path) -> Path:
+    steps = sorted(record.steps, key=lambda step: step.sigma)
+    sigma = np.array([step.sigma for step in steps])
+    return draw_chart(
+        path,
+        title="The sweep over sigma (section 4.3)",
+        x_label="sigma [rad]",
+        x=sigma,
+        panels=(
+            ChartPanel(
+                label="R_s at which as many pixels are saturated as measured [grey level]",
+                values=np.array([max(step.R_s, 1e-3) for step in steps]),
+                log=True,
+                mark=(record.sigma, record.R_s),
+            ),
+            ChartPanel(
+                label="total specular brightness, simulated over measured",
+                values=np.array([min(step.brightness, 10.0) for step in steps]),
+            ),
+            ChartPanel(
+                label="rounds of equation 10",
+                values=np.array([float(len(step.iterations)) for step in steps]),
+            ),
+        ),
+    )

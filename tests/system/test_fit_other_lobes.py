@@ -1,0 +1,77 @@
+"""Images of a surface that is not of the model: a lobe with the tails of a polished metal's, drawn by this file alone.
+
+Expected: the fit says that the model describes them badly, and still predicts lights that it has not seen to within 5
+grey levels rms over their images, no image being off by more than 6.5.
+"""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from captured import PART, PARTS, RIG, observe
+
+from lightopt import build_scene
+from lightopt.fit import appraise, collect_samples, estimate, leave_lights_out
+from lightopt.fit._quality import poor_fit
+from lightopt.rendering import UNLIT, cast_rays_at, panel_verdict, trace_pixels
+from lightopt.scene import panel_grid
+from lightopt.sensor import expose, image_rng
+
+
+def heavy_tails(delta, width):
+    """A lobe that falls off like δ⁻⁴, as that of GGX does near its peak."""
+    return 1.0 / (1.0 + 0.5 * (delta / width) ** 2) ** 2
+
+
+def drawn(scene, caster, *, R_d, R_s, width, exposures):
+    images = []
+    for number, posture in enumerate(scene.postures):
+        pixels = trace_pixels(scene, posture, caster)
+        s = pixels.surface
+        n_dot_v = np.einsum("ij,ij->i", s.normals, s.views)
+        for k, panel in enumerate(pixels.view.lights):
+            total = np.zeros(len(s))
+            points = panel_grid(panel, 100)
+            for point in points:
+                towards = point - s.points
+                towards /= np.linalg.norm(towards, axis=1)[:, None]
+                half = towards + s.views
+                half /= np.linalg.norm(half, axis=1)[:, None]
+                n_dot_l = np.einsum("ij,ij->i", s.normals, towards)
+                delta = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(s.normals - half, axis=1), 0.0, 1.0))
+                value = R_d * n_dot_l + R_s * heavy_tails(delta, width) / np.maximum(n_dot_v, 0.01)
+                total += np.where((n_dot_l > 0.0) & (n_dot_v > 0.0), value, 0.0)
+            lit = panel_verdict(pixels, panel, caster) != UNLIT
+            level = np.zeros(pixels.shape, np.float32)
+            level[pixels.row, pixels.column] = np.where(lit, panel.gain * total / len(points), 0.0)
+            for e, exposure in enumerate(exposures):
+                rng = image_rng(1, light=k, posture=number, exposure=e)
+                levels = expose(level, sensor=scene.sensor, exposure=exposure, full_scale=255.0, rng=rng)
+                images.append(observe(panel.name, posture, exposure, levels, scene))
+    return tuple(images)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("R_s", "width"), [(2000.0, 0.03), (12500.0, 0.01)])
+def test_a_lobe_with_heavy_tails(tmp_path, R_s, width):
+    rig = RIG.replace("[160, 120]", "[320, 240]").replace("pixel_size_um: 44", "pixel_size_um: 22")
+    (tmp_path / "rig.yaml").write_text(rig, encoding="utf-8")
+    (tmp_path / "part.yaml").write_text(PART.replace("knob.stl, units: mm", "knob.step"), encoding="utf-8")
+    shutil.copy(PARTS / "cover-knob.step", tmp_path / "knob.step")
+    scene = build_scene(tmp_path / "rig.yaml", tmp_path / "part.yaml", points="auto")
+    caster = cast_rays_at(scene)
+    images = drawn(scene, caster, R_d=45.0, R_s=R_s, width=width, exposures=(1.0, 1 / 16))
+    samples = collect_samples(scene, images, caster=caster, budget=4000)
+    found = estimate(samples)
+    quality = appraise(samples, found, full_scale=255.0)
+    print(quality)
+    assert any("describes these images badly" in text for text in poor_fit(quality))
+    assert quality.epsilon > 0.02
+    left_out = leave_lights_out(scene, samples, found, caster=caster)
+    rms = [image.rms for left in left_out for image in left.images]
+    print("rms of unseen lights:", np.round(rms, 2))
+    assert len(left_out) == len(scene.lights)
+    assert np.sqrt(np.mean(np.square(rms))) < 5.0
+    assert max(rms) < 6.5

@@ -1,0 +1,288 @@
+"""``lightopt fit-diffuse`` and ``fit-specular``: files, words and refusals."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from lightopt import load_part, load_rig
+from lightopt.images import read_image_set, read_png, write_png
+
+GUESS = ("R_d: 45.0, R_s: 12500, sigma_rad: 0.0475", "R_d: 30, R_s: 500, sigma_rad: 0.1")
+
+
+@pytest.fixture(scope="module")
+def measured(shared_bench, tmp_path_factory):
+    """Noisy images of the knob."""
+    from lightopt.cli._main import run
+
+    out = tmp_path_factory.mktemp("measured") / "set"
+    command = [
+        "render",
+        shared_bench.rig,
+        shared_bench.part,
+        "-o",
+        out,
+        "-q",
+        "--patches",
+        "500",
+        "--noise",
+        "5",
+    ]
+    assert run([str(word) for word in (*command, "--exposure", "1", "--exposure", "1/16")]) == 0
+    return out
+
+
+@pytest.fixture
+def images(measured, bench):
+    """A copy to spoil, beside a part file that knows nothing."""
+    bench.edit("part.yaml", *GUESS)
+    return shutil.copytree(measured, bench.folder / "images")
+
+
+def spoil(images, change, where=lambda entry: True):
+    """Change the PNGs of a set, and its hashes with them."""
+    path = images / "manifest.json"
+    manifest = json.loads(path.read_text())
+    for entry in manifest["images"]:
+        if where(entry):
+            file = images / entry["png"]
+            levels = np.ascontiguousarray(change(read_png(file)))
+            entry["sha256"]["png"] = write_png(file, levels, metadata={})
+    path.write_text(json.dumps(manifest))
+
+
+def edit_manifest(images, change):
+    path = images / "manifest.json"
+    manifest = json.loads(path.read_text())
+    change(manifest)
+    path.write_text(json.dumps(manifest))
+
+
+# --- the way through
+
+
+def test_diffuse_then_specular_recovers_the_truth(cli, bench, images):
+    first = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d")
+    assert (first.status, first.err) == (0, "")
+    part = bench.folder / "d" / "part.fitted.yaml"
+    assert load_part(part).reflectance.R_d == pytest.approx(45.0, rel=0.01)
+    assert load_part(part).reflectance.R_s == 500
+    second = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s")
+    assert (second.status, second.err) == (0, "")
+    fitted = load_part(bench.folder / "s" / "part.fitted.yaml").reflectance
+    assert fitted.R_d == load_part(part).reflectance.R_d
+    assert fitted.R_s == pytest.approx(12500, rel=0.02)
+    assert fitted.sigma_rad == pytest.approx(0.0475, rel=0.01)
+    assert "95 % interval" in second.out
+    assert "each light predicted from the others" in second.out
+    figures = json.loads((bench.folder / "s" / "fit.json").read_text())
+    low, high = figures["values"]["R_s"]["interval_95"]
+    assert low < 12500 < high
+    assert len(figures["left_out"]) == 2
+    assert all(image["rms_levels"] < 2.0 for left in figures["left_out"] for image in left["images"])
+    assert len(list((bench.folder / "s" / "left-out").glob("*.png"))) == 8
+
+
+def test_only_the_fitted_values_of_the_part_change(cli, bench, images):
+    text = bench.part.read_text().replace("postures:", "# a comment\npostures:")
+    bench.part.write_text(text)
+    ran = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder, "-q")
+    assert (ran.status, ran.out, ran.err) == (0, "", "")
+    before, after = text.splitlines(), (bench.folder / "part.fitted.yaml").read_text().splitlines()
+    assert [a for a, b in zip(after, before, strict=True) if a != b] == [after[-1]]
+    assert after[-1].startswith("reflectance: {R_d: 4")
+    assert after[-1].endswith(", R_s: 500, sigma_rad: 0.1}")
+
+
+def test_gain_and_dark_are_freed_and_written_to_the_rig(cli, bench, images):
+    bench.edit("rig.yaml", "gain: 0.8", "gain: 1.1")
+    spoil(images, lambda levels: np.minimum(levels.astype(int) + 3, 255).astype(np.uint8))
+    ran = cli(
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "gain", "--free", "dark",
+        "--no-validation",
+    )  # fmt: skip
+    assert ran.status == 0
+    rig = load_rig(bench.out / "rig.fitted.yaml")
+    assert rig.lights[1].gain == pytest.approx(0.8, rel=0.005)
+    assert rig.lights[0].gain == 1.0
+    assert rig.camera.sensor.black_level == pytest.approx(3.0, abs=0.05)
+    assert load_part(bench.out / "part.fitted.yaml").reflectance.R_d == pytest.approx(45.0, rel=0.01)
+
+
+def test_numbers_of_points_are_compared_and_the_right_one_kept(cli, bench, images):
+    ran = cli(
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--points", "1,4,9",
+        "--no-validation",
+    )  # fmt: skip
+    assert ran.status == 0
+    figures = json.loads((bench.out / "fit.json").read_text())
+    assert [row["points"] for row in figures["by_points"]] == [1, 4, 9]
+    assert figures["points"] == 4
+    own = figures["by_points"][1]
+    assert own["area_px"] == pytest.approx(own["measured_area_px"], rel=0.01)
+    assert own["perimeter_px"] == pytest.approx(own["measured_perimeter_px"], rel=0.03)
+
+
+def test_the_papers_procedure(cli, bench, images):
+    one = ("--method", "paper")
+    assert cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d", *one).status == 0
+    part = bench.folder / "d" / "part.fitted.yaml"
+    assert load_part(part).reflectance.R_d == pytest.approx(45.0, rel=0.01)
+    ran = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s", *one)
+    assert (ran.status, ran.err) == (0, "")
+    figures = json.loads((bench.folder / "s" / "fit.json").read_text())["paper"]
+    # the sweep only knows multiples of its step
+    assert abs(figures["sigma_rad"] - 0.0475) <= 0.005
+    assert figures["sweep"][0]["iterations"][0]["R_s"] == 255
+    assert any(step["reached"] for step in figures["sweep"])
+
+
+def test_the_same_fit_again_gives_the_same_bytes(cli, bench, images, snapshot):
+    command = ("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation")
+    assert cli(*command, "--threads", "1").status == 0
+    first = snapshot(bench.out)
+    assert cli(*command, "--threads", "2").status == 0
+    assert snapshot(bench.out) == first
+
+
+def test_a_fit_of_other_inputs_is_not_replaced(cli, bench, images):
+    command = ("fit-diffuse", bench.rig, bench.part, images, "-o", bench.out)
+    assert cli(*command).status == 0
+    refused = cli(*command, "--free", "dark")
+    assert refused.status == 2
+    assert "use --force" in refused.err
+    assert cli(*command, "--free", "dark", "--force").status == 0
+
+
+def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path):
+    bench.edit("part.yaml", "translate_mm: [0, 0, 0]", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]")
+    bench.edit("rig.yaml", "points: 4", "points: auto")
+    exposures = ("--exposure", "1", "--exposure", "1/16", "--patches", "500", "--noise", "2", "-q")
+    assert cli("render", bench.rig, bench.part, "-o", tmp_path / "off", *exposures).status == 0
+    bench.edit("part.yaml", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]", "translate_mm: [0, 0, 0]")
+    bench.edit("part.yaml", *GUESS)
+    command = ("fit-specular", bench.rig, bench.part, tmp_path / "off", "--joint", "--no-validation")
+    assert "describes these images badly" in cli(*command, "-o", tmp_path / "nominal").err
+    ran = cli(*command, "-o", bench.out, "--free", "shift")
+    assert ran.status == 0
+    fitted = load_part(bench.out / "part.fitted.yaml").reflectance
+    assert fitted.R_d == pytest.approx(45.0, rel=0.01)
+    assert fitted.R_s == pytest.approx(12500, rel=0.02)
+    assert fitted.sigma_rad == pytest.approx(0.0475, rel=0.01)
+    placement = json.loads((bench.out / "fit.json").read_text())["placement"]
+    assert placement["x_mm"] == pytest.approx(0.8, abs=0.02)
+    assert placement["y_mm"] == pytest.approx(-0.6, abs=0.02)
+    assert placement["turn_deg"] == pytest.approx(1.0, abs=0.05)
+
+
+# --- what is said
+
+
+def test_images_that_hardly_separate_the_two_ask_for_a_shorter_exposure(cli, bench, images):
+    edit_manifest(images, lambda m: m.update(images=[e for e in m["images"] if e["exposure"] == 1][:2]))
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--pixels", "4000")
+    assert ran.status == 0
+    assert "hardly separate R_s from σ" in ran.err
+    assert "add a shorter exposure" in ran.err
+
+
+def test_a_held_r_d_that_is_wrong_is_noticed(cli, bench, images):
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--no-validation")
+    assert "R_d is held at 30" in ran.err
+    assert "--joint" in ran.err
+
+
+# --- refusals
+
+
+def refused(cli, bench, images, *words, command="fit-specular", options=()):
+    ran = cli(command, bench.rig, bench.part, images, "-o", bench.out, *options)
+    assert ran.status == 2
+    assert "Traceback" not in ran.err
+    for word in words:
+        assert word in ran.err
+    assert not (bench.out / "fit.json").exists()
+
+
+def test_images_of_another_size(cli, bench, images):
+    bench.edit("rig.yaml", "[160, 120]", "[176, 120]")
+    refused(cli, bench, images, "160 × 120 px", "176 × 120 px", "resolution_px")
+
+
+def test_lights_that_the_rig_does_not_have(cli, bench, images):
+    bench.edit("rig.yaml", "name: light3", "name: light4")
+    refused(cli, bench, images, 'light "light3" is not in', "light1, light4")
+
+
+def test_lights_that_stood_elsewhere(cli, bench, images):
+    bench.edit("rig.yaml", "elevation_deg: 45, azimuth_deg: 225", "elevation_deg: 50, azimuth_deg: 225")
+    refused(cli, bench, images, "light3 stood at elevation 45°", "50°")
+
+
+def test_postures_out_of_the_stages_range(cli, bench, images):
+    bench.edit("rig.yaml", "elevation_range_deg: [-45, 45]", "elevation_range_deg: [-5, 45]")
+    bench.edit("part.yaml", ", {elevation_deg: -10, rotation_deg: 170}", "")
+    refused(cli, bench, images, "elevation -10° is outside the stage's range")
+
+
+def test_another_bit_depth(cli, bench, images):
+    bench.edit("rig.yaml", "bit_depth: 8", "bit_depth: 12")
+    refused(cli, bench, images, "images of 8 bits", "12")
+
+
+@pytest.mark.parametrize("command", ["fit-diffuse", "fit-specular"])
+@pytest.mark.parametrize(("level", "word"), [(255, "is saturated"), (0, "is black")])
+def test_every_pixel_saturated_or_black(cli, bench, images, command, level, word):
+    spoil(images, lambda levels: np.full_like(levels, level))
+    refused(cli, bench, images, word, "exposure", command=command)
+
+
+def test_no_saturated_pixel_for_the_papers_method(cli, bench, images):
+    spoil(images, lambda levels: np.minimum(levels, 250))
+    refused(cli, bench, images, "no saturated pixel", options=("--method", "paper"))
+
+
+def test_no_diffuse_only_pixel_for_the_papers_method(cli, bench, images):
+    options = ("--method", "paper", "--away", "89")
+    refused(cli, bench, images, "no diffuse-only pixel", command="fit-diffuse", options=options)
+
+
+def test_mirrored_images_are_told(cli, bench, images):
+    spoil(images, lambda levels: levels[:, ::-1])
+    refused(cli, bench, images, "do not look like this part", "mirrored left to right", options=("--joint",))
+
+
+def test_shifted_images_are_told(cli, bench, images):
+    spoil(images, lambda levels: np.roll(levels, 12, axis=1))
+    refused(cli, bench, images, "do not look like this part", "--free shift", options=("--joint",))
+
+
+def test_options_that_are_wrong_are_all_named(cli, bench, images):
+    options = ("--method", "guess", "--free", "sigma", "--points", "5", "--pixels", "3", "--threads", "0")
+    refused(
+        cli, bench, images, "--method:", "--free:", "--points:", "--pixels:", "--threads:", options=options
+    )  # fmt: skip
+
+
+def test_a_set_without_images(cli, bench, images):
+    edit_manifest(images, lambda m: m.update(images=[]))
+    refused(cli, bench, images, "lists no images")
+
+
+def test_exr_only_images_are_read(cli, bench, images):
+    def drop(manifest):
+        manifest["images"] = [e for e in manifest["images"] if e["exposure"] == 1]
+        for entry in manifest["images"]:
+            del entry["png"], entry["sha256"]["png"]
+
+    edit_manifest(images, drop)
+    assert read_image_set(images).images[0].png is None
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation")
+    assert ran.status == 0
+    fitted = load_part(bench.out / "part.fitted.yaml").reflectance
+    assert fitted.R_d == pytest.approx(45.0, rel=0.005)
+    assert fitted.R_s == pytest.approx(12500, rel=0.02)

@@ -1,0 +1,80 @@
+"""Layers per unit of reflectance against the images that the renderer makes of the same scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lightopt import build_scene, render
+from lightopt.rendering import LEFT_OUT, UNLIT, WHOLE, cast_rays_at, light_layer, panel_verdict, trace_pixels
+
+
+@pytest.mark.parametrize("points", [1, 9, "auto"])
+@pytest.mark.parametrize("sigma", [0.01, 0.0475, 0.2])
+def test_layers_are_the_renderers(shared_bench, points, sigma):
+    scene = build_scene(shared_bench.rig, shared_bench.part, points=points)
+    scene = replace(scene, reflectance=replace(scene.reflectance, sigma=sigma))
+    caster = cast_rays_at(scene)
+    for images in render(scene, layers=True):
+        pixels = trace_pixels(scene, images.posture, caster)
+        for panel, image in zip(pixels.view.lights, images.lights, strict=True):
+            verdict = panel_verdict(pixels, panel, caster)
+            whole = np.flatnonzero(verdict == WHOLE)
+            layer = light_layer(pixels.surface.take(whole), panel, caster)
+            place = pixels.row[whole], pixels.column[whole]
+            assert len(whole) > 3000
+            diffuse = scene.reflectance.R_d * layer.diffuse
+            np.testing.assert_allclose(diffuse, image.diffuse[place], atol=0.02)
+            specular = scene.reflectance.R_s * layer.specular(sigma)
+            np.testing.assert_allclose(specular, image.specular[place], rtol=1e-5, atol=1e-2)
+            dark = verdict == UNLIT
+            assert not image.level[pixels.row[dark], pixels.column[dark]].any()
+
+
+def test_pixels_of_penumbrae_and_silhouettes_are_left_out(shared_bench):
+    scene = build_scene(shared_bench.rig, shared_bench.part)
+    caster = cast_rays_at(scene)
+    pixels = trace_pixels(scene, scene.postures[0], caster)
+    hit = np.zeros(pixels.shape, bool)
+    hit[pixels.row, pixels.column] = True
+    clean = np.zeros(pixels.shape, bool)
+    clean[pixels.row[pixels.clean], pixels.column[pixels.clean]] = True
+    # no clean pixel has a neighbour that misses the part
+    misses = ~hit
+    near = misses.copy()
+    near[1:] |= misses[:-1]
+    near[:-1] |= misses[1:]
+    near[:, 1:] |= misses[:, :-1]
+    near[:, :-1] |= misses[:, 1:]
+    assert not (clean & near).any()
+    assert clean.sum() > 0.8 * hit.sum()
+    verdict = panel_verdict(pixels, pixels.view.lights[0], caster)
+    assert (verdict == LEFT_OUT).any()
+
+
+def test_threads_do_not_matter(shared_bench):
+    scene = build_scene(shared_bench.rig, shared_bench.part, points="auto")
+    caster = cast_rays_at(scene)
+    layers = []
+    for threads in (1, 2):
+        pixels = trace_pixels(scene, scene.postures[1], caster, threads=threads)
+        panel = pixels.view.lights[1]
+        whole = np.flatnonzero(panel_verdict(pixels, panel, caster, threads=threads) == WHOLE)
+        layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
+        layers.append((layer.diffuse, layer.specular(0.05, threads=threads)))
+    assert all(np.array_equal(a, b) for a, b in zip(*layers, strict=True))
+
+
+def test_the_deflection_is_never_more_than_that_of_a_point_of_the_panel(shared_bench):
+    """A lobe that is dark beyond the deflection sees nothing of any of the panel's points."""
+    scene = build_scene(shared_bench.rig, shared_bench.part, points=64)
+    caster = cast_rays_at(scene)
+    pixels = trace_pixels(scene, scene.postures[0], caster)
+    panel = pixels.view.lights[0]
+    whole = np.flatnonzero(panel_verdict(pixels, panel, caster) == WHOLE)
+    layer = light_layer(pixels.surface.take(whole), panel, caster)
+    sigma = 0.05
+    bound = np.exp(-0.5 * (layer.deflection / sigma) ** 2) / 0.1
+    assert np.all(layer.specular(sigma) <= 1.05 * bound + 1e-12)
