@@ -19,7 +19,7 @@ from numba.core import config as numba_config
 
 __all__ = ["cache_folder", "kernel"]
 
-_ROOMS = ("mesh", "raycast", "reflectance", "rendering")
+_ROOMS = ("mesh", "optimize", "raycast", "reflectance", "rendering")
 
 
 def cache_folder() -> Path:
