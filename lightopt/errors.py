@@ -1,11 +1,22 @@
-"""The one tree of errors.
+"""The one tree of errors, and how their messages count.
 
 Library code raises them; only :mod:`lightopt.cli` turns them into messages and an exit status.
 """
 
 from __future__ import annotations
 
-__all__ = ["CheckFailed", "HardwareError", "InputError", "LightoptError"]
+__all__ = ["CheckFailed", "HardwareError", "InputError", "LightoptError", "counted"]
+
+
+def counted(number: int, noun: str) -> str:
+    """A number of things, in words that agree.
+
+    Examples
+    --------
+    >>> counted(1, "image"), counted(2419, "image")
+    ('1 image', '2,419 images')
+    """
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 class LightoptError(Exception):

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import Quiet, RigFile
+from lightopt.cli._options import Force, Quiet, RigFile
 from lightopt.cli._terminal import say
-from lightopt.errors import CheckFailed, InputError
+from lightopt.errors import CheckFailed, InputError, counted
 
 __all__ = ["check"]
 
@@ -25,6 +25,7 @@ def check(
     drawing: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the rig with its frames and angles (PNG).")
     ] = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Say everything that is wrong with RIG and PART, and what they amount to, before anything is rendered.
@@ -42,10 +43,6 @@ def check(
         raise InputError("--drawing: needs a part file, too")
     loaded_rig, loaded_part = load_inputs(rig, part)
     report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
-    if json_file is not None:
-        from lightopt.images import write_text_atomic
-
-        write_text_atomic(json_file, json.dumps(report.as_dict(), indent=2, ensure_ascii=False) + "\n")
     for finding in report.findings:
         if quiet and finding.level in ("ok", "note"):
             continue
@@ -55,7 +52,14 @@ def check(
         from lightopt.report import rig_drawing
         from lightopt.scene import build_scene
 
-        say(f"{rig_drawing(build_scene(loaded_rig, loaded_part), drawing)}")
+        say(f"{rig_drawing(build_scene(loaded_rig, loaded_part), drawing, overwrite=force)}")
+    if json_file is not None:
+        from lightopt.images import write_text_atomic
+
+        text = json.dumps(report.as_dict(), indent=2, ensure_ascii=False) + "\n"
+        write_text_atomic(json_file, text, overwrite=force)
     errors = sum(finding.level == "error" for finding in report.findings)
     if errors:
-        raise CheckFailed(f"{errors} of {len(report.findings)} findings must be mended before rendering")
+        raise CheckFailed(
+            f"{errors} of {counted(len(report.findings), 'finding')} must be mended before rendering"
+        )

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lightopt.cli._options import make_folder
+from lightopt.cli._options import Force, make_folder
 from lightopt.cli._terminal import say, show_table
-from lightopt.errors import CheckFailed, InputError
+from lightopt.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
     from lightopt.compare import FileComparison, SetComparison, Thresholds
@@ -25,7 +25,11 @@ def compare(
         float, typer.Option(metavar="SHARE", help="… plus this share of the golden level.")
     ] = 0.001,
     max_share: Annotated[
-        float, typer.Option(metavar="SHARE", help="Share of pixels that may differ.")
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of pixels that may differ, of those that are part (not level 0 or the black level) in A or B.",
+        ),
     ] = 0.001,
     geometry_absolute: Annotated[
         float, typer.Option(metavar="MM", help="Threshold in geometry images and patch tables.")
@@ -44,11 +48,14 @@ def compare(
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Compare two images or image sets, golden A against new B; exit status 1 where they differ too much.
 
     Per channel: greatest and rms difference, 99th percentile, share of differing pixels, and overlap (IoU) of the
-    saturated areas. A missing golden file is a failure.
+    saturated areas. Pixels that are background in both images (level 0 or the black level, rays that miss the part)
+    do not count, so a small part cannot hide in a large frame. A file that only one set has: missing in B it is a
+    failure, missing in A a note. Exit status 2 where A or B is no image and no image set.
 
     Example: lightopt compare golden/ out/ --diff differences/
     """
@@ -69,11 +76,11 @@ def compare(
         saturation=saturation,
     )
     result = compare_sets(golden, new, thresholds) if sets else compare_files(golden, new, thresholds)
-    if json_file is not None:
-        write_text_atomic(json_file, json.dumps(result.as_dict(), indent=2) + "\n")
     _show(result)
+    if json_file is not None:
+        write_text_atomic(json_file, json.dumps(result.as_dict(), indent=2) + "\n", overwrite=force)
     if diff is not None:
-        _draw(result, diff, thresholds)
+        _draw(result, diff, thresholds, force)
     if not result.passed:
         raise CheckFailed(*(f"differs: {reason}" for reason in result.reasons))
     say("no difference beyond the thresholds")
@@ -111,7 +118,7 @@ def _show(result: FileComparison | SetComparison) -> None:
             say(f"note: {note}")
 
 
-def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thresholds) -> None:
+def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thresholds, force: bool) -> None:
     from lightopt.compare import SetComparison, difference_picture
 
     drawn = 0
@@ -124,12 +131,12 @@ def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thre
                 continue
             name = "_".join(Path(file.b).parts[-2:])
             path = target / f"{name}.diff.png"
-        picture = difference_picture(file.a, file.b, path, saturation=thresholds.saturation)
+        picture = difference_picture(file.a, file.b, path, saturation=thresholds.saturation, overwrite=force)
         drawn += 1
         if not isinstance(result, SetComparison):
             say(f"{picture.path}: blue lower, red higher, full colour at {picture.scale:.4g}")
     if isinstance(result, SetComparison):
-        say(f"{drawn} difference pictures in {target}")
+        say(f"{counted(drawn, 'difference picture')} in {target}")
     elif not drawn:
         raise InputError(
             f"{target}: no difference picture, since the files cannot be compared", *result.reasons

@@ -31,7 +31,7 @@ PartFile = Annotated[
     Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")
 ]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace results that were made from other inputs.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace results that are there and differ.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 

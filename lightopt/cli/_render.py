@@ -16,6 +16,7 @@ from lightopt.cli._options import (
     parse_posture,
 )
 from lightopt.cli._terminal import say, say_warning, show_progress
+from lightopt.errors import counted
 
 __all__ = ["render"]
 
@@ -58,7 +59,11 @@ def render(
         typer.Option(metavar="N", help="About how many surface patches may be visible. [200000]"),
     ] = None,
     sheet: Annotated[
-        bool, typer.Option("--sheet", help="Also a labelled contact sheet of all images, contact-sheet.png.")
+        bool,
+        typer.Option(
+            "--sheet",
+            help="Also a labelled contact sheet of all images, contact-sheet.png; one per exposure.",
+        ),
     ] = False,
     threads: Annotated[
         int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
@@ -100,15 +105,18 @@ def render(
             loaded_rig, loaded_part, out, options=options, force=force, warn=say_warning, report=report
         )
     if not quiet:
+        if done.replaced:
+            say(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
         resumed = f" ({done.resumed} of them were there already)" if done.resumed else ""
-        say(f"{done.images} images{resumed}, {done.rays / 1e6:.1f} million rays")
+        say(f"{counted(done.images, 'image')}{resumed}, {done.rays / 1e6:.1f} million rays")
         if done.patches is not None:
             say(done.patches)
         say(f"{done.folder / 'manifest.json'}")
     if sheet:
-        from lightopt.images import read_image_set
-        from lightopt.report import contact_sheet
+        from lightopt.report import add_contact_sheets
 
-        path = contact_sheet(read_image_set(out), out / "contact-sheet.png")
-        if not quiet:
-            say(f"{path}")
+        title = f"{loaded_part.name} on {loaded_rig.name}"
+        sheets = add_contact_sheets(out, exposures=exposures, title=title, overwrite=force)
+        for exposure_shown, path in zip(exposures, sheets, strict=True):
+            if not quiet:
+                say(f"contact sheet, exposure {exposure_shown:g}: {path}")

@@ -28,7 +28,8 @@ class Thresholds:
     absolute, relative
         A pixel differs where |a − b| > absolute + relative · |a|, a being the golden [level of the file, 1].
     max_share
-        Share of pixels that may differ, 0 to 1.
+        Share of pixels that may differ, 0 to 1: of those that are not background in both images, so that a small part
+        in a large frame is judged like a large one.
     geometry_absolute
         In geometry images and patch tables a value differs by more than this [mm; 1 for normals], nothing
         relative.
@@ -69,11 +70,11 @@ class ChannelDifference:
     name
         The channel.
     pixels, compared
-        Pixels of the image, and those whose values were compared (both hit, in geometry).
+        Pixels of the image, and those whose values were compared: not background in both images.
     max, rms, percentiles
         Of |a − b| over the compared pixels where both are finite; None where there are none.
     differing, share
-        Pixels beyond the thresholds, and their share of all pixels.
+        Pixels beyond the thresholds, and their share of the compared pixels.
     not_finite_a, not_finite_b
         Pixels that are NaN or infinite.
     saturated_a, saturated_b, iou
@@ -159,12 +160,12 @@ def compare_arrays(
     beyond = int((distance > absolute + relative * np.abs(golden[finite])).sum())
     odd_a, odd_b = golden[~finite], new[~finite]
     differing = beyond + int(((odd_a != odd_b) & ~(np.isnan(odd_a) & np.isnan(odd_b))).sum())
-    share = differing / a.size if a.size else 0.0
+    share = differing / golden.size if golden.size else 0.0
 
     reasons: list[str] = []
     if share > max_share:
         reasons.append(
-            f"{name}: {share:.3%} of values ({differing} of {a.size}) differ by more than "
+            f"{name}: {share:.3%} of values ({differing} of {golden.size}) differ by more than "
             f"{absolute:g} + {relative:.3g}·|golden|; allowed {max_share:.3%}"
         )
     if fresh := int((finite_a & ~finite_b).sum()):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.compare._channels import ChannelDifference, Thresholds, compare_arrays
-from lightopt.compare._load import LEVELS, LoadedFile, hit_mask, load_file
+from lightopt.compare._load import LEVELS, LoadedFile, hit_mask, lit_mask, load_file
 from lightopt.errors import InputError
 
 __all__ = ["FileComparison", "compare_files"]
@@ -59,8 +59,12 @@ def compare_files(
     thresholds: Thresholds = _DEFAULTS,
     *,
     saturation: tuple[float | None, float | None] = (None, None),
+    black: tuple[float | None, float | None] = (None, None),
 ) -> FileComparison:
-    """Compare two EXR or two PNG images. Whatever keeps them from being compared is a failed comparison.
+    """Compare two EXR or two PNG images; another format, size or channel is a failed comparison.
+
+    Pixels that are background in both images are left out: level 0 (the black level in a PNG), or rays that miss in
+    geometry images.
 
     Parameters
     ----------
@@ -71,31 +75,45 @@ def compare_files(
     saturation
         Levels from which the PNGs count as saturated, where a manifest knows better than the files;
         `thresholds.saturation` goes before both.
+    black
+        Levels of the PNGs' background, where a manifest knows better than the files.
+
+    Raises
+    ------
+    InputError
+        When a file is missing, damaged or no image.
     """
-    reasons: list[str] = []
-    golden = _load("golden", Path(a), saturation[0], reasons)
-    new = _load("new", Path(b), saturation[1], reasons)
+    problems: list[str] = []
+    golden = _load("golden", Path(a), saturation[0], black[0], problems)
+    new = _load("new", Path(b), saturation[1], black[1], problems)
     if golden is None or new is None:
-        return FileComparison(str(a), str(b), reasons=tuple(reasons))
-    reasons += _structure_problems(golden, new)
+        raise InputError(*problems)
+    reasons = list(_structure_problems(golden, new))
     comparable = golden.kind == new.kind and golden.shape == new.shape
     channels = tuple(_compare_channels(golden, new, thresholds)) if comparable else ()
     reasons += [reason for channel in channels for reason in channel.reasons]
     return FileComparison(str(a), str(b), channels=channels, reasons=tuple(reasons))
 
 
-def _load(role: str, path: Path, saturation: float | None, reasons: list[str]) -> LoadedFile | None:
-    """Read an image; where that fails, add the reason."""
+def _load(
+    role: str, path: Path, saturation: float | None, black: float | None, problems: list[str]
+) -> LoadedFile | None:
+    """Read an image; where that fails, add the problem."""
     if not path.is_file():
-        reasons.append(f"{role} file is missing: {path}")
+        problems.append(f"{role} file is missing: {path}")
         return None
     try:
         image = load_file(path)
     except InputError as error:
-        reasons.extend(error.messages)
+        problems.extend(error.messages)
         return None
-    known = saturation is not None and image.kind.startswith("PNG")
-    return replace(image, saturation=saturation) if known else image
+    if not image.kind.startswith("PNG"):
+        return image
+    return replace(
+        image,
+        saturation=image.saturation if saturation is None else saturation,
+        black=image.black if black is None else black,
+    )
 
 
 def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
@@ -112,12 +130,18 @@ def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
 
 
 def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: Thresholds) -> Iterator[ChannelDifference]:
-    both = None
+    hit_a = hit_b = None
     if geometry := golden.is_geometry and new.is_geometry:
         hit_a, hit_b = hit_mask(golden), hit_mask(new)
-        both = hit_a & hit_b
         mask = compare_arrays(
-            "hit", hit_a, hit_b, absolute=0, relative=0, max_share=limits.max_share, saturation=(1, 1)
+            "hit",
+            hit_a,
+            hit_b,
+            absolute=0,
+            relative=0,
+            max_share=limits.max_share,
+            where=hit_a | hit_b,
+            saturation=(1, 1),
         )
         yield replace(mask, saturated_a=None, saturated_b=None)
     for name in sorted(golden.channels.keys() & new.channels.keys()):
@@ -133,7 +157,9 @@ def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: Thresholds) -
             absolute=0 if patch else limits.geometry_absolute if geometry else limits.absolute,
             relative=0 if geometry else limits.relative,
             max_share=limits.max_share,
-            where=both,
+            where=lit_mask(golden, name) | lit_mask(new, name)
+            if hit_a is None or hit_b is None
+            else hit_a & hit_b,
             saturation=(levels[0], levels[1]) if name in _SATURATING else None,
             min_iou=limits.min_iou,
         )

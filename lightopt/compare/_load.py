@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from lightopt.errors import InputError
 from lightopt.images import read_exr, read_exr_metadata, read_png, read_png_metadata
 
-__all__ = ["LEVELS", "LoadedFile", "hit_mask", "load_file"]
+__all__ = ["LEVELS", "LoadedFile", "hit_mask", "lit_mask", "load_file"]
 
 LEVELS = "levels"
 """Name given to a grey PNG's only channel."""
@@ -24,11 +25,12 @@ _DEFAULT_FULL_SCALE = 255.0
 
 @dataclass(frozen=True)
 class LoadedFile:
-    """An image's channels (H, W) by name, what it is, and the level from which it counts as saturated."""
+    """An image's channels (H, W) by name, what it is, and its levels of saturation and of background."""
 
     channels: dict[str, NDArray[Any]]
     kind: str
     saturation: float
+    black: float = 0.0
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -63,8 +65,10 @@ def load_file(path: Path) -> LoadedFile:
     grey = pixels.ndim == 2
     channels = {LEVELS: pixels} if grey else {name: pixels[..., i] for i, name in enumerate("RGB")}
     top = float(np.iinfo(pixels.dtype).max)
-    saturation = _number(read_png_metadata(path).get("saturation_level"), top)
-    return LoadedFile(channels=dict(channels), kind=f"PNG of {pixels.dtype}", saturation=saturation)
+    metadata = read_png_metadata(path)
+    saturation = _number(metadata.get("saturation_level"), top)
+    black = _number(metadata.get("black_level"), 0.0)
+    return LoadedFile(dict(channels), f"PNG of {pixels.dtype}", saturation, black)
 
 
 def _number(value: object, default: float) -> float:
@@ -74,3 +78,8 @@ def _number(value: object, default: float) -> float:
 def hit_mask(image: LoadedFile) -> NDArray[np.bool_]:
     """Where the rays of a geometry image hit the part: everything is 0 where they miss."""
     return image.channels["Z"] != 0
+
+
+def lit_mask(image: LoadedFile, channel: str) -> NDArray[np.bool_]:
+    """Where a channel is not background: 0, or the black level as the camera rounds it."""
+    return image.channels[channel] != math.floor(image.black + 0.5)

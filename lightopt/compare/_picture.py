@@ -62,6 +62,7 @@ def difference_picture(
     channel: str | None = None,
     scale: float | None = None,
     saturation: float | None = None,
+    overwrite: bool = True,
 ) -> DifferencePicture:
     """Write a PNG of the signed difference new − golden: blue lower, white equal, red higher.
 
@@ -73,7 +74,7 @@ def difference_picture(
     a, b
         Golden and new image, EXR or PNG.
     path
-        The PNG to write; replaced where it exists.
+        The PNG to write.
     channel
         The channel to show; ``Y``, a PNG's levels, or the first one.
     scale
@@ -81,12 +82,14 @@ def difference_picture(
         differences there are.
     saturation
         Level from which a pixel counts as saturated; what the files say when not given.
+    overwrite
+        Whether a file of other content may be replaced.
 
     Raises
     ------
     InputError
         When an image cannot be read, they differ in format or size, a channel is missing, the scale is not
-        above 0, or the picture cannot be written.
+        above 0, the picture cannot be written, or one of other content is there and `overwrite` is False.
     """
     golden, new = load_file(Path(a)), load_file(Path(b))
     if golden.kind != new.kind or golden.shape != new.shape:
@@ -117,7 +120,8 @@ def difference_picture(
         "only_golden": int(only_golden.sum()),
         "only_new": int(only_new.sum()),
     }
-    digest = write_png(path, pixels, metadata={**facts, "picture": "difference", "colours": _legend(scale)})
+    metadata = {**facts, "picture": "difference", "colours": _legend(scale)}
+    digest = write_png(path, pixels, metadata=metadata, overwrite=overwrite)
     return DifferencePicture(path=Path(path), sha256=digest, **facts)
 
 

@@ -67,8 +67,7 @@ class SetComparison:
 def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULTS) -> SetComparison:
     """Compare two image sets, golden against new; images are matched by light, posture and exposure.
 
-    Whatever keeps them from being compared (no set there, a damaged manifest, a file missing or changed since
-    it was listed) is a failed comparison with its reason.
+    A file that is missing, damaged or changed since it was listed is a failed comparison with its reason.
 
     Parameters
     ----------
@@ -76,12 +75,17 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULT
         Folder or ``manifest.json`` of the golden and of the new set.
     thresholds
         When a difference is too large.
+
+    Raises
+    ------
+    InputError
+        When one of them is no image set, or its manifest is damaged.
     """
-    reasons: list[str] = []
-    sets = [_open(role, path, reasons) for role, path in (("golden", a), ("new", b))]
-    golden, new = sets
+    problems: list[str] = []
+    golden, new = (_open(role, path, problems) for role, path in (("golden", a), ("new", b)))
     if golden is None or new is None:
-        return SetComparison(str(a), str(b), reasons=tuple(reasons))
+        raise InputError(*problems)
+    reasons: list[str] = []
     old, now = _listed(golden.manifest), _listed(new.manifest)
     missing = tuple(label for label in old if label not in now)
     extra = tuple(label for label in now if label not in old)
@@ -91,6 +95,7 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULT
     reasons += _manifest_problems(golden.manifest, new.manifest)
     files: list[FileComparison] = []
     saturation = (golden.manifest.saturated_from, new.manifest.saturated_from)
+    black = (golden.manifest.black_level, new.manifest.black_level)
     for label in (label for label in old if label in now):
         for role, image_set, listed in (("golden", golden, old[label]), ("new", new, now[label])):
             reasons += _changed(role, image_set, listed)
@@ -98,7 +103,7 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULT
         if label == _PATCHES:
             comparison = compare_tables(path_a, path_b, thresholds)
         else:
-            comparison = compare_files(path_a, path_b, thresholds, saturation=saturation)
+            comparison = _images(path_a, path_b, thresholds, saturation, black)
         files.append(comparison)
         reasons += [f"{label}: {reason}" for reason in comparison.reasons]
     return SetComparison(
@@ -112,12 +117,21 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULT
     )
 
 
-def _open(role: str, path: str | Path, reasons: list[str]) -> ImageSet | None:
+def _open(role: str, path: str | Path, problems: list[str]) -> ImageSet | None:
     try:
         return read_image_set(path, verify=False)
     except InputError as error:
-        reasons.extend(f"{role} set: {message}" for message in error.messages)
+        problems.extend(f"{role} set: {message}" for message in error.messages)
         return None
+
+
+def _images(
+    a: Path, b: Path, thresholds: Thresholds, saturation: tuple[float, float], black: tuple[float, float]
+) -> FileComparison:
+    try:
+        return compare_files(a, b, thresholds, saturation=saturation, black=black)
+    except InputError as error:
+        return FileComparison(str(a), str(b), reasons=error.messages)
 
 
 _PATCHES = "patch table"

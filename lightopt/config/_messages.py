@@ -24,6 +24,18 @@ KNOWN_ERRORS = frozenset(
 
 _LONGEST = 60
 
+_UNITS = {
+    "deg": "degrees",
+    "rad": "radians",
+    "um": "µm",
+    "mm": "mm",
+    "cm": "cm",
+    "m": "m",
+    "inch": "inches",
+    "px": "pixels",
+}
+"""Units in words, by the end of the keys that carry them."""
+
 
 def describe(value: object) -> str:
     """Write a value as in the file, shortened."""
@@ -104,9 +116,17 @@ def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:
     if ":" in key:
         return f"{message}; put a space after the colon"
     if known is not None:
-        return f'{message}; did you mean "{known}"?'
+        return f'{message}; did you mean "{known}"?{_other_unit(key, known)}'
     parent = _model_at(model, loc[:-1])
     return f"{message}; the keys here are {', '.join(parent.model_fields)}" if parent else message
+
+
+def _other_unit(key: str, known: str) -> str:
+    """What to do with the value where the key that is meant carries another unit."""
+    found, expected = (_UNITS.get(name.lower().rpartition("_")[2]) for name in (key, known))
+    if found is None or expected is None or found == expected:
+        return ""
+    return f" It is in {expected}: convert the value from {found}"
 
 
 def _suggestions(model: type[BaseModel], errors: Sequence[ErrorDetails]) -> dict[Keys, str]:

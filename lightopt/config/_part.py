@@ -25,7 +25,7 @@ from lightopt.config._fields import (
     with_complaints,
 )
 from lightopt.config._source import Source
-from lightopt.config._step_unit import step_units
+from lightopt.units import step_units_mm, unit_name
 
 __all__ = ["MeshConfig", "PartConfig", "PlacementConfig", "PostureConfig", "ReflectanceConfig"]
 
@@ -88,7 +88,7 @@ class MeshConfig(Frozen):
         if suffix == ".glb" and units not in (None, "m"):
             raise complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
         if suffix in _STEP and units is not None and info.context is not None:
-            declared = step_units(info.context["folder"] / file)
+            declared = _declared_units(info.context["folder"] / file)
             if units not in declared:
                 says = (
                     f"the file is in {' and '.join(sorted(declared))}"
@@ -189,6 +189,13 @@ def _same_postures(postures: list[object] | tuple[object, ...]) -> Iterator[Comp
         if angles in first:
             yield (i,), posture, complaint(f"the same posture as postures[{first[angles]}]")
         first.setdefault(angles, i)
+
+
+def _declared_units(path: Path) -> frozenset[str]:
+    try:
+        return frozenset(map(unit_name, step_units_mm(path.read_bytes())))
+    except OSError:
+        return frozenset()
 
 
 def _require(folder: Path, file: str) -> None:

@@ -42,7 +42,7 @@ def file_sha256(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def write_atomically(path: str | Path, write: Callable[[Path], None]) -> str:
+def write_atomically(path: str | Path, write: Callable[[Path], None], *, overwrite: bool = True) -> str:
     """Let `write` fill a temporary file beside `path`, then put it there in one step.
 
     Whatever happens (disk full, Ctrl-C, an exception of `write`), no temporary file is left and `path` holds
@@ -55,6 +55,8 @@ def write_atomically(path: str | Path, write: Callable[[Path], None]) -> str:
         The file to make or to replace, in a folder that exists.
     write
         Gets the temporary path of an empty file and fills it.
+    overwrite
+        Whether a file of other content may be replaced; one of the same content always may.
 
     Returns
     -------
@@ -64,7 +66,8 @@ def write_atomically(path: str | Path, write: Callable[[Path], None]) -> str:
     Raises
     ------
     InputError
-        When the operating system refuses; names the path and the system's reason.
+        When the operating system refuses (names the path and the system's reason), or a file of other content is there
+        and `overwrite` is False.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.partial")
@@ -74,6 +77,10 @@ def write_atomically(path: str | Path, write: Callable[[Path], None]) -> str:
         with temporary.open("rb+") as file:  # Windows only syncs files that are open for writing
             os.fsync(file.fileno())
         digest = file_sha256(temporary)
+        if not overwrite and path.exists() and not (path.is_file() and file_sha256(path) == digest):
+            raise InputError(
+                f"{path}: exists with other content; use --force to replace it, or choose another name"
+            )
         os.replace(temporary, path)  # noqa: PTH105 - one name to patch in fault tests, on every platform
     except BaseException as error:
         with contextlib.suppress(OSError):
@@ -87,30 +94,30 @@ def write_atomically(path: str | Path, write: Callable[[Path], None]) -> str:
     return digest
 
 
-def write_bytes_atomic(path: str | Path, data: bytes) -> str:
+def write_bytes_atomic(path: str | Path, data: bytes, *, overwrite: bool = True) -> str:
     """Write bytes as a whole file or not at all; returns the SHA-256 in hex.
 
     Raises
     ------
     InputError
-        When the file cannot be written.
+        When the file cannot be written, or not without `overwrite` (see :func:`write_atomically`).
     """
 
     def write(temporary: Path) -> None:
         temporary.write_bytes(data)
 
-    return write_atomically(path, write)
+    return write_atomically(path, write, overwrite=overwrite)
 
 
-def write_text_atomic(path: str | Path, text: str) -> str:
+def write_text_atomic(path: str | Path, text: str, *, overwrite: bool = True) -> str:
     """Write text as a whole UTF-8 file or not at all, line ends as given; returns the SHA-256 in hex.
 
     Raises
     ------
     InputError
-        When the file cannot be written.
+        When the file cannot be written, or not without `overwrite` (see :func:`write_atomically`).
     """
-    return write_bytes_atomic(path, text.encode("utf-8"))
+    return write_bytes_atomic(path, text.encode("utf-8"), overwrite=overwrite)
 
 
 def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> str:

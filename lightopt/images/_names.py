@@ -12,7 +12,7 @@ from lightopt.errors import InputError
 from lightopt.images._manifest import MANIFEST_NAME
 from lightopt.transforms import Posture
 
-__all__ = ["Names", "exr_name", "geometry_name", "inside_problem", "png_name", "posture_folder"]
+__all__ = ["Names", "exr_name", "geometry_name", "inside_problem", "png_name", "posture_folder", "sheet_name"]
 
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
@@ -32,8 +32,16 @@ def posture_folder(posture: Posture) -> str:
 
 def png_name(light: str, posture: Posture, exposure: float) -> str:
     """File of a camera image, relative to the set's folder."""
-    suffix = "" if exposure == 1 else f"_x{_number(exposure)}"
-    return f"{posture_folder(posture)}/{light}{suffix}.png"
+    return f"{posture_folder(posture)}/{light}{_exposure_suffix(exposure)}.png"
+
+
+def sheet_name(exposure: float) -> str:
+    """File of the contact sheet of an exposure, relative to the set's folder."""
+    return f"contact-sheet{_exposure_suffix(exposure)}.png"
+
+
+def _exposure_suffix(exposure: float) -> str:
+    return "" if exposure == 1 else f"_x{_number(exposure)}"
 
 
 def exr_name(light: str, posture: Posture) -> str:

@@ -31,7 +31,9 @@ _END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
 _COLOUR_TYPES = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 
 
-def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any]) -> str:
+def write_png(
+    path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], overwrite: bool = True
+) -> str:
     """Write a PNG, whole or not at all: values exactly as given, no colour transform, same input same bytes.
 
     Parameters
@@ -43,6 +45,8 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any]) 
         0 at the top.
     metadata
         JSON-able values, kept in one text chunk ``lightopt:json``.
+    overwrite
+        Whether a file of other content may be replaced.
 
     Returns
     -------
@@ -52,7 +56,8 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any]) 
     Raises
     ------
     InputError
-        When the array is of another type or shape, or the file cannot be written.
+        When the array is of another type or shape, the file cannot be written, or not without `overwrite`
+        (see :func:`write_atomically`).
     """
     grey = levels.ndim == 2 and str(levels.dtype) in ("uint8", "uint16")
     picture = levels.ndim == 3 and levels.shape[2] == 3 and levels.dtype == np.uint8
@@ -72,7 +77,7 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any]) 
     def write(temporary: Path) -> None:
         write_rows(temporary, file_format="png", spec=spec, rows=iter([pixels]), whole=_is_whole)
 
-    return write_atomically(path, write)
+    return write_atomically(path, write, overwrite=overwrite)
 
 
 def _is_whole(path: Path) -> bool:

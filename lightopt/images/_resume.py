@@ -1,7 +1,8 @@
-"""Whether a folder's image set is the same run, to be continued, or another one."""
+"""Whether a folder's image set is the same run, to be continued, or another one, to be replaced."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from lightopt.errors import InputError
 from lightopt.images._manifest import MANIFEST_NAME, Manifest
 from lightopt.images._parse import read_manifest
 
-__all__ = ["resumable_manifest"]
+__all__ = ["remove_set", "resumable_manifest"]
 
 _CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings")
 
@@ -34,6 +35,56 @@ def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
     if differences := _differences(existing, header):
         raise InputError(f"{folder}: holds the image set of another run ({'; '.join(differences)}); {advice}")
     return replace(existing, warnings=tuple(dict.fromkeys((*existing.warnings, *header.warnings))))
+
+
+def remove_set(folder: Path, header: Manifest) -> int:
+    """Remove the files that a folder's manifest lists, and the subfolders that this leaves empty.
+
+    Files that the manifest does not list stay, as does everything where there is no manifest or a damaged one.
+
+    Returns
+    -------
+    int
+        Number of files removed.
+
+    Raises
+    ------
+    InputError
+        When the folder holds captured images and the header is of others, or a file cannot be removed.
+    """
+    try:
+        manifest = read_manifest(folder / MANIFEST_NAME)
+    except InputError:
+        return 0
+    if manifest.kind == "captured" and header.kind != "captured":
+        raise InputError(
+            f"{folder}: holds captured images, which are not replaced by {header.kind} ones, not even with --force; "
+            "choose another output folder"
+        )
+    removed = 0
+    paths = [folder / name for name in _listed(manifest)]
+    for path in paths:
+        try:
+            path.unlink()
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
+            ) from error
+        removed += 1
+    for parent in {path.parent for path in paths if path.parent != folder}:
+        with contextlib.suppress(OSError):  # something else is in it
+            parent.rmdir()
+    return removed
+
+
+def _listed(manifest: Manifest) -> list[str]:
+    """All files that a manifest lists, each once."""
+    names = [name for entry in manifest.images for name in (entry.png, entry.exr) if name is not None]
+    names += [entry.exr for entry in manifest.geometry]
+    names += [*manifest.files, *([manifest.patches] if manifest.patches is not None else [])]
+    return list(dict.fromkeys(names))
 
 
 def _differences(existing: Manifest, header: Manifest) -> list[str]:

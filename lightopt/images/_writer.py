@@ -16,7 +16,7 @@ from lightopt.images._exr import write_exr
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
 from lightopt.images._names import ImageKey, Names, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
-from lightopt.images._resume import resumable_manifest
+from lightopt.images._resume import remove_set, resumable_manifest
 from lightopt.transforms import Posture
 
 __all__ = ["ImageSetWriter"]
@@ -39,7 +39,7 @@ class ImageSetWriter:
         The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
         same run.
     force
-        Replace the set of another run, and files that belong to none.
+        Replace the set of another run, all of whose files are removed first, and files that belong to none.
     plan
         Light, posture and exposure of the images that the run will make, so that names which clash and files
         in the way are found before any work.
@@ -48,7 +48,8 @@ class ImageSetWriter:
     ------
     InputError
         When the folder cannot be written, holds the set of another run or files in the way (without `force`),
-        or two images of the plan would share a file.
+        or two images of the plan would share a file; with `force`, when the folder holds captured images and the run
+        makes others.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class ImageSetWriter:
         plan = tuple(plan)
         self._names.claim_images(plan)
         existing = None if force else resumable_manifest(self._folder, header)
+        self._replaced = remove_set(self._folder, header) if force else 0
         self._resumed = existing is not None
         self._may_overwrite = force or self._resumed
         if not self._may_overwrite:
@@ -84,6 +86,11 @@ class ImageSetWriter:
     def resumed(self) -> bool:
         """Whether an earlier run with an equal header is being continued."""
         return self._resumed
+
+    @property
+    def replaced(self) -> int:
+        """Number of files of the set of another run that were removed."""
+        return self._replaced
 
     def done(self, light: str, posture: Posture, exposure: float) -> bool:
         """Whether an image is listed and its files are there with the hashes listed."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from lightopt.mesh._load import MESH_SUFFIXES, UNITLESS_SUFFIXES, LoadedMesh, MeshDescription, load_mesh
 from lightopt.mesh._patches import Patches, estimate_patch_count, refine
 from lightopt.mesh._triangle_mesh import TriangleMesh, face_areas, face_normals, transformed
+from lightopt.mesh._winding import winding_number
 
 __all__ = [
     "MESH_SUFFIXES",
@@ -23,4 +24,5 @@ __all__ = [
     "load_mesh",
     "refine",
     "transformed",
+    "winding_number",
 ]

@@ -33,13 +33,10 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
 
     claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     is_binary = len(data) == 84 + 50 * claimed
-    if not is_binary and not re.match(rb"\s*solid\b", data[:200], re.IGNORECASE):
-        if len(data) < 84:
-            raise InputError(f"{name}: not an STL file: {len(data)} bytes, a binary STL has a header of 84")
-        raise InputError(
-            f"{name}: its header says {claimed:,} triangles ({84 + 50 * claimed:,} bytes), but the file has "
-            f"{len(data):,} bytes: cut off, or not a binary STL. Export or copy it again"
-        )
+    # the header of a binary file may begin with solid as well; text holds no zeros
+    is_text = re.match(rb"\s*solid\b", data[:200], re.IGNORECASE) is not None and b"\0" not in data[:500]
+    if not is_binary and not is_text:
+        raise InputError(_no_binary_stl(name, data, claimed))
     if is_binary:
         check_budget(name, claimed, max_triangles)
         if not claimed:
@@ -55,6 +52,15 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
             f"{name}: {claimed} triangles in the ASCII STL file, but only {len(soup.faces)} could be read"
         )
     return soup
+
+
+def _no_binary_stl(name: str, data: bytes, claimed: int) -> str:
+    if len(data) < 84:
+        return f"{name}: not an STL file: {len(data)} bytes, a binary STL has a header of 84"
+    return (
+        f"{name}: its header says {claimed:,} triangles ({84 + 50 * claimed:,} bytes), but the file has "
+        f"{len(data):,} bytes: a binary STL file that is cut off, or none. Export or copy it again"
+    )
 
 
 def _check_ascii_stl(name: str, data: bytes) -> int:

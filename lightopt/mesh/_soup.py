@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 
 __all__ = ["BYTES_PER_TRIANGLE", "Soup", "check_budget", "check_soup", "keep_faces_with_area"]
 
@@ -79,8 +79,9 @@ def check_soup(name: str, soup: Soup, unit_mm: float) -> None:
     low, high = int(soup.faces.min()), int(soup.faces.max())
     if low < 0 or high >= len(soup.vertices):
         bad = (soup.faces < 0) | (soup.faces >= len(soup.vertices))
+        count = counted(int(np.count_nonzero(bad.any(axis=1))), "triangle")
         raise InputError(
-            f"{name}: {np.count_nonzero(bad.any(axis=1))} triangles use vertices that do not exist: indices "
+            f"{name}: {count} with vertices that do not exist: indices "
             f"{low} to {high} (counted from 0) for {len(soup.vertices)} vertices. The file is damaged; "
             "export it again"
         )

@@ -18,6 +18,7 @@ from lightopt.errors import InputError
 from lightopt.mesh import _step_worker
 from lightopt.mesh._glb import glb_triangle_count, parse_glb, split_glb
 from lightopt.mesh._soup import Soup, check_budget
+from lightopt.units import step_units_mm, unit_name
 
 __all__ = ["StepLimits", "declared_unit_mm", "read_step"]
 
@@ -27,12 +28,6 @@ _MM_PER_GLB_UNIT = 1000.0
 # The first pass only has to learn the size, in a time that does not depend on the unit: relative to the
 # edges.
 _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
-
-_SI_PREFIX = {
-    "$": 1e3, ".MICRO.": 1e-3, ".MILLI.": 1.0, ".CENTI.": 10.0, ".DECI.": 100.0, ".KILO.": 1e6,
-}  # fmt: skip
-_NAMED_UNIT = {"INCH": 25.4, "FOOT": 304.8, "MILLIMETRE": 1.0, "CENTIMETRE": 10.0, "METRE": 1000.0}
-_UNIT_NAMES = {1e-3: "µm", 1.0: "mm", 10.0: "cm", 100.0: "dm", 1e3: "m", 1e6: "km", 25.4: "inch", 304.8: "ft"}
 
 
 @dataclass(frozen=True)
@@ -103,23 +98,8 @@ def read_step(
 
 def declared_unit_mm(data: bytes) -> float | None:
     """Millimetres in the length unit that a STEP file declares; None where it declares none, or several."""
-    text = re.sub(r"\s+", "", data.decode("latin-1")).upper()
-    units: dict[str, float] = {}
-    for entity in re.finditer(r"#(\d+)=\(([^;]*?LENGTH_UNIT\(\)[^;]*?)\);", text):
-        si = re.search(r"SI_UNIT\((\$|\.\w+\.),\.METRE\.\)", entity[2])
-        named = re.search(r"CONVERSION_BASED_UNIT\('(\w+)'", entity[2])
-        if si is not None and si[1] in _SI_PREFIX:
-            units[entity[1]] = _SI_PREFIX[si[1]]
-        elif named is not None and named[1] in _NAMED_UNIT:
-            units[entity[1]] = _NAMED_UNIT[named[1]]
-    # units that only define others (an inch is defined in mm) are assigned to no context
-    used = {
-        units[number]
-        for context in re.finditer(r"GLOBAL_UNIT_ASSIGNED_CONTEXT\(\(([^)]*)\)\)", text)
-        for number in re.findall(r"#(\d+)", context[1])
-        if number in units
-    }
-    return used.pop() if len(used) == 1 else None
+    declared = step_units_mm(data)
+    return next(iter(declared)) if len(declared) == 1 else None
 
 
 def _check_unit(name: str, data: bytes, unit_mm: float) -> None:
@@ -127,18 +107,14 @@ def _check_unit(name: str, data: bytes, unit_mm: float) -> None:
     if declared is None:
         raise InputError(
             f"{name}: the STEP file declares no length unit, several, or an unknown one, so whether it is "
-            f"{_unit_name(unit_mm)} cannot be told; leave the unit out to take the file as it is"
+            f"{unit_name(unit_mm)} cannot be told; leave the unit out to take the file as it is"
         )
     if abs(declared - unit_mm) > 1e-9 * unit_mm:
         raise InputError(
-            f"{name}: the STEP file declares {_unit_name(declared)}, the part says {_unit_name(unit_mm)}; "
-            f"leave the unit out to take the file's, or export the part again in {_unit_name(unit_mm)} if "
+            f"{name}: the STEP file declares {unit_name(declared)}, the part says {unit_name(unit_mm)}; "
+            f"leave the unit out to take the file's, or export the part again in {unit_name(unit_mm)} if "
             "the file is wrong"
         )
-
-
-def _unit_name(unit_mm: float) -> str:
-    return _UNIT_NAMES.get(unit_mm, f"units of {unit_mm:g} mm")
 
 
 def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float | None) -> None:
@@ -150,7 +126,7 @@ def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float
     largest = float(size.max())
     if _SMALLEST_MM <= largest <= _LARGEST_MM:
         return
-    unit = "" if declared is None else f" (the file declares {_unit_name(declared)})"
+    unit = "" if declared is None else f" (the file declares {unit_name(declared)})"
     factors = (1000.0, 25.4) if largest > _LARGEST_MM else (1e-3, 1 / 25.4)
     likely = " or ".join(
         f"{largest / factor:.3g} mm with a unit mistake of {1000 if factor in (1000.0, 1e-3) else 25.4:g}"

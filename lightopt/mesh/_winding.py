@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.errors import counted
 from lightopt.kernels import kernel
 from lightopt.mesh._topology import EdgePairs, edge_pairs
 
-__all__ = ["Repaired", "repair_winding"]
+__all__ = ["Repaired", "repair_winding", "winding_number"]
 
 # Closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside.
 _NO_VOLUME = 1e-9
@@ -67,7 +68,7 @@ def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> R
     twisted = pairs.corners[pairs.same_direction, 0] // 3
     if len(twisted):
         warnings.append(
-            f"{len(twisted)} edges join triangles whose winding cannot be made to agree (a one-sided "
+            f"{counted(len(twisted), 'edge')} between triangles whose winding cannot be made to agree (a one-sided "
             "surface): kept"
         )
     is_open = np.bincount(label, weights=pairs.rim, minlength=components) > 0
@@ -76,8 +77,8 @@ def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> R
     if inside_out.any():
         turn = inside_out[label]
         warnings.append(
-            f"{np.count_nonzero(inside_out)} closed surfaces ({np.count_nonzero(turn)} triangles) were "
-            "inside out: turned"
+            f"{counted(int(np.count_nonzero(inside_out)), 'closed surface')} "
+            f"({counted(int(np.count_nonzero(turn)), 'triangle')}) inside out: turned"
         )
         faces = _turned(faces, turn)
         pairs = edge_pairs(faces, len(vertices))
@@ -117,7 +118,7 @@ def _inside_out(
             continue
         point = corners[int(np.argmax(label == c)), 0]
         others = corners[in_closed & around[label]]
-        result[c] = abs(_winding_number(others, point)) < 0.5
+        result[c] = abs(winding_number(others, point)) < 0.5
     return result
 
 
@@ -159,8 +160,18 @@ def _flood(
 
 
 @kernel
-def _winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -> float:
-    """How often closed surfaces surround a point: solid angles by van Oosterom and Strackee (1983), eq. 8."""
+def winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+    """How often closed surfaces surround a point.
+
+    Solid angles by van Oosterom and Strackee 1983, doi:10.1109/TBME.1983.325207, eq. 8.
+
+    Parameters
+    ----------
+    triangles
+        Corners [mm], shape (m, 3, 3).
+    point
+        [mm], shape (3,).
+    """
     total = 0.0
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0] - point, triangles[t, 1] - point, triangles[t, 2] - point

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from lightopt.preflight._report import Finding, Level
 from lightopt.preflight._subject import RigSubject
-from lightopt.scene import PinholeCamera, pixel_directions, pixel_footprint
+from lightopt.scene import pixel_footprint, view_size
 
-__all__ = ["check_field_of_view", "check_lens", "check_resolution", "check_sensor", "view_size"]
+__all__ = ["check_field_of_view", "check_lens", "check_resolution", "check_sensor"]
 
 LOST_RANGE = 0.25
 """A black level or a saturation level that costs more than this share of the full scale is worth a warning."""
@@ -63,19 +61,6 @@ def check_field_of_view(subject: RigSubject) -> Iterator[Finding]:
         where,
         {"width_mm": width, "height_mm": height},
     )
-
-
-def view_size(camera: PinholeCamera) -> tuple[float, float] | None:
-    """Width and height of the view along the image's middle lines on the table [mm]; None where a ray misses it."""
-    w, h = float(camera.width), float(camera.height)
-    directions = pixel_directions(
-        camera, np.array([0.0, w, 0.5 * w, 0.5 * w]), np.array([0.5 * h, 0.5 * h, 0.0, h])
-    )
-    down = -directions[:, 2]
-    if down.min() <= 1e-9:
-        return None
-    at = camera.position + directions * (camera.position[2] / down)[:, None]
-    return float(np.linalg.norm(at[1] - at[0])), float(np.linalg.norm(at[3] - at[2]))
 
 
 def check_sensor(subject: RigSubject) -> Iterator[Finding]:

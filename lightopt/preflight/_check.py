@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
 from lightopt.preflight._camera import check_field_of_view, check_lens, check_resolution, check_sensor
 from lightopt.preflight._coverage import check_unseen_surface
 from lightopt.preflight._facets import check_facets
-from lightopt.preflight._framing import check_below_table, check_depth, check_part_in_view
+from lightopt.preflight._framing import check_below_table, check_depth, check_part_in_view, check_pixels
 from lightopt.preflight._lights import check_below_horizon, check_collisions, check_lights_in_view
 from lightopt.preflight._lobe import check_levels, check_points
 from lightopt.preflight._part_lights import check_hidden_part, check_lights_in_part
 from lightopt.preflight._report import Finding, Report
-from lightopt.preflight._size import check_size, unit_hints
+from lightopt.preflight._size import check_size
 from lightopt.preflight._subject import RigSubject, SceneSubject, rig_subject, scene_subject
 from lightopt.preflight._surface import check_back_faces, check_mesh
 from lightopt.scene import build_scene
@@ -36,6 +35,7 @@ SCENE_CHECKS: tuple[Callable[[SceneSubject], Iterable[Finding]], ...] = (
     check_mesh,
     check_depth,
     check_part_in_view,
+    check_pixels,
     check_below_table,
     check_lights_in_part,
     check_hidden_part,
@@ -64,14 +64,9 @@ def check_scene(rig: RigConfig, part: PartConfig) -> Report:
     Raises
     ------
     InputError
-        The scene cannot be built (see :func:`lightopt.scene.build_scene`); with what other units of the mesh file would
-        make of it, where they explain it.
+        The scene cannot be built (see :func:`lightopt.scene.build_scene`).
     """
-    try:
-        scene = build_scene(rig, part)
-    except InputError as error:
-        raise InputError(*error.messages, *unit_hints(rig, part)) from error
-    subject = scene_subject(rig, part, scene)
+    subject = scene_subject(rig, part, build_scene(rig, part))
     return Report((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(subject))))
 
 

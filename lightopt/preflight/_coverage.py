@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from lightopt.mesh import Patches, TriangleMesh, estimate_patch_count, face_areas, face_normals, refine
 from lightopt.preflight._report import Finding, Level, percent
-from lightopt.preflight._subject import Look, SceneSubject
-from lightopt.raycast import RayCaster
-from lightopt.scene import project
+from lightopt.preflight._subject import SceneSubject
+from lightopt.rendering import visible_points
 
-__all__ = ["check_unseen_surface", "facing", "seen_patches"]
+__all__ = ["check_unseen_surface", "facing"]
 
 BUDGET = 200_000
 """Patches that are looked at; a mesh with more triangles is taken as it is."""
@@ -35,7 +34,7 @@ def check_unseen_surface(subject: SceneSubject) -> Iterator[Finding]:
     normals = face_normals(mesh)[patches.face]
     seen = np.zeros(len(patches), np.bool_)
     for look in subject.looks:
-        seen |= seen_patches(patches, normals, look, subject.caster)
+        seen |= visible_points(patches.centroids, normals, look.view, subject.caster)
     upper = normals[:, 2] > UPPER
     total, top = float(patches.areas.sum()), float(patches.areas[upper].sum())
     unseen = float(patches.areas[~seen].sum())
@@ -78,42 +77,6 @@ def check_unseen_surface(subject: SceneSubject) -> Iterator[Finding]:
     if level == "warning":
         text += ". Add postures that turn it to the camera"
     yield Finding(level, "unseen surface", text, where, values)
-
-
-def seen_patches(
-    patches: Patches, normals: NDArray[np.float64], look: Look, caster: RayCaster
-) -> NDArray[np.bool_]:
-    """Whether the camera sees a patch's centroid: in the image, from the front, with nothing in between; shape (p,).
-
-    Parameters
-    ----------
-    normals
-        Of the facets that the patches lie on, part frame, shape (p, 3).
-    look
-        The posture.
-    """
-    camera = look.view.camera
-    columns, rows, depth = project(camera, patches.centroids)
-    towards = camera.position - patches.centroids
-    with np.errstate(invalid="ignore"):
-        seen = (
-            (depth > 0.0)
-            & (columns >= 0.0)
-            & (columns < camera.width)
-            & (rows >= 0.0)
-            & (rows < camera.height)
-        )
-    seen &= np.einsum("ij,ij->i", normals, towards) > 0.0
-    index = np.flatnonzero(seen).astype(np.int32)
-    blocked = caster.occluded(
-        patches.centroids,
-        normals,
-        camera.position[None, :],
-        point_index=index,
-        target_index=np.zeros(len(index), np.int32),
-    )
-    seen[index[blocked]] = False
-    return seen
 
 
 def facing(mean: NDArray[np.float64]) -> str:

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
+from lightopt.rendering import too_few_pixels
 from lightopt.scene import Framing, frame_part
 
-__all__ = ["check_below_table", "check_depth", "check_part_in_view"]
+__all__ = ["check_below_table", "check_depth", "check_part_in_view", "check_pixels"]
 
 SIDES = ("left", "top", "right", "bottom")
 TABLE_TOLERANCE_MM = 1e-3
@@ -85,6 +86,14 @@ def check_part_in_view(subject: SceneSubject) -> Iterator[Finding]:
             )
             values["least_margin_px"] = least
         yield Finding("warning" if leaves else "ok", "view", f"posture {look.posture}: {text}", where, values)
+
+
+def check_pixels(subject: SceneSubject) -> Iterator[Finding]:
+    """Whether next to no pixel sees the part."""
+    found = too_few_pixels(subject.scene, subject.caster)
+    if found is not None:
+        where = subject.part.source.at("mesh", "file")
+        yield Finding("error", "view", found.text, where, {"pixels": found.pixels})
 
 
 def check_below_table(subject: SceneSubject) -> Iterator[Finding]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from lightopt.preflight._report import Finding
 from lightopt.preflight._subject import SceneSubject
-from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, point_spacing, points_advice
+from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
 
 __all__ = ["check_levels", "check_points"]
 
@@ -17,10 +17,7 @@ NEGLIGIBLE_ERROR = 0.015
 def check_points(subject: SceneSubject) -> Iterator[Finding]:
     """The panels' point lights against σ; panels of the same kind are told together."""
     sigma = subject.scene.reflectance.sigma
-    groups: dict[tuple[object, ...], list[int]] = {}
-    for index, light in enumerate(subject.scene.lights):
-        groups.setdefault((light.points, light.size, light.distance, light.normalisation), []).append(index)
-    for indices in groups.values():
+    for indices in like_panels(subject.scene.lights):
         light = subject.scene.lights[indices[0]]
         names = ", ".join(subject.scene.lights[i].name for i in indices)
         own = subject.rig.lights[indices[0]].points is not None

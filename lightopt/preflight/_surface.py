@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lightopt.errors import counted
 from lightopt.preflight._edges import coinciding_vertices, edges
 from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
@@ -30,17 +31,17 @@ def check_mesh(subject: SceneSubject) -> Iterator[Finding]:
     open_edges = int(np.count_nonzero(found.uses == 1))
     tangled = int(np.count_nonzero(found.uses > 2))
     values = {"triangles": len(mesh.faces), "open_edges": open_edges, "nonmanifold_edges": tangled}
-    text = f"{len(mesh.faces):,} triangles"
+    text = counted(len(mesh.faces), "triangle")
     if not open_edges and not tangled:
         yield Finding("ok", "mesh", f"{text}, a closed surface", where, values)
         return
     kinds: list[str] = []
     if open_edges:
         kinds.append(
-            f"{open_edges:,} edges belong to one triangle only (backs of faces are black where they show)"
+            f"{counted(open_edges, 'edge')} of one triangle only (backs of faces are black where they show)"
         )
     if tangled:
-        kinds.append(f"{tangled:,} edges are shared by three or more triangles")
+        kinds.append(f"{counted(tangled, 'edge')} shared by three or more triangles")
     told = f"{text}, not a closed surface: {' and '.join(kinds)}. It renders as it is"
     yield Finding("note", "mesh", told, where, values)
 

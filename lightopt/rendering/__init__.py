@@ -1,6 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
+from lightopt.rendering._hopeless import PanelInPart, TooFewPixels, panels_in_part, too_few_pixels
 from lightopt.rendering._image_set import RenderedSet, RenderOptions, Report, render_image_set
 from lightopt.rendering._images import (
     Geometry,
@@ -18,6 +19,7 @@ from lightopt.rendering._patches import (
     build_patches,
     patch_pixels,
     patch_positions,
+    visible_points,
 )
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
@@ -27,6 +29,7 @@ __all__ = [
     "ConvergedPanel",
     "Geometry",
     "LightImage",
+    "PanelInPart",
     "PatchPixels",
     "PatchTable",
     "PostureImages",
@@ -35,10 +38,12 @@ __all__ = [
     "RenderedSet",
     "Report",
     "SurfacePoints",
+    "TooFewPixels",
     "build_patches",
     "cast_rays_at",
     "converged_panel",
     "interpolate_surface",
+    "panels_in_part",
     "patch_pixels",
     "patch_positions",
     "render",
@@ -46,5 +51,7 @@ __all__ = [
     "render_posture",
     "shade_converged",
     "shade_points",
+    "too_few_pixels",
     "trace_samples",
+    "visible_points",
 ]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
 from lightopt.reflectance import Reflectance
+from lightopt.rendering._cells import HORIZON_NODES
 from lightopt.rendering._lobe import (
     gauss_legendre_table,
     out_of_reach,
@@ -23,7 +24,7 @@ from lightopt.rendering._lobe import (
     rectangle_specular,
 )
 from lightopt.rendering._panel import PanelNumbers, panel_numbers
-from lightopt.rendering._penumbra import HORIZON_NODES, PenumbraLight, shade_penumbra
+from lightopt.rendering._penumbra import PenumbraLight, shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile, file_sha256
+from lightopt.rendering._hopeless import refuse_hopeless
 from lightopt.rendering._images import (
     Geometry,
     LightImage,
@@ -24,7 +25,7 @@ from lightopt.rendering._images import (
     render_posture,
 )
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
-from lightopt.scene import PanelLight, Scene, build_scene, coarse_points
+from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings
 from lightopt.sensor import expose, image_rng
 from lightopt.transforms import Posture
 
@@ -97,6 +98,8 @@ class RenderedSet:
         Number of rays cast for images.
     patches
         What the patch refinement reached; None where nothing was left to do.
+    replaced
+        Number of files of another set that were removed (with `force`).
     """
 
     folder: Path
@@ -105,6 +108,7 @@ class RenderedSet:
     warnings: tuple[str, ...]
     rays: int = 0
     patches: str | None = None
+    replaced: int = 0
 
 
 def render_image_set(
@@ -131,7 +135,7 @@ def render_image_set(
     options
         What to render.
     force
-        Replace a set made from other inputs.
+        Replace a set made from other inputs; all files of that set are removed.
     warn
         Called with each warning as it comes up.
     report
@@ -140,12 +144,15 @@ def render_image_set(
     Raises
     ------
     InputError
-        Whatever is wrong with the files, the options or the folder; nothing is written before all inputs are read.
+        Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that hardly a pixel
+        sees. Nothing is written before all inputs are read.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
     scene = build_scene(rig, part, postures=options.postures, lights=options.lights, points=options.points)
+    caster = cast_rays_at(scene)
+    refuse_hopeless(scene, rig, part, caster)
     plan = [
         (light.name, posture, exposure)
         for posture in scene.postures
@@ -155,11 +162,10 @@ def render_image_set(
     writer = ImageSetWriter(folder, _header(rig, part, scene, options), force=force, plan=plan)
     warnings = _Warnings(writer, warn)
     warnings.add(*scene.warnings)
-    warnings.add(*(text for light in scene.lights if (text := coarse_points(light, scene.reflectance.sigma))))
+    warnings.add(*coarse_warnings(scene.lights, scene.reflectance.sigma))
     resumed = sum(writer.done(*key) for key in plan)
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=warnings.texts)
-    caster = cast_rays_at(scene)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
     if not writer.file_done():
         writer.add_patches(table.arrays())
@@ -183,7 +189,7 @@ def render_image_set(
         rays += images.rays
         if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
             warnings.add(
-                f"posture {posture}: {images.back_faces:,} pixels see the back of a face and are black; the mesh is "
+                f"posture {posture}: {counted(images.back_faces, 'pixel')} on the back of a face, black; the mesh is "
                 "open or its winding is wrong there"
             )
         if not writer.geometry_done(posture):
@@ -200,6 +206,7 @@ def render_image_set(
         resumed=resumed,
         rays=rays,
         patches=table.message,
+        replaced=writer.replaced,
         warnings=warnings.texts,
     )
 

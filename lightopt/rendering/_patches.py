@@ -23,6 +23,7 @@ __all__ = [
     "build_patches",
     "patch_pixels",
     "patch_positions",
+    "visible_points",
 ]
 
 Float64 = NDArray[np.float64]
@@ -154,7 +155,7 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
     centroids = mesh.vertices[mesh.faces].mean(axis=1)
     for view in views:
         rest = np.flatnonzero(~seen)
-        seen[rest] = _visible(centroids[rest], facets[rest], view, caster)
+        seen[rest] = visible_points(centroids[rest], facets[rest], view, caster)
     hidden, shown = int((~seen).sum()), int(seen.sum())
     edge = footprint
     if shown >= budget:
@@ -167,7 +168,9 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
         # what cutting adds goes with 1 / edge²
         edge *= max(1.02, min(4.0, math.sqrt(cut / (budget - shown))))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
-    visible = np.stack([_visible(patches.centroids, facets[patches.face], view, caster) for view in views])
+    visible = np.stack(
+        [visible_points(patches.centroids, facets[patches.face], view, caster) for view in views]
+    )
     return PatchTable(
         patches=patches, postures=scene.postures, visible=visible, max_edge=edge, footprint=footprint
     )
@@ -210,8 +213,21 @@ def _smallest_footprint(view: PartView, mesh: TriangleMesh) -> float:
     return pixel_footprint(view.camera, max(float(depth.min()), 1e-3))
 
 
-def _visible(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> NDArray[np.bool_]:
-    """Whether the camera sees points of the surface from the front; geometric normals, all in the part frame."""
+def visible_points(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> NDArray[np.bool_]:
+    """Whether the camera sees points of the surface: in the image, from the front, with nothing in between.
+
+    Parameters
+    ----------
+    points, normals
+        Points [mm] and normals of the facets that they lie on, part frame, shape (p, 3).
+    view, caster
+        The camera as the part sees it, and the part's ray caster.
+
+    Returns
+    -------
+    numpy.ndarray
+        Boolean, shape (p,).
+    """
     camera = view.camera
     columns, rows, depth = project(camera, points)
     visible = (depth > 0.0) & (np.einsum("ij,ij->i", normals, camera.position - points) > 0.0)

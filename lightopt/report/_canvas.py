@@ -114,17 +114,17 @@ def check_png_path(path: str | Path) -> Path:
     return path
 
 
-def write_picture(path: Path, image: Image.Image) -> Path:
+def write_picture(path: Path, image: Image.Image, *, overwrite: bool = True) -> Path:
     """Write an RGB picture as PNG, whole or not at all; the same picture gives the same bytes.
 
     Raises
     ------
     InputError
-        When the file cannot be written.
+        When the file cannot be written, or one of other content is there and `overwrite` is False.
     """
     data = io.BytesIO()
     image.save(data, format="PNG", compress_level=6)
-    write_bytes_atomic(path, data.getvalue())
+    write_bytes_atomic(path, data.getvalue(), overwrite=overwrite)
     return path
 
 

@@ -9,8 +9,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from PIL import Image, ImageDraw
 
-from lightopt.errors import InputError
-from lightopt.images import ImageEntry, ImageSet, Manifest
+from lightopt.errors import InputError, counted
+from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
 from lightopt.report._canvas import check_png_path, write_picture
 from lightopt.report._sheet_layout import (
     GAP,
@@ -28,15 +28,58 @@ from lightopt.report._sheet_layout import (
 from lightopt.report._thumbnail import SATURATED_COLOUR, Thumbnail, shade_of_saturation, thumbnail
 from lightopt.report._typeface import Typeface
 
-__all__ = ["contact_sheet"]
+__all__ = ["add_contact_sheets", "contact_sheet"]
 
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
 RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)
 PAPER, EMPTY = "#ffffff", "#f1f3f5"
 
 
+def add_contact_sheets(
+    folder: str | Path, *, exposures: Sequence[float], title: str, overwrite: bool = False
+) -> tuple[Path, ...]:
+    """Draw a contact sheet for each exposure into an image set's folder, and list it in the manifest.
+
+    Parameters
+    ----------
+    folder
+        Of the set.
+    exposures
+        That the set has images of.
+    title
+        Of the sheets.
+    overwrite
+        Whether a file that the manifest does not list may be replaced; one that it lists always may.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The files written, in the order of the exposures.
+
+    Raises
+    ------
+    InputError
+        As :func:`contact_sheet`.
+    """
+    image_set = read_image_set(folder, verify=False)  # a sheet that was lost or changed is made anew
+    writer = ImageSetWriter(folder, image_set.manifest)
+    sheets: list[Path] = []
+    for exposure in exposures:
+        name = sheet_name(exposure)
+        ours = overwrite or name in image_set.manifest.files
+        path = Path(folder) / name
+        sheets.append(contact_sheet(image_set, path, exposure=exposure, title=title, overwrite=ours))
+        writer.add_file(name, path.read_bytes())
+    return tuple(sheets)
+
+
 def contact_sheet(
-    image_set: ImageSet, path: str | Path, *, exposure: float | None = None, title: str | None = None
+    image_set: ImageSet,
+    path: str | Path,
+    *,
+    exposure: float | None = None,
+    title: str | None = None,
+    overwrite: bool = True,
 ) -> Path:
     """Draw all images of a set at one exposure into one labelled PNG, saturated pixels marked.
 
@@ -52,7 +95,9 @@ def contact_sheet(
     exposure
         Which exposure to show; the longest of the set by default.
     title
-        Instead of the names of part and rig.
+        Instead of the names of the part's and the rig's file.
+    overwrite
+        Whether a file of other content may be replaced.
 
     Returns
     -------
@@ -62,7 +107,8 @@ def contact_sheet(
     Raises
     ------
     InputError
-        When the set is empty or has no such exposure, an image is missing or damaged, or the file cannot be written.
+        When the set is empty or has no such exposure, an image is missing or damaged, the file cannot be written,
+        or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
     shown = _exposure(image_set, exposure)
@@ -87,7 +133,7 @@ def contact_sheet(
             )
             _paint_cell(image, type_, corner, layout.cell, thumbnails.get(key), note)
     _paint_legend(image, type_, image_set.manifest)
-    return write_picture(path, image)
+    return write_picture(path, image, overwrite=overwrite)
 
 
 def _exposure(image_set: ImageSet, asked: float | None) -> float:
@@ -107,10 +153,6 @@ def _exposure(image_set: ImageSet, asked: float | None) -> float:
     return found[0]
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
 def _load(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
     image = image_set.load(entry)
     share = image.levels * np.float32(entry.exposure / image_set.manifest.full_scale)
@@ -125,7 +167,7 @@ def _names(manifest: Manifest) -> str:
 def _facts(manifest: Manifest, table: SheetTable, exposure: float) -> str:
     facts = [
         manifest.kind,
-        f"{_count(len(table.lights), 'light')} × {_count(len(table.postures), 'posture')}",
+        f"{counted(len(table.lights), 'light')} × {counted(len(table.postures), 'posture')}",
         f"exposure {exposure:g}",
         f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}",
     ]

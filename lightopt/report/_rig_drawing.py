@@ -43,7 +43,7 @@ _ARC = 0.4
 """Radius of elevation arcs, relative to the light's distance."""
 
 
-def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Path:
+def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwrite: bool = True) -> Path:
     """Draw camera, panels, table, part and stage at their true places, with the angles that the rig file gives.
 
     A parallel view, true to scale: the world's axes, the camera with its viewing pyramid down to the table, each
@@ -58,6 +58,8 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Pat
         The PNG to make or to replace, in a folder that exists.
     annotate
         Draw angles and directions, too; without them things and their names only.
+    overwrite
+        Whether a file of other content may be replaced.
 
     Returns
     -------
@@ -67,7 +69,7 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Pat
     Raises
     ------
     InputError
-        When the file cannot be written.
+        When the file cannot be written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
@@ -91,7 +93,7 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True) -> Pat
     main_box = (8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0)
     paint_labels(image, place_labels(pen.labels, typeface, ink=ink, bounds=main_box), typeface)
     paint_labels(image, place_labels(stage.labels, small, ink=ink, bounds=stage.box), small)
-    return write_picture(path, image)
+    return write_picture(path, image, overwrite=overwrite)
 
 
 def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> ParallelView:

@@ -3,7 +3,7 @@
 :func:`build_scene` is the only code that knows both the YAML's words and the physics.
 """
 
-from lightopt.scene._build import build_camera, build_lights, build_scene
+from lightopt.scene._build import build_camera, build_lights, build_scene, unit_hint
 from lightopt.scene._camera import (
     Distortion,
     PinholeCamera,
@@ -14,7 +14,16 @@ from lightopt.scene._camera import (
 )
 from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
-from lightopt.scene._sampling import COARSE_SHARE, PointSpacing, coarse_points, point_spacing, points_advice
+from lightopt.scene._part_size import UnitGuess, guess_unit, is_absurd, view_size
+from lightopt.scene._sampling import (
+    COARSE_SHARE,
+    PointSpacing,
+    coarse_points,
+    coarse_warnings,
+    like_panels,
+    point_spacing,
+    points_advice,
+)
 from lightopt.scene._scene import PartView, Scene, view_from_part
 from lightopt.transforms import Posture
 
@@ -28,11 +37,16 @@ __all__ = [
     "PointSpacing",
     "Posture",
     "Scene",
+    "UnitGuess",
     "build_camera",
     "build_lights",
     "build_scene",
     "coarse_points",
+    "coarse_warnings",
     "frame_part",
+    "guess_unit",
+    "is_absurd",
+    "like_panels",
     "panel_grid",
     "pixel_directions",
     "pixel_footprint",
@@ -42,5 +56,7 @@ __all__ = [
     "points_advice",
     "project",
     "screen_window",
+    "unit_hint",
     "view_from_part",
+    "view_size",
 ]

@@ -24,12 +24,13 @@ from lightopt.reflectance import Reflectance
 from lightopt.scene._camera import Distortion, PinholeCamera, pixel_directions, pixel_footprint, place_camera
 from lightopt.scene._framing import frame_part, inside_mesh
 from lightopt.scene._light import PanelLight, place_light
+from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Scene, view_from_part
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.units import MM_PER_UNIT
 
-__all__ = ["build_camera", "build_lights", "build_scene"]
+__all__ = ["build_camera", "build_lights", "build_scene", "unit_hint"]
 
 CHORD_TOLERANCE_MM = 0.01
 CHORD_TOLERANCE_FOOTPRINTS = 0.2
@@ -61,7 +62,8 @@ def build_scene(
     ------
     InputError
         A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part wholly outside the
-        view, a camera inside the part, a lens that folds the image over.
+        view or a camera inside the part (with what another unit of the mesh file would make of it, where that explains
+        it), a lens that folds the image over.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
@@ -240,6 +242,24 @@ def _place(mesh: TriangleMesh, placement: PlacementConfig) -> TriangleMesh:
     return transformed(turned, np.eye(3), shift + np.array(placement.translate_mm, dtype=np.float64))
 
 
+def unit_hint(part: PartConfig, scene: Scene) -> tuple[str, ...]:
+    """A message that proposes other units for the part's file, where it carries none itself and they explain its size.
+
+    Parameters
+    ----------
+    part
+        The part.
+    scene
+        That it is in.
+    """
+    size = view_size(scene.camera)
+    if size is None or Path(part.mesh.file).suffix.lower() not in UNITLESS_SUFFIXES:
+        return ()
+    longest = float(np.max(np.subtract(*scene.mesh.bounds[::-1])))
+    guess = guess_unit(part, longest, min(size))
+    return () if guess is None else (f"{part.source.at('mesh', 'units')}: {guess.text}",)
+
+
 def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ...]:
     size = " × ".join(f"{side:.4g}" for side in np.subtract(*scene.mesh.bounds[::-1]))
     where = part.source.at("mesh", "file")
@@ -250,7 +270,8 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
         if inside_mesh(camera.position, scene.mesh):
             raise InputError(
                 f"{where}: the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, which "
-                f"measures {size} mm; check the mesh's units and the part's placement"
+                f"measures {size} mm; check the mesh's units and the part's placement",
+                *unit_hint(part, scene),
             )
         framing = frame_part(camera, scene.mesh)
         if framing.outside:
@@ -269,5 +290,5 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
                 f"posture {posture}: the part leaves the view by {by or 'reaching behind the camera'}"
             )
     if outside:
-        raise InputError(*outside)
+        raise InputError(*outside, *unit_hint(part, scene))
     return tuple(warnings)

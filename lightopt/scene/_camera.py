@@ -125,7 +125,8 @@ def pixel_directions(camera: PinholeCamera, columns: Float64, rows: Float64) -> 
 def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, Float64]:
     """Image points (columns, rows) [px] and depth along the optical axis [mm] of points; each of shape (k,).
 
-    Points at or behind the pinhole have a depth ≤ 0 and image points of NaN.
+    Points at or behind the pinhole have a depth ≤ 0 and image points of NaN. Points so far out that the lens model
+    turns back on itself, which would put them into the image again, are given where they belong: well outside of it.
 
     Parameters
     ----------
@@ -137,9 +138,13 @@ def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, F
     safe = np.where(depth > 0.0, depth, np.nan)
     x = (offset @ camera.right) / safe
     y = -(offset @ camera.up) / safe
-    if not camera.distortion.is_zero:
-        x, y = _distort(camera.distortion, x, y)
     scale = camera.image_distance / camera.pixel_size
+    if not camera.distortion.is_zero:
+        r2 = x * x + y * y
+        folded = r2 > _fold(camera.distortion)
+        away = np.maximum(1.0, (camera.width + camera.height) / (scale * np.sqrt(np.where(folded, r2, 1.0))))
+        lens_x, lens_y = _distort(camera.distortion, x, y)
+        x, y = np.where(folded, away * x, lens_x), np.where(folded, away * y, lens_y)
     return x * scale + 0.5 * camera.width, y * scale + 0.5 * camera.height, depth
 
 
@@ -156,6 +161,15 @@ def _distort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, F
         x * radial + 2.0 * d.p1 * x * y + d.p2 * (r2 + 2.0 * x * x),
         y * radial + d.p1 * (r2 + 2.0 * y * y) + 2.0 * d.p2 * x * y,
     )
+
+
+def _fold(distortion: Distortion) -> float:
+    # square of the radius from which on the radial model turns back, d(r·radial)/dr = 0; the tangential terms of real
+    # lenses are too small to matter
+    d = distortion
+    roots = np.roots([7.0 * d.k3, 5.0 * d.k2, 3.0 * d.k1, 1.0])
+    ahead = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
+    return float(ahead.min()) if len(ahead) else np.inf
 
 
 def _undistort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, Float64]:
@@ -179,7 +193,7 @@ def _undistort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64,
         determinant = jxx * jyy - jxy * jxy
         ux -= (jyy * fx - jxy * fy) / determinant
         uy -= (jxx * fy - jxy * fx) / determinant
-    lost = ~(error <= 1e-9)
+    lost = ~((error <= 1e-9) & (ux * ux + uy * uy <= _fold(d)))
     ux[lost] = np.nan
     uy[lost] = np.nan
     return ux, uy

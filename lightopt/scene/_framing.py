@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import TriangleMesh
+from lightopt.mesh import TriangleMesh, winding_number
 from lightopt.scene._camera import PinholeCamera, pixel_footprint, project
 
 __all__ = ["Framing", "frame_part", "inside_mesh", "screen_window"]
@@ -99,28 +99,14 @@ def screen_window(camera: PinholeCamera, mesh: TriangleMesh) -> tuple[int, int, 
 
 
 def inside_mesh(point: Float64, mesh: TriangleMesh) -> bool:
-    """Whether a point lies inside a (mostly) closed surface: its winding number, by solid angles, exceeds one half.
+    """Whether a point lies inside a (mostly) closed surface: its winding number exceeds one half.
 
     Parameters
     ----------
     point
         [mm], shape (3,), frame of the mesh.
-
-    Notes
-    -----
-    Solid angle of a triangle: Van Oosterom and Strackee 1983, doi:10.1109/TBME.1983.325207.
     """
     low, high = mesh.bounds
     if np.any(point < low) or np.any(point > high):
         return False
-    a, b, c = ((mesh.vertices[mesh.faces[:, i]] - point) for i in range(3))
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
-    denominator = (
-        la * lb * lc
-        + np.einsum("ij,ij->i", a, b) * lc
-        + np.einsum("ij,ij->i", b, c) * la
-        + np.einsum("ij,ij->i", c, a) * lb
-    )
-    winding = np.arctan2(numerator, denominator).sum() / (2.0 * np.pi)
-    return bool(abs(winding) > 0.5)
+    return abs(winding_number(mesh.vertices[mesh.faces], point)) > 0.5

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.scene._light import PanelLight
 
-__all__ = ["COARSE_SHARE", "PointSpacing", "coarse_points", "point_spacing", "points_advice"]
+__all__ = [
+    "COARSE_SHARE",
+    "PointSpacing",
+    "coarse_points",
+    "coarse_warnings",
+    "like_panels",
+    "point_spacing",
+    "points_advice",
+]
 
 Float64 = NDArray[np.float64]
 
@@ -106,6 +115,23 @@ def coarse_points(light: PanelLight, sigma: float) -> str | None:
         f"{light.name}: the panel's {points} {found.spacing:.3g} mm, but a lobe of σ = {sigma:g} rad takes in only "
         f"{found.lobe:.3g} mm (2·distance·σ): {spots}{error}. {points_advice(light, found.enough)}"
     )
+
+
+def like_panels(lights: Sequence[PanelLight]) -> tuple[tuple[int, ...], ...]:
+    """Panels that a lobe sees alike (points, size, distance, normalisation), as groups of their indices."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for index, light in enumerate(lights):
+        groups.setdefault((light.points, light.size, light.distance, light.normalisation), []).append(index)
+    return tuple(tuple(indices) for indices in groups.values())
+
+
+def coarse_warnings(lights: Sequence[PanelLight], sigma: float) -> tuple[str, ...]:
+    """:func:`coarse_points` of several panels, those alike told together."""
+    grouped = (
+        replace(lights[indices[0]], name=", ".join(lights[i].name for i in indices))
+        for indices in like_panels(lights)
+    )
+    return tuple(text for light in grouped if (text := coarse_points(light, sigma)) is not None)
 
 
 def points_advice(light: PanelLight, enough: int) -> str:

@@ -613,11 +613,12 @@ def test_a_part_outside_the_view_in_one_posture(cli, bench, snapshot):
 
 def test_a_camera_inside_the_part(cli, bench, snapshot):
     bench.edit(PART, "units: mm", "units: m")
-    (message,) = refuse(cli, bench, snapshot)
+    message, hint = refuse(cli, bench, snapshot)
     assert message.startswith(
         f"{bench.part}:3: mesh.file: the camera, 550 mm from the origin, is inside the part"
     )
     assert "units" in message
+    assert hint.startswith(f"{bench.part}:3: mesh.units: a wrong unit? Read as m, ")
 
 
 def test_a_lens_that_folds_the_image_over(cli, bench, snapshot):
@@ -706,7 +707,7 @@ def test_repaired_meshes_render_like_sound_ones(cli, bench, snapshot):
 def test_points_too_few_for_the_lobe_are_a_warning(cli, bench):
     bench.edit(PART, "sigma_rad: 0.0475", "sigma_rad: 0.003")
     warnings = accept(cli, bench)
-    assert [warning.split(":")[0] for warning in warnings] == ["light1", "light3"]
+    assert [warning.split(":")[0] for warning in warnings] == ["light1, light3"]  # alike, so told once
     assert "σ = 0.003 rad" in warnings[0]
     assert "points: auto" in warnings[0]
 

@@ -104,7 +104,7 @@ def test_an_output_that_cannot_be_written(cli, bench, option):
 
 @pytest.mark.parametrize(
     ("unit", "status", "factor"),
-    [("inch", 1, "a factor of 1/25.4"), ("m", 2, "a factor of 1/1000"), ("um", 0, "1000")],
+    [("inch", 1, "a factor of 1/25.4"), ("m", 2, "a factor of 1/1000"), ("um", 1, "1000")],
 )
 def test_a_unit_mistake_is_named(cli, bench, unit, status, factor):
     bench.edit("part.yaml", "units: mm", f"units: {unit}")

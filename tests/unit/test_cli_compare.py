@@ -98,17 +98,20 @@ def test_thresholds_decide(cli, golden, new):
 
 
 def test_a_share_of_pixels_may_differ(cli, golden, new):
-    def spots(channels):
-        channels["Y"].ravel()[:19] += 1.0  # 19 of 19,200 pixels: just below 0.1 %
+    part = np.flatnonzero(read_exr(golden / LIGHT)["Y"])
+    assert 1000 < len(part) < 0.8 * 160 * 120
+    allowed = len(part) // 1000  # 0.1 % of the part, however large the frame
 
-    change(new, LIGHT, spots)
+    def brighten(pixels):
+        def edit(channels):
+            channels["Y"].ravel()[pixels] += 1.0
+
+        return edit
+
+    change(new, LIGHT, brighten(part[:allowed]))
     assert cli("compare", golden, new).status == 0
-    assert cli("compare", golden, new, "--max-share", "0.0009").status == 1
-
-    def one_more(channels):
-        channels["Y"].ravel()[19] += 1.0
-
-    change(new, LIGHT, one_more)
+    assert cli("compare", golden, new, "--max-share", "0.0005").status == 1
+    change(new, LIGHT, brighten(part[allowed]))
     assert cli("compare", golden, new).status == 1
 
 
@@ -150,15 +153,28 @@ def test_missing_files_are_failures_never_skips(cli, golden, new):
     assert "missing" in ran.err
 
 
-def test_missing_sets_and_images_are_failures(cli, golden, new, tmp_path):
+def test_a_path_that_is_no_image_and_no_set_is_wrong_input(cli, golden, new, tmp_path):
     for a, b, role in ((tmp_path / "no", new, "golden"), (golden, tmp_path / "no", "new")):
         ran = cli("compare", a, b)
-        assert ran.status == 1
+        assert ran.status == 2
         assert f"{role} set" in ran.err
         assert "Traceback" not in ran.err
     ran = cli("compare", tmp_path / "no.exr", new / LIGHT)
-    assert ran.status == 1
+    assert ran.status == 2
     assert f"golden file is missing: {tmp_path / 'no.exr'}" in ran.err
+    text = tmp_path / "part.yaml"
+    text.write_text("format: lightopt-part/1\n", encoding="utf-8")
+    ran = cli("compare", golden / LIGHT, text)
+    assert ran.status == 2
+    assert "expected an EXR or PNG image" in ran.err
+    (new / LIGHT).write_bytes(
+        (golden / LIGHT).read_bytes()[:2000]
+    )  # damaged: wrong alone, a failure in a set
+    assert cli("compare", golden / LIGHT, new / LIGHT).status == 2
+    assert cli("compare", golden, new).status == 1
+
+
+def test_missing_images_are_failures(cli, golden, new):
     manifest = json.loads((new / "manifest.json").read_text(encoding="utf-8"))
     manifest["images"] = manifest["images"][1:]
     (new / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")

@@ -154,3 +154,29 @@ def test_a_reader_that_goes_away_is_no_error():
         process.wait(60)
     assert process.returncode == 0
     assert said == b""
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+def test_output_redirected_in_a_windows_code_page_is_utf_8(tmp_path, shared_bench, encoding):
+    """Neither θ nor σ nor ≤ is in cp1252: redirected output is UTF-8 instead of a traceback."""
+    environment = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"}
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(shared_bench.rig.read_text(encoding="utf-8") + "σ_θ: 1\n", encoding="utf-8")
+    runs = {
+        ("check", str(shared_bench.rig), str(shared_bench.part)): (0, "σ = 0.0475 rad"),
+        ("render", "--help"): (0, "θ,φ"),
+        ("check", str(rig)): (2, 'unknown key "σ_θ"'),
+    }
+    for arguments, (status, told) in runs.items():
+        command = [sys.executable, "-m", "lightopt", *arguments]
+        done = subprocess.run(command, capture_output=True, check=False, env=environment)
+        assert done.returncode == status
+        assert told in (done.stdout + done.stderr).decode("utf-8")
+        assert b"Traceback" not in done.stderr
+
+
+def test_progress_is_for_terminals_only(tmp_path, shared_bench):
+    arguments = ["render", shared_bench.rig, shared_bench.part, "-o", tmp_path / "out", "--patches", "500"]
+    command = [sys.executable, "-m", "lightopt", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")

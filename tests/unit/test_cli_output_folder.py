@@ -8,9 +8,10 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from lightopt.images import read_image_set
+from lightopt.images import read_image_set, write_exr
 
 FEW = ("--patches", "500")
 
@@ -162,3 +163,63 @@ def test_a_damaged_manifest_is_not_overwritten_without_force(cli, bench, content
     assert manifest.read_bytes() == content
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--force").status == 0
     read_image_set(bench.out)
+
+
+def test_force_removes_the_set_that_was_there_and_nothing_else(cli, bench, snapshot):
+    options = ("--sheet", "--exposure", "1", "--exposure", "1/4", *FEW)
+    assert cli("render", bench.rig, bench.part, "-o", bench.out, *options).status == 0
+    old = snapshot(bench.out)
+    (bench.out / "notes.txt").write_text("mine", encoding="utf-8")
+    (bench.out / "posture_0_0" / "mine.png").write_bytes(b"mine")
+    bench.edit("part.yaml", "R_d: 45.0", "R_d: 46.0")
+    few = ("--light", "light1", "--posture", "-10,170", *FEW)
+    ran = cli("render", bench.rig, bench.part, "-o", bench.out, *few, "--force")
+    assert ran.status == 0
+    assert ran.out.splitlines()[0] == f"replaced the image set that was there ({len(old) - 1} files)"
+    listed = {"posture_-10_170/light1.png", "posture_-10_170/light1.exr", "posture_-10_170/geometry.exr"}
+    mine = {"notes.txt", "posture_0_0/mine.png"}
+    assert set(snapshot(bench.out)) == {"manifest.json", "patches.npz", *listed, *mine}
+
+
+def test_not_even_force_replaces_captured_images(cli, bench, snapshot):
+    assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW).status == 0
+    manifest = bench.out / "manifest.json"
+    text = manifest.read_text(encoding="utf-8").replace('"kind": "simulated"', '"kind": "captured"')
+    manifest.write_text(text, encoding="utf-8")
+    before = snapshot(bench.out)
+    ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--force")
+    assert ran.status == 2
+    assert f"{bench.out}: holds captured images" in ran.err
+    assert snapshot(bench.out) == before
+
+
+@pytest.mark.parametrize(("option", "name"), [("--json", "findings.json"), ("--drawing", "rig.png")])
+def test_check_replaces_another_result_only_with_force(cli, bench, option, name):
+    path = bench.folder / name
+    assert cli("check", bench.rig, bench.part, option, path).status == 0
+    assert cli("check", bench.rig, bench.part, option, path).status == 0  # the same result
+    first = path.read_bytes()
+    bench.edit("rig.yaml", "distance_mm: 330, elevation_deg: 60", "distance_mm: 300, elevation_deg: 60")
+    ran = cli("check", bench.rig, bench.part, option, path)
+    assert ran.status == 2
+    assert f"error: {path}: exists with other content; use --force to replace it" in ran.err
+    assert path.read_bytes() == first
+    assert cli("check", bench.rig, bench.part, option, path, "--force").status == 0
+    assert path.read_bytes() != first
+
+
+@pytest.mark.parametrize(("option", "name"), [("--json", "figures.json"), ("--diff", "difference.png")])
+def test_compare_replaces_another_result_only_with_force(cli, tmp_path, option, name):
+    for i in range(3):
+        write_exr(tmp_path / f"{i}.exr", {"Y": np.full((4, 5), 10.0 * i * i, np.float32)}, metadata={})
+    golden, new, newer = (tmp_path / f"{i}.exr" for i in range(3))
+    path = tmp_path / name
+    assert cli("compare", golden, new, option, path).status == 1
+    assert cli("compare", golden, new, option, path).status == 1  # the same result
+    first = path.read_bytes()
+    ran = cli("compare", golden, newer, option, path)
+    assert ran.status == 2
+    assert f"error: {path}: exists with other content" in ran.err
+    assert path.read_bytes() == first
+    assert cli("compare", golden, newer, option, path, "--force").status == 1
+    assert path.read_bytes() != first

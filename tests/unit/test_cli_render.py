@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.images import read_exr, read_exr_metadata, read_image_set, read_png
+from lightopt.images import file_sha256, read_exr, read_exr_metadata, read_image_set, read_png
+from lightopt.report import contact_sheet
 from lightopt.scene import build_camera, project
 from lightopt.sensor import Sensor, expose
 
@@ -194,9 +195,47 @@ def test_sheet_is_written_and_named(cli, bench):
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--sheet")
     assert ran.status == 0
     sheet = bench.out / "contact-sheet.png"
-    assert ran.out.splitlines()[-1] == str(sheet)
-    assert sheet.read_bytes().startswith(b"\x89PNG")
-    read_image_set(bench.out)
+    assert ran.out.splitlines()[-1] == f"contact sheet, exposure 1: {sheet}"
+    # under the names that the files give, not those of the files, and listed with its hash
+    image_set = read_image_set(bench.out)
+    assert image_set.manifest.files["contact-sheet.png"] == file_sha256(sheet)
+    again = contact_sheet(image_set, bench.folder / "again.png", exposure=1, title="knob on small")
+    assert sheet.read_bytes() == again.read_bytes()
+    otherwise = contact_sheet(image_set, bench.folder / "files.png", exposure=1)
+    assert sheet.read_bytes() != otherwise.read_bytes()
+
+
+def test_every_exposure_gets_a_sheet(cli, bench):
+    exposures = ("--exposure", "1/16", "--exposure", "1")
+    ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--sheet", *exposures)
+    assert ran.status == 0
+    names = ["contact-sheet_x0.0625.png", "contact-sheet.png"]
+    told = [
+        f"contact sheet, exposure {e}: {bench.out / n}" for e, n in zip(("0.0625", "1"), names, strict=True)
+    ]
+    assert ran.out.splitlines()[-2:] == told
+    assert set(read_image_set(bench.out).manifest.files) == {"patches.npz", *names}
+    short, long = (bench.out / name for name in names)
+    assert short.read_bytes() != long.read_bytes()
+    before = short.read_bytes(), long.read_bytes()
+    long.unlink()
+    assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--sheet", *exposures).status == 0
+    assert (short.read_bytes(), long.read_bytes()) == before
+
+
+def test_a_sheet_does_not_replace_a_file_of_others(cli, bench):
+    bench.out.mkdir()
+    stranger = bench.out / "contact-sheet.png"
+    stranger.write_bytes(b"mine")
+    ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--sheet")
+    assert ran.status == 2
+    assert f"{stranger}: exists with other content; use --force" in ran.err
+    assert stranger.read_bytes() == b"mine"
+
+
+def test_one_image_is_not_one_images(cli, bench):
+    one = ("--light", "light1", "--posture", "0,0")
+    assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, *one).out.startswith("1 image, ")
 
 
 def test_the_progress_bar_shows_on_a_terminal_and_not_when_quiet(cli, bench, monkeypatch):

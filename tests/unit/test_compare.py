@@ -193,24 +193,67 @@ def test_what_cannot_be_compared_fails_with_its_reason(tmp_path: Path):
     a = exr(tmp_path / "a.exr", Y=LEVELS)
     write_png(tmp_path / "a.png", LEVELS.astype(np.uint8), metadata={})
     write_png(tmp_path / "wide.png", LEVELS.astype(np.uint16), metadata={})
-    (tmp_path / "text.exr").write_text("no image")
-    (tmp_path / "cut.exr").write_bytes(a.read_bytes()[:2000])
     cases = {
-        tmp_path / "missing.exr": "file is missing",
         exr(tmp_path / "small.exr", Y=LEVELS[1:]): "different sizes",
         exr(tmp_path / "more.exr", Y=LEVELS, Z=LEVELS): "channel Z",
         exr(tmp_path / "other.exr", L=LEVELS): "channel L",
         tmp_path / "a.png": "different formats",
-        tmp_path / "text.exr": "neither",
-        tmp_path / "cut.exr": r"cut.exr",
     }
     for other, reason in cases.items():
         for pair in ((a, other), (other, a)):
             result = compare_files(*pair)
             assert not result.passed, pair
             assert reason in " ".join(result.reasons), pair
-    assert "golden file is missing" in compare_files(tmp_path / "missing.exr", a).reasons[0]
     assert not compare_files(tmp_path / "a.png", tmp_path / "wide.png").passed
+
+
+def test_files_that_are_no_images_are_wrong_input(tmp_path: Path):
+    a = exr(tmp_path / "a.exr", Y=LEVELS)
+    (tmp_path / "text.exr").write_text("no image")
+    (tmp_path / "cut.exr").write_bytes(a.read_bytes()[:2000])
+    for name, told in (("missing.exr", "file is missing"), ("text.exr", "neither"), ("cut.exr", "cut.exr")):
+        for pair in ((a, tmp_path / name), (tmp_path / name, a)):
+            with pytest.raises(InputError, match=told):
+                compare_files(*pair)
+    with pytest.raises(InputError) as both:
+        compare_files(tmp_path / "missing.exr", tmp_path / "text.exr")
+    missing, text = both.value.messages
+    assert missing.startswith("golden file is missing")
+    assert "text.exr" in text
+
+
+def test_the_background_does_not_dilute_a_difference(tmp_path: Path):
+    # a part of 100 pixels, one of which changed: 1 % of the part, 0.01 % of the frame
+    a = np.zeros((100, 100))
+    a[:10, :10] = 50
+    b = a.copy()
+    b[0, 0] = 60
+    result = compare_files(exr(tmp_path / "a.exr", Y=a), exr(tmp_path / "b.exr", Y=b))
+    assert not result.passed
+    assert "1.000% of values (1 of 100)" in result.reasons[0]
+    # part in one image only counts, whichever it is
+    b = np.roll(a, 10, axis=1)
+    for pair in (("a.exr", "c.exr"), ("c.exr", "a.exr")):
+        exr(tmp_path / "c.exr", Y=b)
+        channel = compare_files(tmp_path / pair[0], tmp_path / pair[1]).channels[0]
+        assert (channel.differing, channel.compared, channel.pixels) == (200, 200, 10_000)
+    nothing = exr(tmp_path / "dark.exr", Y=np.zeros((9, 9)))
+    assert compare_files(nothing, nothing).passed
+
+
+def test_the_background_of_a_png_is_its_black_level(tmp_path: Path):
+    a = np.full((100, 100), 13, np.uint8)
+    a[:10, :10] = 50
+    b = a.copy()
+    b[0, 0] = 60
+    for name, levels in (("a", a), ("b", b)):
+        write_png(tmp_path / f"{name}.png", levels, metadata={"black_level": 12.5})
+        write_png(tmp_path / f"{name}-foreign.png", levels, metadata={})
+    told = compare_files(tmp_path / "a.png", tmp_path / "b.png").channels[0]
+    assert (told.differing, told.compared) == (1, 100)
+    foreign = tmp_path / "a-foreign.png", tmp_path / "b-foreign.png"
+    assert compare_files(*foreign).channels[0].compared == 10_000
+    assert compare_files(*foreign, black=(13, 13)).channels[0].compared == 100
 
 
 # ---- geometry
@@ -231,14 +274,15 @@ def test_geometry_is_compared_where_both_hit_and_the_hit_masks_apart(tmp_path: P
     assert compare_files(golden, golden).passed
 
     moved = hit.copy()
-    moved[20, 20:25] = False  # 0.05 %: few pixels at the silhouette, far off in value
+    moved[20, 20:23] = False  # 0.08 % of the part: few pixels at the silhouette, far off in value
     few = compare_files(golden, geometry(tmp_path / "b.exr", moved, patch))
     channels = {channel.name: channel for channel in few.channels}
     assert few.passed
-    assert (channels["hit"].differing, channels["Z"].compared, channels["Z"].max) == (5, 3595, 0)
-    assert channels["hit"].iou == pytest.approx(3595 / 3600)
+    assert (channels["hit"].differing, channels["Z"].compared, channels["Z"].max) == (3, 3597, 0)
+    assert channels["hit"].compared == 3600
+    assert channels["hit"].iou == pytest.approx(3597 / 3600)
 
-    moved[20] = False  # 0.6 %
+    moved[20, 20:24] = False  # 0.11 %
     many = compare_files(golden, geometry(tmp_path / "c.exr", moved, patch))
     assert [reason.partition(":")[0] for reason in many.reasons] == ["hit"]
 
@@ -322,12 +366,14 @@ def test_missing_images_fail_and_extra_ones_are_reported(golden: Path, tmp_path:
     assert turned.extra == result.missing
 
 
-def test_missing_golden_and_missing_new_set_fail(golden: Path, tmp_path: Path):
+def test_a_set_that_is_not_there_is_wrong_input(golden: Path, tmp_path: Path):
     for pair, role in (((tmp_path / "no", golden), "golden set"), ((golden, tmp_path / "no"), "new set")):
-        result = compare_sets(*pair)
-        assert not result.passed
-        assert result.reasons[0].startswith(role)
-    assert len(compare_sets(tmp_path / "no", tmp_path / "no").reasons) == 2
+        with pytest.raises(InputError) as refused:
+            compare_sets(*pair)
+        assert [message.partition(":")[0] for message in refused.value.messages] == [role]
+    with pytest.raises(InputError) as refused:
+        compare_sets(tmp_path / "no", tmp_path / "no")
+    assert len(refused.value.messages) == 2
 
 
 def test_deleted_and_changed_files_fail(golden: Path, tmp_path: Path):

@@ -72,6 +72,14 @@ def test_binary_stl_whose_size_disagrees_with_its_count(tmp_path):
     refused(written(tmp_path, "part.stl", bytes(84)), "no triangles")
 
 
+def test_binary_stl_whose_header_begins_with_solid(tmp_path):
+    data = b"solid part".ljust(80, b" ") + exported("stl")[80:]
+    whole = written(tmp_path, "whole.stl", data)
+    assert len(load_mesh(whole, unit_mm=1.0, normals="facet", crease_angle=0.5).mesh.faces) == 80
+    refused(written(tmp_path, "part.stl", data[:-10]), "a binary STL file that is cut off")
+    refused(written(tmp_path, "part.stl", data[:90]), "a binary STL file that is cut off")
+
+
 def test_ascii_stl_cut_off(tmp_path):
     data = exported("stl_ascii")
     for end in (len(data) // 2, len(data) - 12):
@@ -141,7 +149,7 @@ def test_coordinates_that_are_not_finite(tmp_path, bad):
 
 def test_indices_out_of_range(tmp_path):
     path = written(tmp_path, "part.ply", ascii_ply(TRIANGLE, "3 0 1 2\n3 1 2 7\n", (3, 2)))
-    refused(path, "1 triangles use vertices that do not exist: indices 0 to 7 .* for 3 vertices")
+    refused(path, "1 triangle with vertices that do not exist: indices 0 to 7 .* for 3 vertices")
     path = written(tmp_path, "part.ply", ascii_ply(TRIANGLE, "3 0 1 -1\n", (3, 1)))
     refused(path, "indices -1 to 1")
 

@@ -191,7 +191,7 @@ def test_inside_out_solid_is_turned_but_a_cavity_is_not(tmp_path):
     # beside the large box, yet inside its bounding box there is nothing: a box of its own
     part = trimesh.util.concatenate([outer, cavity, other])
     loaded = load(export(tmp_path, part, "stl"))
-    assert loaded.warnings == ("1 closed surfaces (12 triangles) were inside out: turned",)
+    assert loaded.warnings == ("1 closed surface (12 triangles) inside out: turned",)
     assert loaded.description.components == 3
     assert signed_volume(loaded.mesh) == pytest.approx(64 - cavity.volume * -1 + 1, rel=1e-6)
 
@@ -201,7 +201,7 @@ def test_cavity_test_looks_past_the_bounding_box(tmp_path):
     plug = trimesh.creation.icosphere(subdivisions=1, radius=0.5)  # in the hole, not in the ring
     plug.invert()
     loaded = load(export(tmp_path, trimesh.util.concatenate([ring, plug]), "stl"))
-    assert loaded.warnings == (f"1 closed surfaces ({len(plug.faces)} triangles) were inside out: turned",)
+    assert loaded.warnings == (f"1 closed surface ({len(plug.faces)} triangles) inside out: turned",)
 
 
 def test_both_windings_wrong_at_once(tmp_path):
@@ -211,7 +211,7 @@ def test_both_windings_wrong_at_once(tmp_path):
     loaded = load(export(tmp_path, trimesh.Trimesh(ball.vertices, faces, process=False), "stl"))
     assert [w.split(":")[0] for w in loaded.warnings] == [
         "1 of 80 triangles wound against their neighbours",
-        "1 closed surfaces (80 triangles) were inside out",
+        "1 closed surface (80 triangles) inside out",
     ]
     assert signed_volume(loaded.mesh) > 0
 

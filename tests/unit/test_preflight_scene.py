@@ -18,7 +18,7 @@ from lightopt.preflight import Report, check_scene
 from lightopt.preflight._coverage import facing
 from lightopt.preflight._edges import coinciding_vertices, edges
 from lightopt.preflight._facets import facet_angles, interpolation_errors
-from lightopt.preflight._size import likely_units
+from lightopt.scene._part_size import likely_units
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

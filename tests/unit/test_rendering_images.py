@@ -140,9 +140,17 @@ def test_warnings_are_given_as_they_come_and_kept(bench, tmp_path):
     options = RenderOptions(patch_budget=500)
     done = render_image_set(bench.rig, bench.part, tmp_path, options=options, warn=heard.append)
     assert tuple(heard) == done.warnings
-    assert len(heard) == 2
+    assert len(heard) == 1  # of two panels alike
+    assert heard[0].startswith("light1, light3: the panel's 4 points stand apart by 30 mm")
     again = render_image_set(bench.rig, bench.part, tmp_path, options=options)
     assert again.warnings == done.warnings
+
+
+def test_warnings_of_unlike_panels_stay_apart(bench, tmp_path):
+    bench.edit("part.yaml", "sigma_rad: 0.0475", "sigma_rad: 0.003")
+    bench.edit("rig.yaml", "azimuth_deg: 225, gain: 0.8", "azimuth_deg: 225, size_mm: [90, 60]")
+    done = render_image_set(bench.rig, bench.part, tmp_path, options=RenderOptions(patch_budget=500))
+    assert [text.partition(":")[0] for text in done.warnings] == ["light1", "light3"]
 
 
 def test_back_faces_are_black_counted_and_told(bench, tmp_path):
@@ -160,9 +168,7 @@ def test_back_faces_are_black_counted_and_told(bench, tmp_path):
     assert all((image.level == 0).all() for image in images.lights)
     done = render_image_set(bench.rig, bench.part, tmp_path, options=RenderOptions(patch_budget=100))
     assert len(done.warnings) == 1
-    assert done.warnings[0].startswith(
-        f"posture (0°, 0°): {hit:,} pixels see the back of a face and are black"
-    )
+    assert done.warnings[0].startswith(f"posture (0°, 0°): {hit:,} pixels on the back of a face, black")
 
 
 # --- the Python interface

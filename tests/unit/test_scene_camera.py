@@ -93,11 +93,54 @@ def test_the_lens_bends_outwards_as_opencv_has_it():
     assert rows[0] == pytest.approx(60 + v * 9.0 / 0.044, rel=1e-12)
 
 
+BARREL = Distortion(k1=-0.4)
+"""Turns back at r² = 1 / 1.2, where r is 0.913 and its image 0.609."""
+
+
+def at_radius(camera, radius: float, angle: float = 0.3) -> np.ndarray:
+    """A point seen at this radius, in image distances."""
+    x, y = radius * math.cos(angle), radius * math.sin(angle)
+    return (camera.position + 300 * (camera.forward + x * camera.right - y * camera.up))[None, :]
+
+
+@pytest.mark.parametrize(
+    "lens", [BARREL, Distortion(k1=0.1, k2=-0.5), Distortion(k1=-0.4, p1=0.002, p2=-0.001)]
+)
+def test_points_beyond_the_fold_of_the_lens_model_stay_out_of_the_image(lens):
+    camera = camera_at(image_distance=9.0, distortion=lens)  # the corners are at a radius of 0.49
+    seen = False
+    for radius in np.arange(0.01, 3.0, 0.01):
+        columns, rows, _ = project(camera, at_radius(camera, radius))
+        if 0 <= columns[0] <= 160 and 0 <= rows[0] <= 120:
+            seen = True
+            back = pixel_directions(camera, columns, rows)[0]
+            assert np.allclose(back, (at_radius(camera, radius)[0] - camera.position) / 300, atol=1e-9), (
+                radius
+            )
+        assert np.isfinite([columns[0], rows[0]]).all()
+    assert seen
+
+
+def test_a_part_beyond_the_fold_is_outside_the_view():
+    camera = camera_at(image_distance=9.0, distortion=BARREL)
+    # at a radius of 1.58 = √2.5 the model comes back to the image's centre
+    assert frame_part(camera, box(sides=(2, 2, 2), at=(550 * math.sqrt(2.5), 0.0, 0.0))).outside
+
+
+def test_a_lens_that_folds_inside_the_frame_has_pixels_that_look_nowhere():
+    camera = camera_at(image_distance=5.0, distortion=BARREL)  # the corners are at 0.88, beyond 0.609
+    rays = pixel_directions(camera, np.array([80.0, 0.0]), np.array([60.0, 0.0]))
+    assert np.isfinite(rays[0]).all()
+    assert np.isnan(rays[1]).all()
+
+
 def test_points_behind_the_camera_have_no_image():
-    columns, rows, depth = project(camera_at(), np.array([[0.0, 0.0, 600.0], [9.0, 0.0, 551.0]]))
-    assert np.isnan(columns).all()
-    assert np.isnan(rows).all()
-    assert (depth <= 0).all()
+    for lens in (Distortion(), BARREL):
+        behind = np.array([[0.0, 0.0, 600.0], [9.0, 0.0, 551.0]])
+        columns, rows, depth = project(camera_at(distortion=lens), behind)
+        assert np.isnan(columns).all()
+        assert np.isnan(rows).all()
+        assert (depth <= 0).all()
 
 
 def test_footprint_is_by_similar_triangles():

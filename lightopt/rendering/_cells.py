@@ -1,0 +1,348 @@
+"""Cells of a panel that the edge of a shadow crosses: where it cuts them, and the light of what is left.
+
+Grids of n × n cells are laid over squares of the panel, several perhaps for one surface point. A cell is known by what
+is seen at its corners, and by where the edge crosses its sides.
+
+What the functions share
+------------------------
+points, normals, views
+    Surface points [mm], unit normals and unit view directions, part frame, shape (k, 3).
+panel
+    Part frame.
+point, s, t, cell
+    Surface point of each of q squares, shape (q,); its lower corner, shape (q,), and the side of its cells, in units of
+    the panel's sides, from 0 to 1.
+state
+    What is seen at the corners of the cells, shape (q, n + 1, n + 1): BELOW, VISIBLE or BLOCKED.
+across, along
+    Where the edge crosses the sides of cells that run along s and along t, as a share of the side; shape
+    (q, n + 1, n) and (q, n, n + 1).
+stake
+    Of crossed cells, the light of the whole cell in units of the error allowed; 0 of others; shape (q, n, n).
+inverse_two_sigma_squared
+    1/(2σ²) [rad⁻²].
+nodes, weights
+    Gauss–Legendre rules.
+terms
+    Diffuse and specular light so far, per unit of R_d and R_s, of a panel of weight 1; shape (k, 2).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.kernels import kernel
+from lightopt.rendering._lobe import out_of_reach, rectangle_diffuse, rectangle_specular
+from lightopt.rendering._panel import PanelNumbers
+
+__all__ = [
+    "BELOW",
+    "BLOCKED",
+    "HORIZON_NODES",
+    "MOST_BISECTIONS",
+    "SIDE_SHARE",
+    "VISIBLE",
+    "add_crossed_cells",
+    "add_visible_cells",
+    "places_beside_chords",
+]
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+State = NDArray[np.uint8]
+
+BELOW, VISIBLE, BLOCKED = 1, 2, 3
+"""What a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle."""
+
+HORIZON_NODES = 6
+"""Gauss–Legendre nodes a side where the panel is partly below the surface's horizon."""
+
+SIDE_SHARE = 4.0
+"""The edge is found to within a cell's side divided by this and by what is at stake in the cell, in tolerances."""
+
+MOST_BISECTIONS = 12
+"""The edge is not sought more finely than this many halvings of a side."""
+
+STRIP_SHARE = 0.5
+"""Strips per square root of what is at stake in a cell: their error falls as the square of their number."""
+
+LEAST_STRIPS, MOST_STRIPS = 2, 16
+"""Strips that the visible area of a crossed cell is integrated in."""
+
+
+@kernel
+def places_beside_chords(
+    state: State, stake: Float64, across: Float64, along: Float64
+) -> tuple[Bool, NDArray[np.int64], Float64, Float64, Bool]:
+    """Places that tell whether the edge of the shadow is straight inside the crossed cells where that matters.
+
+    They are on both sides of the chord between the edge's crossings, as far from it as the edge may be without harm.
+
+    Returns
+    -------
+    bent
+        Cells that two pieces of edge cross, which need no looking at; shape (q, n, n).
+    cell, x, y, expected
+        Index of each place's cell in the raveled (q, n, n); the place in its square, in cells; and whether a straight
+        edge would hide it.
+    """
+    q, n = stake.shape[0], stake.shape[1]
+    bent = np.zeros(stake.shape, np.bool_)
+    candidates = 0
+    for i in range(q):
+        for row in range(n):
+            for column in range(n):
+                candidates += stake[i, row, column] > 1.0
+    cell = np.empty(4 * candidates, np.int64)
+    x, y = np.empty(len(cell)), np.empty(len(cell))
+    expected = np.empty(len(cell), np.bool_)
+    m = 0
+    for i in range(q):
+        for row in range(n):
+            for column in range(n):
+                if stake[i, row, column] <= 1.0:
+                    continue
+                chords = 0
+                for first in range(4):
+                    begins, ax, ay, bx, by, sign = _chord(state, across, along, i, row, column, first)
+                    if not begins:
+                        continue
+                    chords += 1
+                    if chords == 2:
+                        bent[i, row, column] = True
+                        break
+                    length = math.hypot(bx - ax, by - ay)
+                    if length < 1e-6:
+                        continue
+                    away = max(1.0 / (SIDE_SHARE * stake[i, row, column]), 0.5**MOST_BISECTIONS)
+                    nx, ny = -sign * (by - ay) / length * away, sign * (bx - ax) / length * away
+                    for k in range(2):
+                        share = (k + 1) / 3.0
+                        cx, cy = ax + share * (bx - ax), ay + share * (by - ay)
+                        for side in (-1.0, 1.0):
+                            px, py = cx + side * nx, cy + side * ny
+                            if 0.0 <= px <= 1.0 and 0.0 <= py <= 1.0:
+                                cell[m] = (i * n + row) * n + column
+                                x[m], y[m] = column + px, row + py
+                                expected[m] = side < 0.0
+                                m += 1
+    return bent, cell[:m].copy(), x[:m].copy(), y[:m].copy(), expected[:m].copy()
+
+
+@kernel
+def add_visible_cells(
+    points: Float64,
+    normals: Float64,
+    views: Float64,
+    panel: PanelNumbers,
+    point: NDArray[np.int32],
+    s: Float64,
+    t: Float64,
+    cell: float,
+    state: State,
+    diffuse_level: float,
+    specular_level: float,
+    inverse_two_sigma_squared: float,
+    nodes: Float64,
+    weights: Float64,
+    terms: Float64,
+) -> Float64:
+    """Add the light of the visible cells to `terms`; return the levels of the whole of each crossed one, (q, n, n)."""
+    q, n = len(point), state.shape[1] - 1
+    stake = np.zeros((q, n, n))
+    for i in range(q):
+        k = point[i]
+        p, normal, v = points[k], normals[k], views[k]
+        n_dot_v = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2]
+        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse_two_sigma_squared)
+        for row in range(n):
+            t0 = t[i] + row * cell - 0.5
+            column = 0
+            while column < n:
+                kind, order = _cell_kind(state, i, row, column)
+                end = column + 1
+                if kind == BLOCKED:
+                    column = end
+                    continue
+                # visible cells of one row in one go
+                while kind == VISIBLE and end < n and _cell_kind(state, i, row, end) == (kind, order):
+                    end += 1
+                s0, s1 = s[i] + column * cell - 0.5, s[i] + end * cell - 0.5
+                d = rectangle_diffuse(p, normal, v, panel, s0, s1, t0, t0 + cell, order, nodes, weights)
+                g = 0.0
+                if glossy:
+                    g = rectangle_specular(
+                        p,
+                        normal,
+                        v,
+                        n_dot_v,
+                        panel,
+                        s0,
+                        s1,
+                        t0,
+                        t0 + cell,
+                        inverse_two_sigma_squared,
+                        nodes,
+                        weights,
+                    )
+                if kind == VISIBLE:
+                    terms[k, 0] += d
+                    terms[k, 1] += g
+                else:
+                    stake[i, row, column] = diffuse_level * d + specular_level * g
+                column = end
+    return stake
+
+
+@kernel
+def add_crossed_cells(
+    points: Float64,
+    normals: Float64,
+    views: Float64,
+    panel: PanelNumbers,
+    point: NDArray[np.int32],
+    s: Float64,
+    t: Float64,
+    cell: float,
+    state: State,
+    across: Float64,
+    along: Float64,
+    stake: Float64,
+    left_out: Bool,
+    inverse_two_sigma_squared: float,
+    nodes: Float64,
+    weights: Float64,
+    terms: Float64,
+) -> None:
+    """Add the light of the visible part of the crossed cells, except those `left_out`, to `terms`."""
+    q, n = len(point), state.shape[1] - 1
+    runs = np.empty((4 * MOST_STRIPS, 4))
+    for i in range(q):
+        k = point[i]
+        p, normal, v = points[k], normals[k], views[k]
+        n_dot_v = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2]
+        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse_two_sigma_squared)
+        for row in range(n):
+            for column in range(n):
+                kind, order = _cell_kind(state, i, row, column)
+                if kind != 0 or left_out[i, row, column]:
+                    continue
+                strips = math.ceil(math.sqrt(STRIP_SHARE * stake[i, row, column]))
+                strips = min(max(strips, LEAST_STRIPS), MOST_STRIPS)
+                count = _visible_strips(state, across, along, i, row, column, strips, runs)
+                for j in range(count):
+                    s0, s1 = s[i] + runs[j, 0] * cell - 0.5, s[i] + runs[j, 1] * cell - 0.5
+                    t0, t1 = t[i] + runs[j, 2] * cell - 0.5, t[i] + runs[j, 3] * cell - 0.5
+                    terms[k, 0] += rectangle_diffuse(
+                        p, normal, v, panel, s0, s1, t0, t1, order, nodes, weights
+                    )
+                    if glossy:
+                        terms[k, 1] += rectangle_specular(
+                            p,
+                            normal,
+                            v,
+                            n_dot_v,
+                            panel,
+                            s0,
+                            s1,
+                            t0,
+                            t1,
+                            inverse_two_sigma_squared,
+                            nodes,
+                            weights,
+                        )
+
+
+@kernel
+def _cell_kind(state: State, i: int, row: int, column: int) -> tuple[int, int]:
+    # VISIBLE, BLOCKED, or 0 where the edge of the shadow crosses the cell; and the nodes that its light needs
+    visible = blocked = below = 0
+    for corner in range(4):
+        value = state[i, row + corner // 2, column + corner % 2]
+        visible += value == VISIBLE
+        blocked += value == BLOCKED
+        below += value == BELOW
+    order = HORIZON_NODES if below > 0 else 2
+    if visible == 0:
+        return BLOCKED, order
+    if blocked == 0:
+        return VISIBLE, order
+    return 0, HORIZON_NODES if below > 0 else 1
+
+
+@kernel
+def _chord(
+    state: State, across: Float64, along: Float64, i: int, row: int, column: int, first: int
+) -> tuple[bool, float, float, float, float, float]:
+    # the chord that cuts off the visible stretch of a cell's boundary that begins with corner `first`, if one does: its
+    # ends (ax, ay), (bx, by) and the sign with which sign·((bx − ax)·(y − ay) − (by − ay)·(x − ax)) ≥ 0 is visible.
+    # Corners and sides go round the cell: corner c is followed by side c; x and y in [0, 1] are the cell's own
+    corner_x = (0.0, 1.0, 1.0, 0.0)
+    corner_y = (0.0, 0.0, 1.0, 1.0)
+    seen = (
+        state[i, row, column] != BLOCKED,
+        state[i, row, column + 1] != BLOCKED,
+        state[i, row + 1, column + 1] != BLOCKED,
+        state[i, row + 1, column] != BLOCKED,
+    )
+    if not seen[first] or seen[(first + 3) % 4]:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0
+    side_x = (across[i, row, column], 1.0, across[i, row + 1, column], 0.0)
+    side_y = (0.0, along[i, row, column + 1], 1.0, along[i, row, column])
+    last = first
+    while seen[(last + 1) % 4]:
+        last = (last + 1) % 4
+    # the stretch begins on the side before its first corner and ends on that after its last
+    ax, ay = side_x[(first + 3) % 4], side_y[(first + 3) % 4]
+    bx, by = side_x[last], side_y[last]
+    inside = (bx - ax) * (corner_y[first] - ay) - (by - ay) * (corner_x[first] - ax)
+    return True, ax, ay, bx, by, 1.0 if inside >= 0.0 else -1.0
+
+
+@kernel
+def _visible_strips(
+    state: State,
+    across: Float64,
+    along: Float64,
+    i: int,
+    row: int,
+    column: int,
+    strips: int,
+    runs: Float64,
+) -> int:
+    # strips [s0, s1] × [t0, t1], in cells, that cover the visible area of a cell; returns their number
+    count = 0
+    for first in range(4):
+        begins, ax, ay, bx, by, sign = _chord(state, across, along, i, row, column, first)
+        if not begins:
+            continue
+        # strips run across the edge, so that each is cut where the edge is and not counted whole or not at all
+        upright = abs(bx - ax) > abs(by - ay)
+        for strip in range(strips):
+            middle = (strip + 0.5) / strips
+            if upright:
+                slope = sign * (bx - ax)
+                value = -sign * ((bx - ax) * ay + (by - ay) * (middle - ax))
+            else:
+                slope = -sign * (by - ay)
+                value = sign * ((bx - ax) * (middle - ay) + (by - ay) * ax)
+            low, high = 0.0, 1.0
+            if slope > 1e-12:
+                low = max(low, -value / slope)
+            elif slope < -1e-12:
+                high = min(high, -value / slope)
+            elif value < 0.0:
+                continue
+            if low < high:
+                first_end, second_end = strip / strips, (strip + 1) / strips
+                if upright:
+                    runs[count, 0], runs[count, 1] = column + first_end, column + second_end
+                    runs[count, 2], runs[count, 3] = row + low, row + high
+                else:
+                    runs[count, 0], runs[count, 1] = column + low, column + high
+                    runs[count, 2], runs[count, 3] = row + first_end, row + second_end
+                count += 1
+    return count

@@ -1,0 +1,73 @@
+"""What the documentation shows is what the program does: its Python runs, its messages are the program's."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SNIPPETS = [
+    pytest.param(text, id=f"{page.name}-{i}")
+    for page in PAGES
+    for i, text in enumerate(
+        re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+    )
+]
+
+
+@pytest.fixture(scope="module")
+def clone(shared_bench, tmp_path_factory) -> Path:
+    """A folder with what the pages tell to make, under the names they use; the rig's camera is a small one."""
+    from lightopt.cli._main import run
+
+    folder = tmp_path_factory.mktemp("docs")
+    rig, part = Path("configs/rigs/four-panel.yaml"), Path("configs/parts/cover-knob.yaml")
+    for own, name in (
+        (shared_bench.rig, rig),
+        (shared_bench.part, part),
+        (shared_bench.mesh, part.parent / "knob.stl"),
+    ):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(own, folder / name)
+    for name in (rig, part):
+        assert (ROOT / name).is_file()
+    for out in ("demo", "mine"):
+        arguments = [
+            "render",
+            folder / rig,
+            folder / part,
+            "-o",
+            folder / "out" / out,
+            "-q",
+            "--patches",
+            "500",
+        ]
+        assert run(list(map(str, arguments))) == 0
+    return folder
+
+
+def test_there_are_snippets():
+    assert len(SNIPPETS) >= 3
+
+
+@pytest.mark.parametrize("snippet", SNIPPETS)
+def test_snippets_run_as_they_stand(clone, monkeypatch, capsys, snippet):
+    monkeypatch.chdir(clone)
+    exec(compile(snippet, "snippet", "exec"), {"__name__": "snippet"})
+    assert capsys.readouterr().out
+
+
+def test_the_error_that_getting_started_quotes_is_the_programs(cli, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli("init", "myrig").status == 0
+    rig = tmp_path / "myrig" / "rig.yaml"
+    text = rig.read_text(encoding="utf-8").replace("elevation_deg", "elevaton_deg", 1)
+    rig.write_text(text, encoding="utf-8")
+    ran = cli("check", "myrig/rig.yaml", "myrig/part.yaml")
+    assert ran.status == 2
+    page = (ROOT / "docs" / "getting-started.md").read_text(encoding="utf-8")
+    assert f"```text\n{ran.err.replace(chr(92), '/')}```\n" in page
