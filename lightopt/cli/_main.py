@@ -8,6 +8,8 @@ import typer
 from lightopt.cli._check import check
 from lightopt.cli._compare import compare
 from lightopt.cli._init import init
+from lightopt.cli._optimize import optimize
+from lightopt.cli._overlap import overlap
 from lightopt.cli._render import render
 from lightopt.cli._schema import schema
 from lightopt.cli._terminal import say_error, version_wanted
@@ -45,6 +47,8 @@ def _common(
 app.command(short_help="Write a commented rig, part and mesh to start from.")(init)
 app.command(short_help="Say what is wrong with the files, and what they amount to.")(check)
 app.command(short_help="Render what the camera would see.")(render)
+app.command(short_help="Find where the lights go, exactly.")(optimize)
+app.command(short_help="Say where the highlights of several images overlap.")(overlap)
 app.command(short_help="Compare images or image sets, golden against new.")(compare)
 app.command(short_help="Print the JSON schema of rig or part files.")(schema)
 

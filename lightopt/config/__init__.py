@@ -5,6 +5,7 @@ into physics.
 """
 
 from lightopt.config._camera import CameraConfig, DistortionConfig, SensorConfig
+from lightopt.config._edit import edit_numbers
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, PostureConfig, ReflectanceConfig
@@ -26,6 +27,7 @@ __all__ = [
     "SensorConfig",
     "Source",
     "StageConfig",
+    "edit_numbers",
     "json_schema",
     "load_part",
     "load_rig",

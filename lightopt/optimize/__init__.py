@@ -9,24 +9,39 @@ from lightopt.optimize._luminance import luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
+from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions
+from lightopt.optimize._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map
 from lightopt.optimize._ranking import Ranked
+from lightopt.optimize._result import Answer, SetResult, angles_of
+from lightopt.optimize._run import Optimum, optimize
 from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
 from lightopt.optimize._space import Space
 
 __all__ = [
     "DEFAULT_LIMIT",
+    "DEFAULT_SHADE_SHARE",
     "OBJECTIVES",
+    "Answer",
     "Candidates",
     "Found",
     "LeftOut",
     "LuminanceMatrix",
     "Objective",
+    "OptimizeOptions",
+    "Optimum",
+    "Overlap",
     "Ranked",
+    "SetResult",
     "Space",
     "Thresholds",
+    "angles_of",
     "area_units",
     "find_candidates",
+    "find_overlaps",
     "luminance_matrix",
     "objectives_named",
+    "optimize",
+    "overlap_map_name",
     "search",
+    "write_overlap_map",
 ]
