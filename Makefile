@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 OUT    ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all check golden golden-check bench docs clean
+.PHONY: help install demo batch test test-all check golden golden-check bench docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -18,8 +18,16 @@ $(BIN)/.installed: pyproject.toml
 
 install: $(BIN)/.installed  ## a virtual environment in .venv with lightopt and the tools to develop it
 
-demo: $(BIN)/.installed  ## render the sample rig and part into out/demo, with a contact sheet
+demo: $(BIN)/.installed  ## render and optimise the sample rig and part into out/demo, with a contact sheet
 	$(BIN)/lightopt render configs/rigs/four-panel.yaml configs/parts/cover-knob.yaml -o $(OUT)/demo --sheet
+	$(BIN)/lightopt optimize configs/rigs/four-panel.yaml configs/parts/cover-knob.yaml -o $(OUT)/demo/best --no-images
+
+RIG   ?= configs/rigs/four-panel.yaml
+PARTS ?= configs/parts
+STEP  ?= 5
+
+batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
+	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch
 
 test: $(BIN)/.installed  ## the tests that take less than ten minutes
 	$(BIN)/python -m pytest -m "not slow"
