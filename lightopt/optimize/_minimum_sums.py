@@ -42,9 +42,9 @@ def minimum_sums(layers: Sequence[Levels], *, threads: int) -> Int64:
     """
     shape = tuple(len(layer) for layer in layers)
     # a patch that one of the lights never reaches adds nothing
-    reached = np.logical_and.reduce([layer.any(axis=0) for layer in layers])
-    if not reached.all():
-        layers = [np.ascontiguousarray(layer[:, reached]) for layer in layers]
+    reached = np.flatnonzero(np.logical_and.reduce([layer.max(axis=0, initial=0) > 0 for layer in layers]))
+    if len(reached) < layers[0].shape[1]:
+        layers = [layer.take(reached, axis=1) for layer in layers]
     if len(layers) == 2:
         least = np.full((1, layers[0].shape[1]), np.iinfo(layers[0].dtype).max, layers[0].dtype)
         layers = [least, *layers]
@@ -86,19 +86,28 @@ def _three(first: Levels, second: Levels, third: Levels) -> Int64:
     patches = first.shape[1]
     for start in range(0, patches, BLOCK_PATCHES):
         end = min(start + BLOCK_PATCHES, patches)
+        here = least[: end - start]
         for a in range(len(first)):
             for b in range(len(second)):
-                for i in range(end - start):
-                    x, y = first[a, start + i], second[b, start + i]
-                    least[i] = x if x < y else y
+                _minima(first[a, start:end], second[b, start:end], here)
                 for c in range(len(third)):
-                    sums[a, b, c] += _sum_of_minima(least[: end - start], third[c, start:end])
+                    sums[a, b, c] += _sum_of_minima(here, third[c, start:end])
     return sums
+
+
+# the two loops over patches are functions of whole arrays: an index that could be negative would keep the compiler from
+# taking many levels at a time
+
+
+@kernel
+def _minima(left: Levels, right: Levels, least: Levels) -> None:
+    for i in range(len(left)):
+        least[i] = left[i] if left[i] < right[i] else right[i]
 
 
 @kernel
 def _sum_of_minima(left: Levels, right: Levels) -> np.int64:
-    # a 32-bit sum lets the compiler take many levels at a time
+    # 32 bits are enough for a block, and twice as fast as 64
     total = np.uint32(0)
     for i in range(len(left)):
         least = left[i] if left[i] < right[i] else right[i]
