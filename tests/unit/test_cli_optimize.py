@@ -12,7 +12,7 @@ import pytest
 from lightopt.cli._main import run
 from lightopt.config import load_rig
 from lightopt.images import read_image_set, read_png
-from lightopt.optimize import OptimizeOptions, optimize
+from lightopt.optimize import OptimizeOptions, optimize, search
 
 LIGHTS = """\
 lights:   # three of them
@@ -201,9 +201,8 @@ def test_common_lights_and_common_elevation(three, cli):
 
 
 def test_a_limit_is_said_with_its_bound(three, cli, monkeypatch):
-    monkeypatch.setattr("lightopt.optimize._search.search.__kwdefaults__", {
-        **__import__("lightopt.optimize._search", fromlist=["search"]).search.__kwdefaults__, "table_cells": 2,
-    })  # fmt: skip
+    # tables of two combinations, so that the small space is searched in boxes
+    monkeypatch.setitem(search.__kwdefaults__, "table_cells", 2)
     ran = cli(
         "optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0",
         "--max-combinations", "1", "--objective", "coverage",
