@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 OUT    ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all check golden golden-check bench docs clean
+.PHONY: help install demo batch test test-all check golden golden-check bench docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -18,15 +18,22 @@ $(BIN)/.installed: pyproject.toml
 
 install: $(BIN)/.installed  ## a virtual environment in .venv with lightopt and the tools to develop it
 
-RIG  := configs/rigs/four-panel.yaml
-PART := configs/parts/cover-knob.yaml
+RIG   ?= configs/rigs/four-panel.yaml
+PART  ?= configs/parts/cover-knob.yaml
+PARTS ?= configs/parts
+STEP  ?= 5
+VALUES = grep -E '^ +(R_d|R_s|sigma_rad):' $(1) | sed -E 's/\#.*//' | tr -s ' \n' ' '
 
-demo: $(BIN)/.installed  ## render the sample rig and part into out/demo, with a contact sheet, and fit the noisy renders
+demo: $(BIN)/.installed  ## render the sample into out/demo, fit noisy renders of it, and optimise its lights
 	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo --sheet
 	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo-noisy --noise 1 --exposure 1 --exposure 1/16 --posture 0,0
 	$(BIN)/lightopt fit-specular $(RIG) $(PART) $(OUT)/demo-noisy -o $(OUT)/demo-fit --joint
-	@echo "true:      $$(grep -E '^ +(R_d|R_s|sigma_rad):' $(PART) | sed -E 's/#.*//' | tr -s ' \n' ' ')"
-	@echo "recovered: $$(grep -E '^ +(R_d|R_s|sigma_rad):' $(OUT)/demo-fit/part.fitted.yaml | sed -E 's/#.*//' | tr -s ' \n' ' ')"
+	@echo "true:      $$($(call VALUES,$(PART)))"
+	@echo "recovered: $$($(call VALUES,$(OUT)/demo-fit/part.fitted.yaml))"
+	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/demo-best --no-images
+
+batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
+	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch
 
 test: $(BIN)/.installed  ## the tests that take less than ten minutes
 	$(BIN)/python -m pytest -m "not slow"

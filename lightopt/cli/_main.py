@@ -9,6 +9,8 @@ from lightopt.cli._check import check
 from lightopt.cli._compare import compare
 from lightopt.cli._fit import fit_diffuse, fit_specular
 from lightopt.cli._init import init
+from lightopt.cli._optimize import optimize
+from lightopt.cli._overlap import overlap
 from lightopt.cli._render import render
 from lightopt.cli._schema import schema
 from lightopt.cli._terminal import say_error, version_wanted
@@ -48,6 +50,8 @@ app.command(short_help="Say what is wrong with the files, and what they amount t
 app.command(short_help="Render what the camera would see.")(render)
 app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.")(fit_diffuse)
 app.command("fit-specular", short_help="Fit the specular coefficients to images.")(fit_specular)
+app.command(short_help="Find where the lights go, exactly.")(optimize)
+app.command(short_help="Say where the highlights of several images overlap.")(overlap)
 app.command(short_help="Compare images or image sets, golden against new.")(compare)
 app.command(short_help="Print the JSON schema of rig or part files.")(schema)
 

@@ -13,7 +13,16 @@ if TYPE_CHECKING:
     from lightopt.rendering import Report
     from lightopt.transforms import Posture
 
-__all__ = ["say", "say_error", "say_warning", "show_progress", "show_share", "show_table", "version_wanted"]
+__all__ = [
+    "say",
+    "say_error",
+    "say_warning",
+    "show_progress",
+    "show_share",
+    "show_table",
+    "show_time_left",
+    "version_wanted",
+]
 
 
 def say(text: str) -> None:
@@ -105,3 +114,29 @@ def show_share(*, quiet: bool) -> Generator[Callable[[str, float], None] | None]
             bar.update(task, completed=share, description=stage)
 
         yield report
+
+
+@contextmanager
+def show_time_left(label: str, *, quiet: bool) -> Generator[Callable[[float], None] | None]:
+    """Lines that say how much is done and how long the rest will take, at most one a second; None where nobody looks.
+
+    For work that is mostly over at once: nothing is said of the first second.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from time import monotonic
+
+    begun: list[float] = []
+
+    def report(share: float) -> None:
+        now = monotonic()
+        if not begun:
+            begun[:] = [now, now, share]
+        first, last, start = begun
+        if share > start and now - last >= 1.0:
+            begun[1] = now
+            left = (now - first) * (1.0 - share) / (share - start)
+            typer.echo(f"{label}: {100.0 * share:.1f} %, about {left:.0f} s left", err=True)
+
+    yield report

@@ -58,7 +58,7 @@ def with_values(text: str, values: Mapping[Keys, str]) -> str:
         parse(text)
     except YamlError as error:
         raise InputError(
-            f"the fitted values cannot be put into the file: {error.problem.message}; write anchors and aliases out"
+            f"the values cannot be put into the file: {error.problem.message}; write anchors and aliases out"
         ) from None
     return text
 

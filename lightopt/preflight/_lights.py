@@ -8,10 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.config import RigConfig
-from lightopt.preflight._rectangles import corners, image_area, rectangles_meet
 from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import RigSubject
-from lightopt.scene import PanelLight, build_lights
+from lightopt.scene import PanelLight, build_lights, image_area, panel_corners, rectangles_meet
 
 __all__ = ["check_below_horizon", "check_collisions", "check_lights_in_view"]
 
@@ -24,7 +23,7 @@ def check_lights_in_view(subject: RigSubject) -> Iterator[Finding]:
     pixels = subject.camera.width * subject.camera.height
     clear = True
     for index, light in enumerate(subject.lights):
-        area = image_area(subject.camera, corners(light))
+        area = image_area(subject.camera, panel_corners(light))
         if area > 0.0:
             clear = False
             yield Finding(
@@ -37,7 +36,9 @@ def check_lights_in_view(subject: RigSubject) -> Iterator[Finding]:
             )
             continue
         moved = [
-            p for p in _moved(subject.rig, index, STEP_DEG) if image_area(subject.camera, corners(p)) > 0.0
+            p
+            for p in _moved(subject.rig, index, STEP_DEG)
+            if image_area(subject.camera, panel_corners(p)) > 0.0
         ]
         if moved:
             clear = False
@@ -49,7 +50,7 @@ def check_lights_in_view(subject: RigSubject) -> Iterator[Finding]:
 def check_below_horizon(subject: RigSubject) -> Iterator[Finding]:
     """Panels that reach below the table top."""
     for index, light in enumerate(subject.lights):
-        lowest = float(corners(light)[:, 2].min())
+        lowest = float(panel_corners(light)[:, 2].min())
         if lowest < 0.0:
             yield Finding(
                 "warning",
@@ -60,9 +61,9 @@ def check_below_horizon(subject: RigSubject) -> Iterator[Finding]:
                 {"light": light.name, "lowest_mm": lowest},
             )
             continue
-        moved = [p for p in _moved(subject.rig, index, 180.0) if corners(p)[:, 2].min() < 0.0]
+        moved = [p for p in _moved(subject.rig, index, 180.0) if panel_corners(p)[:, 2].min() < 0.0]
         if moved:
-            depth = -min(float(corners(p)[:, 2].min()) for p in moved)
+            depth = -min(float(panel_corners(p)[:, 2].min()) for p in moved)
             text = f"reaches {depth:.3g} mm below the table top"
             yield _at_range(subject, index, "light below table", moved, text)
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lightopt.preflight._rectangles import segments_blocked
 from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
 from lightopt.rendering import panels_in_part
+from lightopt.scene import segments_blocked
 
 __all__ = ["check_hidden_part", "check_lights_in_part"]
 

@@ -2,7 +2,13 @@
 
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
 from lightopt.rendering._highlight import highlight_level
-from lightopt.rendering._hopeless import PanelInPart, TooFewPixels, panels_in_part, too_few_pixels
+from lightopt.rendering._hopeless import (
+    PanelInPart,
+    TooFewPixels,
+    panels_in_part,
+    refuse_hopeless,
+    too_few_pixels,
+)
 from lightopt.rendering._image_set import RenderedSet, RenderOptions, Report, render_image_set
 from lightopt.rendering._images import (
     Geometry,
@@ -66,6 +72,7 @@ __all__ = [
     "panels_in_part",
     "patch_pixels",
     "patch_positions",
+    "refuse_hopeless",
     "render",
     "render_image_set",
     "render_posture",

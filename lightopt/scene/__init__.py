@@ -15,6 +15,7 @@ from lightopt.scene._camera import (
 from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
 from lightopt.scene._part_size import UnitGuess, guess_unit, is_absurd, view_size
+from lightopt.scene._rectangles import image_area, panel_corners, rectangles_meet, segments_blocked
 from lightopt.scene._sampling import (
     COARSE_SHARE,
     PointSpacing,
@@ -45,8 +46,10 @@ __all__ = [
     "coarse_warnings",
     "frame_part",
     "guess_unit",
+    "image_area",
     "is_absurd",
     "like_panels",
+    "panel_corners",
     "panel_grid",
     "pixel_directions",
     "pixel_footprint",
@@ -55,7 +58,9 @@ __all__ = [
     "point_spacing",
     "points_advice",
     "project",
+    "rectangles_meet",
     "screen_window",
+    "segments_blocked",
     "unit_hint",
     "view_from_part",
     "view_size",

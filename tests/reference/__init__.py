@@ -9,7 +9,7 @@ from __future__ import annotations
 from ._casting import Hits, blocked, closest, trace
 from ._frames import Camera, Light, posed, posed_normals
 from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
-from ._shading import LayerImage, point_terms, render
+from ._shading import LayerImage, in_shadow, point_terms, render
 
 __all__ = [
     "Camera",
@@ -19,6 +19,7 @@ __all__ = [
     "blocked",
     "closest",
     "equally_spaced",
+    "in_shadow",
     "panel_radiance",
     "point_terms",
     "posed",

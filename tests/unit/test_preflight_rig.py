@@ -15,8 +15,15 @@ from hypothesis import strategies as st
 from lightopt.config import RigConfig, load_rig
 from lightopt.errors import InputError
 from lightopt.preflight import Finding, Report, check_rig
-from lightopt.preflight._rectangles import corners, image_area, rectangles_meet, segments_blocked
-from lightopt.scene import PanelLight, place_camera, place_light
+from lightopt.scene import (
+    PanelLight,
+    image_area,
+    panel_corners,
+    place_camera,
+    place_light,
+    rectangles_meet,
+    segments_blocked,
+)
 
 SAMPLE = Path(__file__).parents[2] / "configs" / "rigs" / "four-panel.yaml"
 
@@ -250,7 +257,7 @@ def test_collisions_against_crossing_edges(a, turn, distance):
     first, second = panel(*a), panel(a[0] + turn[0], a[1] + turn[1], distance=distance)
 
     def pierces(p: PanelLight, q: PanelLight) -> bool:
-        ring = corners(p)
+        ring = panel_corners(p)
         return any(bool(segments_blocked(q, ring[i - 1], ring[i : i + 1])[0]) for i in range(4))
 
     expected = pierces(first, second) or pierces(second, first)
@@ -290,6 +297,6 @@ def test_image_area_against_counted_pixels(centre, tilt, size):
     directions = camera.forward + scale * (x[..., None] * camera.right - y[..., None] * camera.up)
     ends = camera.position + 5000 * directions.reshape(-1, 3)
     counted = np.count_nonzero(segments_blocked(light, camera.position, ends)) / 4
-    area = image_area(camera, corners(light))
+    area = image_area(camera, panel_corners(light))
     assert 0 <= area <= 160 * 120 * (1 + 1e-9)
     assert area == pytest.approx(counted, abs=60 + 0.02 * area)

@@ -7,16 +7,17 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.scene import PanelLight, PinholeCamera
+from lightopt.scene._camera import PinholeCamera
+from lightopt.scene._light import PanelLight
 
-__all__ = ["corners", "image_area", "rectangles_meet", "segments_blocked"]
+__all__ = ["image_area", "panel_corners", "rectangles_meet", "segments_blocked"]
 
 Float64 = NDArray[np.float64]
 
 _NEAR_MM = 1e-3
 
 
-def corners(light: PanelLight) -> Float64:
+def panel_corners(light: PanelLight) -> Float64:
     """Corners of a panel in order around it [mm], shape (4, 3), frame of the panel's vectors."""
     across = 0.5 * light.size[0] * light.across
     along = 0.5 * light.size[1] * light.along

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lightopt.cli._inputs import load_inputs
+from lightopt.cli._optimize_tables import show_optimum
+from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, parse_points, parse_posture
+from lightopt.cli._terminal import say_warning, show_progress, show_time_left
+from lightopt.errors import CheckFailed, InputError
+
+if TYPE_CHECKING:
+    from lightopt.optimize import Optimum
+
+__all__ = ["optimize"]
+
+
+def optimize(
+    rig: RigFile,
+    part: PartFile,
+    out: Out,
+    step: Annotated[
+        float, typer.Option(metavar="DEG", help="Step of the angles within the lights' ranges.")
+    ] = 5.0,
+    objective: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--objective",
+            metavar="NAME",
+            help="coverage or paper; repeatable, the first decides where the lights go. [coverage, paper]",
+        ),
+    ] = None,
+    common_elevation: Annotated[
+        bool,
+        typer.Option("--common-elevation", help="All lights that move in elevation stand at the same one."),
+    ] = False,
+    common_lights: Annotated[
+        bool,
+        typer.Option("--common-lights", help="The lights stand the same for all postures; the sum decides."),
+    ] = False,
+    shade_below: Annotated[
+        str,
+        typer.Option(
+            metavar="SHARE", help="Levels below this share of full scale are shaded, such as 10/255."
+        ),
+    ] = "10/255",
+    posture: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
+        ),
+    ] = None,
+    points: Annotated[
+        str | None,
+        typer.Option(
+            metavar="M", help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel."
+        ),
+    ] = None,
+    no_shadows: Annotated[bool, typer.Option("--no-shadows", help="The part casts no shadows.")] = False,
+    patches: Annotated[
+        int | None, typer.Option(metavar="N", help="About how many surface patches may be visible. [200000]")
+    ] = None,
+    keep_matrix: Annotated[
+        bool,
+        typer.Option("--keep-matrix", help="Keep the luminance matrices; the same command then reuses them."),
+    ] = False,
+    no_images: Annotated[
+        bool, typer.Option("--no-images", help="Do not render the images of the best set.")
+    ] = False,
+    rows: Annotated[
+        int, typer.Option(metavar="N", help="Combinations in ranking.csv, per posture and objective.")
+    ] = 100,
+    max_combinations: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Most combinations to score before a bound is given. [200000000]"),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find where the lights of RIG go for PART: the best combination of their positions, exactly.
+
+    Every combination of the positions that the lights' ranges allow is scored on the levels that the camera would
+    deliver. coverage is the area that two images or more show usably, neither shaded nor saturated, and at most one
+    saturated; paper is the sum of each patch's middle levels. Writes result.json, ranking.csv, rig.optimized.yaml (one
+    per posture where they differ), the images of the best set and the map of their overlapping highlights. Exit status
+    1 where no combination leaves anything usable.
+
+    Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
+    """
+    chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
+    chosen_points = None if points is None else parse_points(points)
+    share = _parse_share(shade_below)
+
+    from lightopt.optimize import DEFAULT_LIMIT, OptimizeOptions
+    from lightopt.optimize import optimize as run
+    from lightopt.rendering import DEFAULT_PATCH_BUDGET
+
+    loaded_rig, loaded_part = load_inputs(rig, part)
+    assert loaded_part is not None
+    options = OptimizeOptions(
+        objectives=tuple(objective or ()),
+        step_deg=step,
+        common_elevation=common_elevation,
+        common_lights=common_lights,
+        shade_below=share,
+        postures=chosen_postures,
+        points=chosen_points,
+        shadows=not no_shadows,
+        patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
+        keep_matrix=keep_matrix,
+        images=not no_images,
+        rows=rows,
+        limit=DEFAULT_LIMIT if max_combinations is None else max_combinations,
+        threads=threads,
+    )
+    total = len(chosen_postures or loaded_part.postures)
+    with (
+        show_progress("casting rays", total, quiet=quiet) as report,
+        show_time_left("searching", quiet=quiet) as searching,
+    ):
+        found = run(
+            loaded_rig,
+            loaded_part,
+            out,
+            options=options,
+            force=force,
+            warn=say_warning,
+            report=report,
+            searching=searching,
+        )
+    if not quiet:
+        show_optimum(found)
+    _refuse_nothing(found, out)
+
+
+def _parse_share(text: str) -> float:
+    try:
+        value = float(Fraction(text))
+    except (ValueError, ZeroDivisionError, OverflowError):
+        value = -1.0
+    if not 0.0 <= value <= 1.0:
+        raise InputError(
+            f'--shade-below: expected a share of full scale from 0 to 1, such as 10/255 or 0.04, found "{text}"'
+        )
+    return value
+
+
+def _refuse_nothing(found: Optimum, out: Path) -> None:
+    messages = [
+        f"{', '.join(map(str, result.postures))}: objective {answer.objective.name}: {answer.nothing}"
+        for result in found.results
+        for answer in result.answers[:1]
+        if answer.nothing is not None
+    ]
+    if messages:
+        raise CheckFailed(
+            *messages, f"no rig was written for these postures; {out / 'result.json'} says the same"
+        )

@@ -1,0 +1,47 @@
+"""Where the lights go: candidate positions, the luminance matrix, objectives, and the exact search over combinations.
+
+Positions are scored on the levels that the camera would deliver at exposure 1. A combination is one candidate position
+of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
+"""
+
+from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
+from lightopt.optimize._luminance import luminance_matrix
+from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._objective import Objective
+from lightopt.optimize._objectives import OBJECTIVES, objectives_named
+from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions
+from lightopt.optimize._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map
+from lightopt.optimize._ranking import Ranked
+from lightopt.optimize._result import Answer, SetResult, angles_of
+from lightopt.optimize._run import Optimum, optimize
+from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
+from lightopt.optimize._space import Space
+
+__all__ = [
+    "DEFAULT_LIMIT",
+    "DEFAULT_SHADE_SHARE",
+    "OBJECTIVES",
+    "Answer",
+    "Candidates",
+    "Found",
+    "LeftOut",
+    "LuminanceMatrix",
+    "Objective",
+    "OptimizeOptions",
+    "Optimum",
+    "Overlap",
+    "Ranked",
+    "SetResult",
+    "Space",
+    "Thresholds",
+    "angles_of",
+    "area_units",
+    "find_candidates",
+    "find_overlaps",
+    "luminance_matrix",
+    "objectives_named",
+    "optimize",
+    "overlap_map_name",
+    "search",
+    "write_overlap_map",
+]

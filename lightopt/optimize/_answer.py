@@ -1,0 +1,112 @@
+"""From luminance matrices to the best set of each objective, compared under every objective."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from lightopt.errors import InputError, LightoptError
+from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._objective import Objective
+from lightopt.optimize._result import Answer, SetResult
+from lightopt.optimize._search import search
+from lightopt.transforms import Posture
+
+__all__ = ["answer_set"]
+
+
+def answer_set(
+    matrices: Sequence[LuminanceMatrix],
+    postures: Sequence[Posture],
+    candidates: Candidates,
+    objectives: Sequence[Objective],
+    thresholds: Thresholds,
+    *,
+    rows: int,
+    limit: int,
+    threads: int | None,
+    progress: Callable[[float], None] | None = None,
+) -> SetResult:
+    """The best light positions for postures that share them.
+
+    Parameters
+    ----------
+    matrices, postures
+        One matrix per posture.
+    candidates
+        What the matrices' rows stand for.
+    objectives
+        Each is optimised, and each best set is scored under all.
+    thresholds
+        Which levels are usable.
+    rows, limit, threads
+        As for :func:`lightopt.optimize.search`: its `keep`, `limit` and `threads`.
+    progress
+        Called with the share of the combinations done, all objectives together.
+
+    Raises
+    ------
+    InputError
+        As :func:`lightopt.optimize.search`.
+    """
+    for matrix, posture in zip(matrices, postures, strict=True):
+        if not len(matrix.areas):
+            raise InputError(
+                f"posture {posture}: no patch is visible to the camera, so that no position of the lights is better "
+                "than another; check the part's placement and the posture"
+            )
+    answers: list[Answer] = []
+    for index, objective in enumerate(objectives):
+        found = search(
+            matrices,
+            objective,
+            thresholds,
+            space=candidates.space,
+            keep=rows,
+            limit=limit,
+            threads=threads,
+            progress=None
+            if progress is None
+            else lambda share, before=index: progress((before + share) / len(objectives)),
+        )
+        best = found.best.candidates
+        scores = {other.name: _score(matrices, other, best, thresholds) for other in objectives}
+        if scores[objective.name] != found.best.score:
+            raise LightoptError(
+                f"internal error: objective {objective.name} scores the best set {found.best.score:,} in the search "
+                f"and {scores[objective.name]:,} by its definition; please report it with the rig and the part"
+            )
+        nothing = _nothing(matrices, thresholds) if found.bound == 0 else None
+        answers.append(Answer(objective=objective, found=found, scores=scores, nothing=nothing))
+    return SetResult(
+        postures=tuple(postures),
+        patches=sum(len(matrix.areas) for matrix in matrices),
+        area=sum(int(area_units(matrix.areas).sum()) for matrix in matrices),
+        answers=tuple(answers),
+    )
+
+
+def _score(
+    matrices: Sequence[LuminanceMatrix],
+    objective: Objective,
+    combination: tuple[int, ...],
+    thresholds: Thresholds,
+) -> int:
+    return sum(
+        objective.score(matrix.combination(combination), objective.weights(matrix.areas), thresholds)
+        for matrix in matrices
+    )
+
+
+def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: Thresholds) -> str:
+    layers = [layer for matrix in matrices for layer in matrix.levels]
+    count = sum(layer.size for layer in layers)
+    dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)
+    bright = sum(int(np.count_nonzero(layer >= thresholds.saturation)) for layer in layers)
+    return (
+        f"every combination scores 0: of the levels of the visible patches {100.0 * dark / count:.3g} % are shaded "
+        f"(below {thresholds.shade}) and {100.0 * bright / count:.3g} % saturated (from {thresholds.saturation} on); "
+        "change the lights' gain, the thresholds or the lights' ranges"
+    )

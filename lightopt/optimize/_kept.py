@@ -1,0 +1,61 @@
+"""Luminance matrices on disk, reused as long as nothing that they depend on has changed.
+
+A kept matrix is an ``.npz`` with the arrays
+
+``key``
+    SHA-256 of all that the matrix depends on, as text.
+``areas_mm2``
+    Of the patches that the camera sees, shape (p,).
+``light_0``, ``light_1``, …
+    Delivered levels under each light of the rig, in its order, uint8 or uint16, shape (candidates, p).
+``angles_0_deg``, ``angles_1_deg``, …
+    Elevation and azimuth of those candidates, shape (candidates, 2).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.images import write_npz_atomic
+from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._matrix import LuminanceMatrix
+
+__all__ = ["keep_matrix", "matrix_key", "read_matrix"]
+
+
+def matrix_key(facts: Mapping[str, Any]) -> str:
+    """SHA-256 of facts that are JSON, whatever their order."""
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def keep_matrix(path: Path, matrix: LuminanceMatrix, candidates: Candidates, *, key: str) -> str:
+    """Write a matrix, whole or not at all; returns the file's SHA-256.
+
+    A matrix is only ever a saving of time, so that one of other inputs is replaced without asking.
+    """
+    arrays: dict[str, NDArray[Any]] = {"key": np.array(key), "areas_mm2": matrix.areas}
+    for index, (layer, angles) in enumerate(zip(matrix.levels, candidates.angles, strict=True)):
+        arrays[f"light_{index}"] = layer
+        arrays[f"angles_{index}_deg"] = np.array(angles, dtype=np.float64)
+    return write_npz_atomic(path, arrays)
+
+
+def read_matrix(path: Path, *, key: str, lights: int) -> LuminanceMatrix | None:
+    """A kept matrix; None where there is none, it is damaged, or it depends on other inputs."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            if str(arrays["key"]) != key:
+                return None
+            return LuminanceMatrix(
+                levels=tuple(arrays[f"light_{i}"] for i in range(lights)), areas=arrays["areas_mm2"]
+            )
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile):
+        return None

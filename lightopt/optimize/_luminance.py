@@ -1,0 +1,167 @@
+"""The luminance matrix from a scene (paper, section 5.2, step 1): one layer of delivered levels per candidate position.
+
+Rays go from the centroid of every patch that the camera sees to the point lights of every candidate panel. The panel's
+light is computed as for images, then exposed at exposure 1 without noise, so that a level here is what the camera would
+deliver of the patch. With ``points: auto`` shadows at a patch are told by its own five rays, since patches have no
+neighbours in a grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError, counted
+from lightopt.mesh import face_normals
+from lightopt.optimize._matrix import Levels, LuminanceMatrix
+from lightopt.optimize._threads import available_processors, run_all
+from lightopt.raycast import RayCaster
+from lightopt.rendering import (
+    PatchTable,
+    SurfacePoints,
+    converged_panel,
+    shade_converged,
+    shade_points,
+)
+from lightopt.scene import PanelLight, Scene, view_from_part
+from lightopt.sensor import expose
+from lightopt.transforms import Posture
+
+__all__ = ["luminance_matrix", "patch_points"]
+
+BLOCK_PATCHES = 1 << 15
+"""Patches that a thread works on at once."""
+
+MOST_BYTES = 1_400_000_000
+"""Of the levels of one posture: with all else the process then stays below 2 GB."""
+
+
+def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, NDArray[np.intp]]:
+    """The patches that the camera sees in a posture, as surface points in the part's frame, and their indices.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    table
+        Its patches; the posture is one of theirs.
+    posture
+        Of the part.
+    """
+    patches = table.patches
+    seen = np.flatnonzero(table.visible[table.postures.index(posture)])
+    eye = view_from_part(scene, posture).camera.position
+    views = eye - patches.centroids[seen]
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    surface = SurfacePoints(
+        patches.centroids[seen],
+        patches.normals[seen],
+        face_normals(scene.mesh)[patches.face[seen]],
+        views,
+        np.ones(len(seen), np.bool_),
+    )
+    return surface, seen
+
+
+def luminance_matrix(
+    scene: Scene,
+    table: PatchTable,
+    posture: Posture,
+    panels: Sequence[Sequence[PanelLight]],
+    *,
+    caster: RayCaster,
+    shadows: bool = True,
+    threads: int | None = None,
+    progress: Callable[[float, int], None] | None = None,
+) -> LuminanceMatrix:
+    """Delivered levels of the visible patches under every candidate panel of every light.
+
+    Parameters
+    ----------
+    scene
+        The scene; its own lights do not matter.
+    table
+        Its patches.
+    posture
+        One of the table's.
+    panels
+        Of each light, the panels at its candidate positions; world frame.
+    caster
+        Of the scene's part.
+    shadows
+        Whether the part casts shadows on itself.
+    threads
+        All the machine's by default. The levels do not depend on it.
+    progress
+        Called with the share that is done and the number of rays cast so far.
+
+    Raises
+    ------
+    InputError
+        More positions than memory is meant for.
+    """
+    surface, seen = patch_points(scene, table, posture)
+    dtype = np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
+    positions = sum(len(some) for some in panels)
+    if positions * len(seen) * np.dtype(dtype).itemsize > MOST_BYTES:
+        raise InputError(
+            f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches need more than "
+            f"{MOST_BYTES / 1e9:.1f} GB; take a larger --step or fewer --patches"
+        )
+    layers: list[Levels] = [np.zeros((len(some), len(seen)), dtype) for some in panels]
+    blocks = [
+        (start, surface.take(np.arange(start, min(start + BLOCK_PATCHES, len(seen)))))
+        for start in range(0, len(seen), BLOCK_PATCHES)
+    ]
+    # the candidates as the part sees them
+    moved = view_from_part(replace(scene, lights=tuple(p for some in panels for p in some)), posture).lights
+    places = [(light, k) for light, some in enumerate(panels) for k in range(len(some))]
+
+    def shade(place: tuple[int, int], panel: PanelLight, start: int, block: SurfacePoints) -> None:
+        level = _levels(scene, block, panel, caster, shadows)
+        layers[place[0]][place[1], start : start + len(block)] = expose(
+            level[None, :], sensor=scene.sensor, exposure=1.0, full_scale=scene.reflectance.full_scale
+        )[0]
+
+    before = caster.rays_cast
+    total, finished = len(places) * len(blocks), 0
+
+    def count() -> None:
+        nonlocal finished
+        finished += 1
+        if progress is not None:
+            progress(finished / total, caster.rays_cast - before)
+
+    tasks = (
+        (shade, (place, panel, start, block))
+        for place, panel in zip(places, moved, strict=True)
+        for start, block in blocks
+    )
+    run_all(tasks, threads=threads or available_processors(), done=count)
+    return LuminanceMatrix(levels=tuple(layers), areas=table.patches.areas[seen])
+
+
+def _levels(
+    scene: Scene, surface: SurfacePoints, panel: PanelLight, caster: RayCaster, shadows: bool
+) -> NDArray[np.float32]:
+    reflectance = scene.reflectance
+    blocker = caster if shadows else None
+    if panel.points == "auto":
+        diffuse, specular = shade_converged(
+            surface,
+            converged_panel(panel, centre=caster.centre, radius=caster.radius),
+            # every second place of a row: no patch is another's neighbour
+            sample=2 * np.arange(len(surface)),
+            shape=(1, 2 * len(surface)),
+            reflectance=reflectance,
+            caster=blocker,
+        )
+    else:
+        diffuse, specular = shade_points(
+            surface, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker
+        )
+    # images are stored as float32, and a level is rounded from what is stored
+    return (reflectance.R_d * diffuse + reflectance.R_s * specular).astype(np.float32)

@@ -1,0 +1,157 @@
+"""The luminance matrix: what the camera would deliver of every patch under every candidate position of a light."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+from lightopt.kernels import kernel
+
+__all__ = ["AREA_UNIT_MM2", "Levels", "LuminanceMatrix", "Thresholds", "area_units", "usable_sums"]
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+Levels = NDArray[np.uint8 | np.uint16]
+
+AREA_UNIT_MM2 = 1e-6
+"""Areas are counted in whole square micrometres, so that sums are exact in any order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Which delivered levels count as usable: ``shade ≤ level < saturation`` (paper, section 5.2, step 4).
+
+    Attributes
+    ----------
+    shade
+        Levels below it are shaded [sensor level].
+    saturation
+        Levels from it on are specular [sensor level].
+
+    Raises
+    ------
+    InputError
+        Where no level is left between the two.
+    """
+
+    shade: int
+    saturation: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.shade < self.saturation:
+            raise InputError(
+                f"thresholds: a level is shaded below {self.shade} and saturated from {self.saturation} on, which "
+                "leaves none usable; expected a shade threshold from 0 to below the sensor's saturation level"
+            )
+
+    @staticmethod
+    def of_sensor(*, shade_share: float, max_level: int, saturated_from: float) -> Thresholds:
+        """Thresholds of a sensor.
+
+        Parameters
+        ----------
+        shade_share
+            Share of full scale below which a level is shaded.
+        max_level
+            Full scale [sensor level].
+        saturated_from
+            Level from which the sensor counts as saturated.
+        """
+        if not (math.isfinite(shade_share) and 0.0 <= shade_share <= 1.0):
+            raise InputError(
+                f"shade-below: expected a share of full scale from 0 to 1, such as 10/255, found {shade_share:g}"
+            )
+        # the least whole level that is not below the share; a share such as 10/255 must not round past its level
+        shade = math.ceil(shade_share * max_level - 1e-9)
+        return Thresholds(shade=shade, saturation=math.ceil(saturated_from))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LuminanceMatrix:
+    """Delivered levels of the visible patches in one posture (paper, section 5.2, steps 1 and 2).
+
+    Attributes
+    ----------
+    levels
+        One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light, p).
+    areas
+        Of the patches [mm²], shape (p,).
+    """
+
+    levels: tuple[Levels, ...]
+    areas: Float64
+
+    def __post_init__(self) -> None:
+        for index, layer in enumerate(self.levels):
+            if (
+                layer.ndim != 2
+                or layer.shape[1] != len(self.areas)
+                or str(layer.dtype) not in ("uint8", "uint16")
+            ):
+                raise InputError(
+                    f"luminance matrix: light {index}: expected uint8 or uint16 of shape (candidates, "
+                    f"{len(self.areas)}), found {layer.dtype} {layer.shape}"
+                )
+        object.__setattr__(self, "levels", tuple(_frozen(layer) for layer in self.levels))
+        object.__setattr__(self, "areas", _frozen(self.areas))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of candidates of each light."""
+        return tuple(len(layer) for layer in self.levels)
+
+    def rows(self, rows: Sequence[Int64]) -> tuple[Levels, ...]:
+        """The levels of some candidates of each light."""
+        return tuple(
+            layer if len(some) == len(layer) else np.ascontiguousarray(layer[some])
+            for layer, some in zip(self.levels, rows, strict=True)
+        )
+
+    def combination(self, candidates: Sequence[int]) -> Levels:
+        """Levels of the patches under one position of each light, shape (lights, p)."""
+        return np.stack([layer[index] for layer, index in zip(self.levels, candidates, strict=True)])
+
+
+def _frozen(array: Any) -> Any:
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def area_units(areas: Float64) -> Int64:
+    """Areas in whole units of :data:`AREA_UNIT_MM2`, shape (p,).
+
+    Running sums are rounded, not single areas: any run of patches has its area to within one unit, so that patches far
+    smaller than a unit still count, and patches that are split where they stand keep their sum.
+
+    Parameters
+    ----------
+    areas
+        [mm²], shape (p,).
+    """
+    ends = np.rint(np.cumsum(areas) / AREA_UNIT_MM2).astype(np.int64)
+    return np.diff(ends, prepend=np.int64(0))
+
+
+def usable_sums(layer: Levels, weights: Int64, thresholds: Thresholds) -> Int64:
+    """Sum of a light's usable levels, each times its patch's weight, for every candidate; shape (candidates,)."""
+    return _usable_sums(layer, weights, thresholds.shade, thresholds.saturation)
+
+
+@kernel
+def _usable_sums(layer: Levels, weights: Int64, shade: int, saturation: int) -> Int64:
+    sums = np.zeros(len(layer), np.int64)
+    for a in range(len(layer)):
+        total = 0
+        for p in range(layer.shape[1]):
+            level = np.int64(layer[a, p])
+            if shade <= level < saturation:
+                total += weights[p] * level
+        sums[a] = total
+    return sums

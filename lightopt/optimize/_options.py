@@ -1,0 +1,95 @@
+"""What to optimise and how."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from lightopt.errors import InputError
+from lightopt.optimize._search import DEFAULT_LIMIT
+from lightopt.rendering import DEFAULT_PATCH_BUDGET
+from lightopt.transforms import Posture
+
+__all__ = ["DEFAULT_SHADE_SHARE", "OptimizeOptions", "check_options"]
+
+DEFAULT_SHADE_SHARE = 10.0 / 255.0
+"""Share of full scale below which a level is shaded, unless asked otherwise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimizeOptions:
+    """What to optimise and how.
+
+    Attributes
+    ----------
+    objectives
+        Names; all by default. The first decides where the lights go, the others are compared with it.
+    step_deg
+        Of the angles within the lights' ranges [°].
+    common_elevation
+        Whether all lights that move in elevation stand at the same one.
+    common_lights
+        Whether the lights stand the same for all postures: the sum over the postures decides.
+    shade_below
+        Share of full scale below which a level is shaded.
+    postures
+        Instead of the part's own.
+    points
+        Point lights per panel, instead of the rig's.
+    shadows
+        Whether the part casts shadows on itself.
+    patch_budget
+        About how many patches may be visible.
+    keep_matrix
+        Whether to keep the luminance matrices on disk.
+    images
+        Whether to render the images of the best set.
+    rows
+        Combinations in the ranking, for each posture and objective.
+    limit
+        Most combinations to score.
+    threads
+        All the machine's by default. The results do not depend on it.
+    """
+
+    objectives: tuple[str, ...] = ()
+    step_deg: float = 5.0
+    common_elevation: bool = False
+    common_lights: bool = False
+    shade_below: float = DEFAULT_SHADE_SHARE
+    postures: tuple[Posture, ...] | None = None
+    points: int | Literal["auto"] | None = None
+    shadows: bool = True
+    patch_budget: int = DEFAULT_PATCH_BUDGET
+    keep_matrix: bool = False
+    images: bool = True
+    rows: int = 100
+    limit: int = DEFAULT_LIMIT
+    threads: int | None = None
+
+
+def check_options(options: OptimizeOptions) -> None:
+    """Say all that is wrong with the options at once.
+
+    Raises
+    ------
+    InputError
+        Anything out of range.
+    """
+    problems: list[str] = []
+    points = options.points
+    if isinstance(points, int) and (not 1 <= points <= 65536 or math.isqrt(points) ** 2 != points):
+        problems.append(f"points: expected a square (1, 4, 9, 16, …) or auto, found {points}")
+    for name, value in (
+        ("patch budget", options.patch_budget),
+        ("ranking rows", options.rows),
+        ("combination limit", options.limit),
+        ("threads", 1 if options.threads is None else options.threads),
+    ):
+        if value < 1:
+            problems.append(f"{name}: expected at least 1, found {value}")
+    if options.postures is not None and len(set(options.postures)) < len(options.postures):
+        problems.append("posture: the same posture was given twice")
+    if problems:
+        raise InputError(*problems)

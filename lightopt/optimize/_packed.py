@@ -1,0 +1,56 @@
+"""Flags of patches packed into words, 64 to a word, and how many are set in several rows at once."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.kernels import kernel
+
+__all__ = ["Words", "common_bits", "joint_counts", "packed"]
+
+Int64 = NDArray[np.int64]
+Words = NDArray[np.uint64]
+
+
+def packed(rows: NDArray[np.bool_]) -> Words:
+    """Rows of flags, shape (n, p), as words of 64 flags, shape (n, ⌈p / 64⌉); unused bits are 0."""
+    octets = np.packbits(rows, axis=1)
+    padded = np.zeros((len(octets), -(-octets.shape[1] // 8) * 8), np.uint8)
+    padded[:, : octets.shape[1]] = octets
+    return padded.view(np.uint64)
+
+
+def joint_counts(layers: Sequence[Words]) -> Int64:
+    """Number of flags set in a row of each of k ≥ 2 layers, for all combinations of rows; one axis per layer."""
+    *outer, last = layers
+    shape = tuple(len(layer) for layer in outer)
+    table = np.zeros((*shape, len(last)), np.int64)
+    for prefix in itertools.product(*(range(n) for n in shape)):
+        both = np.bitwise_and.reduce([layer[i] for layer, i in zip(outer, prefix, strict=True)])
+        if both.any():
+            _joint(both, last, table[prefix])
+    return table
+
+
+@kernel
+def _joint(row: Words, layer: Words, counts: Int64) -> None:
+    for i in range(len(layer)):
+        counts[i] = common_bits(row, layer[i])
+
+
+@kernel
+def common_bits(left: Words, right: Words) -> np.int64:
+    """Number of flags that are set in both of two rows of words."""
+    total = np.uint64(0)
+    for w in range(len(left)):
+        x = left[w] & right[w]
+        # bits of pairs, of fours, of bytes, then the sum of the bytes
+        x -= (x >> np.uint64(1)) & np.uint64(0x5555555555555555)
+        x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+        x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+        total += (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
+    return np.int64(total)

@@ -1,0 +1,122 @@
+"""The best combinations of a table of scores, in the order that decides ties."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.optimize._space import Rows
+
+__all__ = ["Ranked", "Ranking", "rank"]
+
+Int64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, order=True)
+class Ranked:
+    """A combination and what it is ranked by: smaller comes first.
+
+    Attributes
+    ----------
+    negative_score, negative_usable
+        Minus the score, minus the sum of usable levels.
+    candidates
+        One per light, in the rig's order; candidates ascend by elevation, then azimuth.
+    """
+
+    negative_score: int
+    negative_usable: int
+    candidates: tuple[int, ...]
+
+    @property
+    def score(self) -> int:
+        """Score of the objective."""
+        return -self.negative_score
+
+    @property
+    def usable(self) -> int:
+        """Sum of the usable levels of all images, each times its patch's weight."""
+        return -self.negative_usable
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """The first of some combinations, and how many share the best score.
+
+    Attributes
+    ----------
+    best
+        Ordered; as many as were asked for or there are.
+    ties
+        Number of combinations with the best score.
+    count
+        Number of combinations looked at.
+    """
+
+    best: tuple[Ranked, ...] = ()
+    ties: int = 0
+    count: int = 0
+
+    def merged(self, other: Ranking, limit: int) -> Ranking:
+        """The ranking of both sets of combinations."""
+        best = tuple(sorted((*self.best, *other.best))[:limit])
+        score = best[0].score if best else 0
+        ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)
+        return Ranking(best, ties, self.count + other.count)
+
+
+def rank(
+    table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: NDArray[np.bool_] | None, limit: int
+) -> Ranking:
+    """Rank by score, then by the sum of usable levels, then by lower candidates in the order of the lights.
+
+    Parameters
+    ----------
+    table
+        Scores, one axis per light.
+    rows
+        Candidates that the table's axes stand for.
+    usable
+        Sum of usable levels of each candidate of each light, whatever the table's rows.
+    allowed
+        Of the table's shape; None for all.
+    limit
+        How many to keep.
+    """
+    flat = table.ravel()
+    places = None if allowed is None else np.flatnonzero(allowed)
+    scores = flat if places is None else flat[places]
+    if not len(scores):
+        return Ranking()
+    keep = min(limit, len(scores))
+    least = int(np.partition(scores, len(scores) - keep)[len(scores) - keep])
+    some = np.flatnonzero(scores >= least)
+    if places is not None:
+        some = places[some]
+    sums = _usable_of(some, table.shape, rows, usable)
+    above, equal = flat[some] > least, flat[some] == least
+    # of the many that may share the least score kept, those with the largest sums, then the first ones
+    wanted = keep - int(above.sum())
+    tied = sums[equal]
+    edge = int(np.partition(tied, len(tied) - wanted)[len(tied) - wanted])
+    chosen = above | (equal & (sums > edge))
+    last = np.flatnonzero(equal & (sums == edge))[: keep - int(chosen.sum())]
+    chosen[last] = True
+    index = np.unravel_index(some[chosen], table.shape)
+    candidates = np.stack([row[i] for row, i in zip(rows, index, strict=True)], axis=1)
+    best = sorted(
+        Ranked(-int(score), -int(total), tuple(int(c) for c in combination))
+        for score, total, combination in zip(flat[some[chosen]], sums[chosen], candidates, strict=True)
+    )
+    ties = int(np.count_nonzero(scores == best[0].score))
+    return Ranking(tuple(best), ties, len(scores))
+
+
+def _usable_of(places: Int64, shape: tuple[int, ...], rows: Rows, usable: Sequence[Int64]) -> Int64:
+    total = np.zeros(len(places), np.int64)
+    for row, sums, index in zip(rows, usable, np.unravel_index(places, shape), strict=True):
+        total += sums[row][index]
+    return total

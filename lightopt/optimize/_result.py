@@ -1,0 +1,136 @@
+"""What an optimisation found, and how it reads as JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._objective import Objective
+from lightopt.optimize._ranking import Ranked
+from lightopt.optimize._search import Found
+from lightopt.transforms import Posture
+
+__all__ = ["Answer", "SetResult", "angles_of", "ranking_csv", "result_dict"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """The best set of light positions for an objective.
+
+    Attributes
+    ----------
+    objective
+        That was optimised.
+    found
+        By the search.
+    scores
+        Score of the best set under every objective, by name.
+    nothing
+        Why there is no best set: no combination scores at all. None where there is one.
+    """
+
+    objective: Objective
+    found: Found
+    scores: Mapping[str, int]
+    nothing: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetResult:
+    """The answers for postures that share their light positions.
+
+    Attributes
+    ----------
+    postures
+        One, or all of them where the lights stand the same for all.
+    patches
+        Visible patches, summed over the postures.
+    area
+        Of the visible patches, summed over the postures [µm²].
+    answers
+        One per objective.
+    """
+
+    postures: tuple[Posture, ...]
+    patches: int
+    area: int
+    answers: tuple[Answer, ...]
+
+
+def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, float], ...]:
+    """Elevation and azimuth of each light in a combination [°]."""
+    return tuple(angles[k] for angles, k in zip(candidates.angles, ranked.candidates, strict=True))
+
+
+def result_dict(results: tuple[SetResult, ...], candidates: Candidates) -> list[dict[str, Any]]:
+    """The results as JSON."""
+    return [
+        {
+            "postures": [posture.as_dict() for posture in result.postures],
+            "visible_patches": result.patches,
+            "visible_area_um2": result.area,
+            "objectives": [_answer_dict(answer, result, candidates) for answer in result.answers],
+        }
+        for result in results
+    ]
+
+
+def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> dict[str, Any]:
+    found = answer.found
+    runner_up = found.runner_up
+    combinations = {
+        "total": found.scored + found.clashing + found.excluded + found.left,
+        "scored": found.scored,
+        "excluded_by_bound": found.excluded,
+        "colliding": found.clashing,
+        "left": found.left,
+    }
+    facts: dict[str, Any] = {"objective": answer.objective.name, "unit": answer.objective.unit}
+    if answer.nothing is not None:
+        return {**facts, "lights": None, "score": 0, "reason": answer.nothing, "combinations": combinations}
+    return {
+        **facts,
+        "lights": _lights(candidates, found.best),
+        "score": found.best.score,
+        "share_of_visible_area": round(found.best.score / max(1, result.area), 6)
+        if answer.objective.unit == "µm²"
+        else None,
+        "usable_sum": found.best.usable,
+        "runner_up": None
+        if runner_up is None
+        else {"lights": _lights(candidates, runner_up), "score": runner_up.score},
+        "gap": found.gap,
+        "ties": found.ties,
+        "combinations": combinations,
+        "bound": found.bound,
+        "proven": found.proven,
+        "scores_under": dict(answer.scores),
+    }
+
+
+def _lights(candidates: Candidates, ranked: Ranked) -> list[dict[str, Any]]:
+    return [
+        {"light": name, "elevation_deg": elevation, "azimuth_deg": azimuth}
+        for name, (elevation, azimuth) in zip(candidates.names, angles_of(candidates, ranked), strict=True)
+    ]
+
+
+def ranking_csv(results: tuple[SetResult, ...], candidates: Candidates) -> str:
+    """The first combinations of each posture and objective, one a line."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    angles = [f"{name}_{axis}_deg" for name in candidates.names for axis in ("elevation", "azimuth")]
+    table.writerow(["postures", "objective", "rank", "score", "usable_sum", *angles])
+    for result in results:
+        postures = " ".join(f"{p.elevation_deg:g},{p.rotation_deg:g}" for p in result.postures)
+        for answer in result.answers:
+            if answer.nothing is not None:
+                continue
+            for rank, ranked in enumerate(answer.found.ranking, start=1):
+                flat = [f"{angle:.9g}" for pair in angles_of(candidates, ranked) for angle in pair]
+                table.writerow([postures, answer.objective.name, rank, ranked.score, ranked.usable, *flat])
+    return text.getvalue()

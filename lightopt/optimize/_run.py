@@ -1,0 +1,309 @@
+"""From two YAML files to the best light positions, on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from lightopt import __version__
+from lightopt.config import PartConfig, RigConfig, load_part, load_rig
+from lightopt.errors import InputError
+from lightopt.images import file_sha256, posture_folder
+from lightopt.optimize._answer import answer_set
+from lightopt.optimize._candidates import Candidates, find_candidates
+from lightopt.optimize._earlier import refuse_other_result
+from lightopt.optimize._kept import keep_matrix, matrix_key, read_matrix
+from lightopt.optimize._luminance import luminance_matrix
+from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
+from lightopt.optimize._objective import Objective
+from lightopt.optimize._objectives import objectives_named
+from lightopt.optimize._options import OptimizeOptions, check_options
+from lightopt.optimize._outputs import RESULT_NAME, Written, write_outputs
+from lightopt.optimize._result import SetResult
+from lightopt.raycast import RayCaster
+from lightopt.rendering import PatchTable, Report, build_patches, cast_rays_at, refuse_hopeless
+from lightopt.scene import Scene, build_scene, coarse_warnings
+from lightopt.transforms import Posture
+
+__all__ = ["Optimum", "optimize"]
+
+MATRIX_NAME = "matrix.npz"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optimum:
+    """What :func:`optimize` found and left on disk.
+
+    Attributes
+    ----------
+    candidates
+        The positions that there were to choose from.
+    thresholds
+        Which levels are usable [sensor level].
+    results
+        One per posture, or one for all of them.
+    written
+        The files.
+    reused
+        Number of luminance matrices that were kept from an earlier run.
+    patches
+        What the patch refinement reached; None where all matrices were kept.
+    warnings
+        What was repaired or is partly wrong.
+    """
+
+    candidates: Candidates
+    thresholds: Thresholds
+    results: tuple[SetResult, ...]
+    written: Written
+    reused: int
+    patches: str | None
+    warnings: tuple[str, ...]
+
+
+def optimize(
+    rig: RigConfig | Path | str,
+    part: PartConfig | Path | str,
+    folder: Path | str,
+    *,
+    options: OptimizeOptions | None = None,
+    force: bool = False,
+    warn: Callable[[str], None] | None = None,
+    report: Report | None = None,
+    searching: Callable[[float], None] | None = None,
+) -> Optimum:
+    """Find the best positions of a rig's lights for a part (paper, section 5), and write them to a folder.
+
+    Parameters
+    ----------
+    rig, part
+        Configurations, or the paths of their YAML files.
+    folder
+        Made where it does not exist.
+    options
+        What to optimise and how; by default all as :class:`OptimizeOptions` has it.
+    force
+        Replace results that are there and differ.
+    warn
+        Called with each warning as it comes up.
+    report
+        Called as the luminance matrices are computed.
+    searching
+        Called with the share of all combinations that is done.
+
+    Raises
+    ------
+    InputError
+        Whatever is wrong with the files, the options or the folder.
+    """
+    rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
+    part = part if isinstance(part, PartConfig) else load_part(part)
+    options = options or OptimizeOptions()
+    check_options(options)
+    warnings: list[str] = []
+
+    def say(text: str) -> None:
+        if text not in warnings:
+            warnings.append(text)
+            if warn is not None:
+                warn(text)
+
+    objectives = _objectives(rig, options, say)
+    candidates = find_candidates(
+        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
+    )
+    scene = build_scene(rig, part, postures=options.postures, points=options.points)
+    thresholds = Thresholds.of_sensor(
+        shade_share=options.shade_below,
+        max_level=scene.sensor.max_level,
+        saturated_from=scene.sensor.saturated_from,
+    )
+    provenance = _provenance(rig, part, scene, options, objectives)
+    if not force:
+        refuse_other_result(Path(folder) / RESULT_NAME, provenance)
+    caster = cast_rays_at(scene)
+    refuse_hopeless(scene, rig, part, caster)
+    for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
+        say(text)
+    makers = _Matrices(rig, part, scene, candidates, options, Path(folder), caster)
+    matrices = [makers.matrix(posture, report) for posture in scene.postures]
+    groups = [list(range(len(matrices)))] if options.common_lights else [[i] for i in range(len(matrices))]
+    results: list[SetResult] = []
+    for index, group in enumerate(groups):
+        results.append(
+            answer_set(
+                [matrices[i] for i in group],
+                [scene.postures[i] for i in group],
+                candidates,
+                objectives,
+                thresholds,
+                rows=options.rows,
+                limit=options.limit,
+                threads=options.threads,
+                progress=None
+                if searching is None
+                else lambda share, before=index: searching((before + share) / len(groups)),
+            )
+        )
+        for answer in results[-1].answers:
+            if not answer.found.proven:
+                say(
+                    f"objective {answer.objective.name}: the limit of {options.limit:,} combinations was reached with "
+                    f"{answer.found.left:,} left; the best found scores {answer.found.best.score:,}, none scores more "
+                    f"than {answer.found.bound:,}. Raise --max-combinations or take a larger --step"
+                )
+    written = write_outputs(
+        Path(folder),
+        rig,
+        part,
+        tuple(results),
+        candidates,
+        thresholds,
+        provenance=provenance,
+        options=options,
+        force=force,
+        warn=say,
+    )
+    return Optimum(
+        candidates=candidates,
+        thresholds=thresholds,
+        results=tuple(results),
+        written=written,
+        reused=makers.reused,
+        patches=makers.message,
+        warnings=tuple(warnings),
+    )
+
+
+def _objectives(
+    rig: RigConfig, options: OptimizeOptions, say: Callable[[str], None]
+) -> tuple[Objective, ...]:
+    # one that was asked for must be possible; one that was not is left out
+    chosen = objectives_named(options.objectives)
+    refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
+    problems = [text for text in refusals.values() if text is not None]
+    possible = tuple(objective for objective in chosen if refusals[objective.name] is None)
+    if problems and (options.objectives or not possible):
+        raise InputError(*problems)
+    for text in problems:
+        say(text)
+    return possible
+
+
+class _Matrices:
+    """Makes the luminance matrices, or takes those that were kept; patches are cut only when needed."""
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        part: PartConfig,
+        scene: Scene,
+        candidates: Candidates,
+        options: OptimizeOptions,
+        folder: Path,
+        caster: RayCaster,
+    ) -> None:
+        self.scene = scene
+        self.candidates = candidates
+        self.options = options
+        self.folder = folder
+        self.caster = caster
+        self.reused = 0
+        self.table: PatchTable | None = None
+        self._facts = _matrix_facts(rig, part, scene, candidates, options)
+
+    @property
+    def message(self) -> str | None:
+        """What the patch refinement reached."""
+        return None if self.table is None else self.table.message
+
+    def matrix(self, posture: Posture, report: Report | None) -> LuminanceMatrix:
+        """The luminance matrix of a posture."""
+        key = matrix_key({**self._facts, "posture": posture.as_dict()})
+        path = self.folder / posture_folder(posture) / MATRIX_NAME
+        kept = read_matrix(path, key=key, lights=len(self.candidates.names))
+        if kept is not None:
+            self.reused += 1
+            return kept
+        if self.table is None:
+            self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
+        made = luminance_matrix(
+            self.scene,
+            self.table,
+            posture,
+            self.candidates.panels,
+            caster=self.caster,
+            shadows=self.options.shadows,
+            threads=self.options.threads,
+            progress=None if report is None else lambda share, rays: report(posture, share, rays),
+        )
+        if self.options.keep_matrix:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise InputError(
+                    f"{path.parent}: cannot be made: {error.strerror or error}; choose an output folder that can be "
+                    "written"
+                ) from error
+            keep_matrix(path, made, self.candidates, key=key)
+        return made
+
+
+def _matrix_facts(
+    rig: RigConfig, part: PartConfig, scene: Scene, candidates: Candidates, options: OptimizeOptions
+) -> dict[str, Any]:
+    # all that a level depends on; names and ranges of the lights are not part of it
+    moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
+    return {
+        "camera": rig.camera.model_dump(mode="json"),
+        "light_source": rig.light_source.model_dump(mode="json"),
+        "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
+        "angles_deg": [list(map(list, angles)) for angles in candidates.angles],
+        "pivot_mm": list(rig.stage.pivot_mm),
+        "part": part.model_dump(mode="json", exclude={"name", "postures"}),
+        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+        # the patches are refined for all postures together
+        "postures": [posture.as_dict() for posture in scene.postures],
+        "points": options.points,
+        "shadows": options.shadows,
+        "patch_budget": options.patch_budget,
+        "versions": _versions(),
+    }
+
+
+def _provenance(
+    rig: RigConfig,
+    part: PartConfig,
+    scene: Scene,
+    options: OptimizeOptions,
+    objectives: tuple[Objective, ...],
+) -> Mapping[str, Any]:
+    return {
+        "versions": _versions(),
+        # names only, so that the same files give the same result wherever they lie
+        "rig": {"file": rig.source.path.name, "sha256": rig.source.sha256},
+        "part": {"file": part.source.path.name, "sha256": part.source.sha256},
+        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+        "options": {
+            "objectives": [objective.name for objective in objectives],
+            "step_deg": options.step_deg,
+            "common_elevation": options.common_elevation,
+            "common_lights": options.common_lights,
+            "shade_below": options.shade_below,
+            "postures": [posture.as_dict() for posture in scene.postures],
+            "points": options.points,
+            "shadows": options.shadows,
+            "patch_budget": options.patch_budget,
+            "max_combinations": options.limit,
+            "ranking_rows": options.rows,
+            "images": options.images,
+        },
+    }
+
+
+def _versions() -> dict[str, str]:
+    packages = ("cascadio", "embreex", "numba", "numpy")
+    return {"lightopt": __version__, **{name: version(name) for name in packages}}

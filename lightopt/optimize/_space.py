@@ -1,0 +1,58 @@
+"""Which combinations of candidates are allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Rows", "Space", "allowed_mask"]
+
+Int64 = NDArray[np.int64]
+Rows = tuple[Int64, ...]
+"""Candidates of each light, ascending: all their combinations are meant."""
+
+
+def _no_clashes() -> Mapping[tuple[int, int], NDArray[np.bool_]]:
+    return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Space:
+    """The combinations to search.
+
+    Attributes
+    ----------
+    sizes
+        Number of candidates of each light.
+    groups
+        Disjoint sets of combinations; together they are the space. Lights that move on their own make one group of all
+        candidates.
+    clashes
+        For pairs of lights (i, j), i < j: which of their candidates cannot stand at the same time, shape (sizes[i],
+        sizes[j]).
+    """
+
+    sizes: tuple[int, ...]
+    groups: tuple[Rows, ...]
+    clashes: Mapping[tuple[int, int], NDArray[np.bool_]] = field(default_factory=_no_clashes)
+
+    @staticmethod
+    def of(sizes: Sequence[int]) -> Space:
+        """Every combination."""
+        return Space(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
+
+
+def allowed_mask(space: Space, rows: Rows) -> NDArray[np.bool_] | None:
+    """Which combinations of `rows` have no clash; one axis per light, None where all are allowed."""
+    mask: NDArray[np.bool_] | None = None
+    for (i, j), clash in space.clashes.items():
+        some = clash[np.ix_(rows[i], rows[j])]
+        if some.any():
+            if mask is None:
+                mask = np.ones(tuple(len(r) for r in rows), np.bool_)
+            index = tuple(slice(None) if k in (i, j) else None for k in range(len(rows)))
+            mask &= ~some[index]
+    return mask

@@ -1,0 +1,321 @@
+"""``lightopt optimize`` and ``lightopt overlap``: what they write and say, running again, bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.cli._main import run
+from lightopt.config import load_rig
+from lightopt.images import read_image_set, read_png
+from lightopt.optimize import OptimizeOptions, optimize, search
+
+LIGHTS = """\
+lights:   # three of them
+  - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [40, 60]}
+  - name: light2
+    distance_mm: 330
+    elevation_deg: 50.0    # the low one
+    azimuth_deg: 165
+    azimuth_range_deg: [155, 165]
+  - {name: light3, distance_mm: 330, elevation_deg: 45, azimuth_deg: 285, elevation_range_deg: [45, 50]}
+"""
+FEW = ("--patches", "800", "--step", "10")
+
+
+def with_lights(bench, lights=LIGHTS):
+    text = bench.rig.read_text(encoding="utf-8")
+    head, rest = text.split("lights:\n", 1)
+    stage = rest[rest.index("stage:") :]
+    bench.rig.write_text(head + lights + stage, encoding="utf-8", newline="\n")
+    return bench
+
+
+@pytest.fixture
+def three(bench):
+    return with_lights(bench)
+
+
+@pytest.fixture(scope="module")
+def optimized(shared_bench, tmp_path_factory):
+    """A result with images for both postures, that the tests of its content share."""
+    bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("optimized") / "bench"))
+    assert (
+        run(["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *FEW, "--keep-matrix"]) == 0
+    )
+    return bench
+
+
+def result_of(folder: Path):
+    return json.loads((folder / "result.json").read_text(encoding="utf-8"))
+
+
+def test_result_says_angles_scores_proof_and_provenance(optimized):
+    result = result_of(optimized.out)
+    assert result["format"] == "lightopt-optimum/1"
+    assert result["rig"]["sha256"] == load_rig(optimized.rig).source.sha256
+    assert result["thresholds"] == {"shaded_below": 10, "saturated_from": 255}
+    assert [len(light["positions_deg"]) for light in result["candidates"]] == [3, 2, 2]
+    assert str(optimized.folder) not in json.dumps(result)
+    assert [len(group["postures"]) for group in result["results"]] == [1, 1]
+    for group in result["results"]:
+        assert [answer["objective"] for answer in group["objectives"]] == ["coverage", "paper"]
+        for answer in group["objectives"]:
+            assert answer["combinations"] == {
+                "total": 12,
+                "scored": 12,
+                "excluded_by_bound": 0,
+                "colliding": 0,
+                "left": 0,
+            }
+            assert answer["proven"] is True
+            assert answer["bound"] == answer["score"] == answer["scores_under"][answer["objective"]]
+            assert answer["gap"] == answer["score"] - answer["runner_up"]["score"] >= 0
+            assert [light["light"] for light in answer["lights"]] == ["light1", "light2", "light3"]
+            others = [other["scores_under"][answer["objective"]] for other in group["objectives"]]
+            assert max(others) == answer["score"], "no other objective's best set is better under this one"
+        assert 0 < group["objectives"][0]["share_of_visible_area"] <= 1
+
+
+def test_ranking_lists_all_combinations_in_order(optimized):
+    with (optimized.out / "ranking.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 2 * 12
+    first = [row for row in rows if row["postures"] == "0,0" and row["objective"] == "paper"]
+    keys = [(-int(row["score"]), -int(row["usable_sum"])) for row in first]
+    assert keys == sorted(keys)
+    assert [row["rank"] for row in first] == [str(k) for k in range(1, 13)]
+    assert {row["light2_elevation_deg"] for row in rows} == {"50"}
+    best = result_of(optimized.out)["results"][0]["objectives"][1]["lights"]
+    assert float(first[0]["light1_elevation_deg"]) == best[0]["elevation_deg"]
+
+
+def test_rigs_keep_comments_and_take_the_angles(optimized):
+    result = result_of(optimized.out)
+    given = optimized.rig.read_text(encoding="utf-8").splitlines()
+    for listed in result["rigs"]:
+        path = optimized.out / listed["file"]
+        text = path.read_text(encoding="utf-8").splitlines()
+        assert len(text) == len(given)
+        changed = [(a, b) for a, b in zip(given, text, strict=True) if a != b]
+        assert all("elevation_deg" in a or "azimuth_deg" in a for a, _ in changed)
+        assert "    elevation_deg: 50.0    # the low one" in text, "what is fixed stays as it was written"
+        group = next(g for g in result["results"] if g["postures"][0] in listed["postures"])
+        for light, best in zip(load_rig(path).lights, group["objectives"][0]["lights"], strict=True):
+            assert (light.elevation_deg, light.azimuth_deg) == (best["elevation_deg"], best["azimuth_deg"])
+
+
+def test_images_of_the_best_set_and_their_overlaps(optimized, cli, tmp_path):
+    result = result_of(optimized.out)
+    for listed in result["rigs"]:
+        images = read_image_set((optimized.out / listed["file"]).parent / "images")
+        assert [entry.posture.as_dict() for entry in images.images[::3]] == listed["postures"]
+        rig = load_rig(optimized.out / listed["file"])
+        angles = [(e.light_elevation_deg, e.light_azimuth_deg) for e in images.images[:3]]
+        assert angles == [(light.elevation_deg, light.azimuth_deg) for light in rig.lights]
+    overlap = result["overlaps"][0]
+    levels = [images_of(optimized, result, 0)[k] for k in range(3)]
+    assert overlap["saturated_px"] == {f"light{k + 1}": int((levels[k] >= 255).sum()) for k in range(3)}
+    both = int(((levels[0] >= 255) & (levels[1] >= 255)).sum())
+    assert overlap["overlap_px"][0] == {"lights": ["light1", "light2"], "px": both}
+    # the same from the command for a captured set
+    folder = (optimized.out / result["rigs"][0]["file"]).parent / "images"
+    ran = cli("overlap", folder, "-o", tmp_path / "o")
+    assert (ran.status, ran.err) == (0, "")
+    again = json.loads((tmp_path / "o" / "overlap.json").read_text(encoding="utf-8"))
+    assert again["overlaps"][0] == overlap
+    drawn = read_png(tmp_path / "o" / "posture_0_0" / "overlap.png", colour=True)
+    assert drawn.shape == (120, 160, 3)
+    several = np.sum([level >= 255 for level in levels], axis=0)
+    assert np.array_equal((drawn == (70, 110, 190)).all(axis=2), several == 1)
+    assert cli("overlap", folder, "-o", tmp_path / "o", "-q").status == 0, "the same maps again"
+
+
+def images_of(bench, result, index):
+    images = read_image_set((bench.out / result["rigs"][index]["file"]).parent / "images")
+    return [images.load(entry).sensor for entry in images.images[:3]]
+
+
+def test_the_same_command_gives_the_same_bytes_on_any_threads(optimized, cli, snapshot, tmp_path):
+    ran = cli(
+        "optimize", optimized.rig, optimized.part, "-o", tmp_path, *FEW, "--keep-matrix", "--threads", 1
+    )
+    assert (ran.status, ran.err) == (0, "")
+    assert snapshot(tmp_path) == snapshot(optimized.out)
+    again = cli("optimize", optimized.rig, optimized.part, "-o", tmp_path, *FEW, "--keep-matrix")
+    assert (again.status, again.err) == (0, "")
+    assert "2 kept luminance matrices reused" in again.out
+    assert snapshot(tmp_path) == snapshot(optimized.out)
+
+
+def test_the_terminal_shows_the_table(optimized, cli):
+    ran = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *FEW, "--keep-matrix")
+    lines = ran.out.splitlines()
+    assert lines[0] == "3 × 2 × 2 positions of light1, light2, light3"
+    header = next(line for line in lines if line.split()[1:3] == ["best", "for"])
+    for word in ("light1", "coverage", "paper", "runner-up", "ties", "combinations"):
+        assert word in header
+    assert sum(" mm² (" in line for line in lines) == 4
+    assert str(optimized.out / "result.json") in lines
+
+
+def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli, snapshot):
+    command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--no-images")
+    assert cli(*command, "--step", "10", "--posture", "0,0").status == 0
+    before = snapshot(three.out)
+    ran = cli(*command, "--step", "20", "--posture", "0,0")
+    assert ran.status == 2
+    assert "the result of another run (options.step_deg: there 10.0, now 20.0); use --force" in ran.err
+    assert snapshot(three.out) == before
+    assert cli(*command, "--step", "20", "--force", "-q").status == 0
+    assert result_of(three.out)["options"]["step_deg"] == 20.0
+    listed = {rig["file"] for rig in result_of(three.out)["rigs"]}
+    assert {p.relative_to(three.out).as_posix() for p in three.out.rglob("rig.optimized.yaml")} == listed
+
+
+def test_common_lights_and_common_elevation(three, cli):
+    three.edit("rig.yaml", "elevation_range_deg: [45, 50]", "elevation_range_deg: [45, 60]")
+    ran = cli(
+        "optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "5", "--no-images",
+        "--common-lights", "--common-elevation", "--objective", "paper",
+    )  # fmt: skip
+    assert (ran.status, ran.err) == (0, "")
+    result = result_of(three.out)
+    assert [len(group["postures"]) for group in result["results"]] == [2]
+    (answer,) = result["results"][0]["objectives"]
+    assert answer["lights"][0]["elevation_deg"] == answer["lights"][2]["elevation_deg"]
+    assert answer["combinations"]["total"] == 4 * 3
+    assert [rig["file"] for rig in result["rigs"]] == ["rig.optimized.yaml"]
+    # a common set is no better for a posture than the posture's own
+    own = cli(
+        "optimize", three.rig, three.part, "-o", three.folder / "own", "--patches", "800", "--step", "5", "--no-images",
+        "--common-elevation", "--objective", "paper", "-q",
+    )  # fmt: skip
+    assert own.status == 0
+    singles = [group["objectives"][0]["score"] for group in result_of(three.folder / "own")["results"]]
+    assert answer["score"] <= sum(singles)
+
+
+def test_a_limit_is_said_with_its_bound(three, cli, monkeypatch):
+    # tables of two combinations, so that the small space is searched in boxes
+    monkeypatch.setitem(search.__kwdefaults__, "table_cells", 2)
+    ran = cli(
+        "optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0",
+        "--max-combinations", "1", "--objective", "coverage",
+    )  # fmt: skip
+    assert ran.status == 0
+    answer = result_of(three.out)["results"][0]["objectives"][0]
+    assert answer["combinations"]["left"] > 0
+    assert answer["bound"] >= answer["score"]
+    if not answer["proven"]:
+        assert "the limit of 1 combinations was reached" in ran.err
+
+
+def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
+    def stop(posture, share, rays):
+        if posture.rotation_deg == 170.0:
+            raise KeyboardInterrupt
+
+    options = OptimizeOptions(step_deg=10.0, patch_budget=800, keep_matrix=True, images=False)
+    with pytest.raises(KeyboardInterrupt):
+        optimize(three.rig, three.part, three.out, options=options, report=stop)
+    assert [p.relative_to(three.out).as_posix() for p in three.out.rglob("*") if p.is_file()] == [
+        "posture_0_0/matrix.npz"
+    ]
+    assert optimize(three.rig, three.part, three.out, options=options).reused == 1
+    three.edit("part.yaml", "R_d: 45.0", "R_d: 46.0")
+    assert optimize(three.rig, three.part, three.out, options=options, force=True).reused == 0
+    kept = three.out / "posture_0_0" / "matrix.npz"
+    with np.load(kept) as arrays:
+        assert set(arrays) == {"key", "areas_mm2"} | {f"light_{k}" for k in range(3)} | {
+            f"angles_{k}_deg" for k in range(3)
+        }
+    kept.write_bytes(kept.read_bytes()[:1000])
+    assert optimize(three.rig, three.part, three.out, options=options).reused == 1, (
+        "a damaged one is made anew"
+    )
+
+
+# --- bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--step", "0"), "--step: expected degrees above 0, found 0"),
+        (
+            ("--shade-below", "10"),
+            "--shade-below: expected a share of full scale from 0 to 1, such as 10/255",
+        ),
+        (("--shade-below", "1"), "leaves none usable"),
+        (("--objective", "paint"), '--objective: expected coverage or paper, found "paint"'),
+        (("--rows", "0"), "ranking rows: expected at least 1, found 0"),
+        (("--points", "5"), "points: expected a square"),
+        (("--posture", "80,0"), "posture: elevation 80° is outside the stage's range"),
+    ],
+)
+def test_options_out_of_range(three, cli, arguments, message):
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *arguments)
+    assert (ran.status, ran.out) == (2, "")
+    assert message in ran.err
+    assert not three.out.exists()
+
+
+def test_too_few_lights(bench, cli):
+    with_lights(bench, "lights:\n  - {name: a, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45}\n")
+    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out)
+    assert ran.status == 2
+    assert "expected two lights or more, found one" in ran.err or "one light only" in ran.err
+
+
+def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):
+    lights = LIGHTS.split("  - name: light2")[0] + LIGHTS[LIGHTS.index("  - {name: light3") :]
+    with_lights(bench, lights)
+    command = ("optimize", bench.rig, bench.part, "-o", bench.out, *FEW, "--no-images", "--posture", "0,0")
+    ran = cli(*command, "--objective", "paper")
+    assert ran.status == 2
+    assert "with 2 lights nothing is left" in ran.err
+    ran = cli(*command)
+    assert ran.status == 0
+    assert "warning: objective paper drops" in ran.err
+    assert [a["objective"] for a in result_of(bench.out)["results"][0]["objectives"]] == ["coverage"]
+
+
+@pytest.mark.parametrize(("R_d", "said"), [("0.5", "100 % are shaded"), ("1e7", "% saturated (from 255 on)")])
+def test_nothing_usable_gives_no_optimum(three, cli, R_d, said):
+    three.edit("part.yaml", "R_d: 45.0, R_s: 12500", f"R_d: {R_d}, R_s: 0")
+    ran = cli(
+        "optimize", three.rig, three.part, "-o", three.out, *FEW, "--posture", "0,0", "--objective", "paper"
+    )
+    assert ran.status == 1
+    assert said in ran.err
+    assert "all 0" in ran.out
+    (answer,) = result_of(three.out)["results"][0]["objectives"]
+    assert answer["lights"] is None
+    assert said in answer["reason"]
+    assert not list(three.out.rglob("rig.optimized.yaml"))
+
+
+def test_overlap_wants_two_images_of_one_size(bench, cli):
+    assert (
+        cli(
+            "render", bench.rig, bench.part, "-o", bench.out, "--patches", "500", "--light", "light1", "-q"
+        ).status
+        == 0
+    )
+    ran = cli("overlap", bench.out)
+    assert ran.status == 2
+    assert "expected images under two lights or more, found one (light1)" in ran.err
+    assert cli("overlap", bench.folder / "nowhere").status == 2
+
+
+def test_an_anchor_that_shares_an_angle_is_told(three, cli):
+    three.edit("rig.yaml", "elevation_deg: 60,", "elevation_deg: &low 60,")
+    three.edit("rig.yaml", "elevation_deg: 50.0 ", "elevation_deg: *low ")
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
+    assert ran.status == 2
+    assert "an anchor (&)" in ran.err

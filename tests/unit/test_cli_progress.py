@@ -1,0 +1,31 @@
+"""What is said of a long search while it runs."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from lightopt.cli._terminal import show_share
+
+
+def test_time_left_is_that_of_the_rest_at_the_pace_so_far(capsys, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with show_share("searching", quiet=False) as report:
+        assert report is not None
+        for seconds, share in ((0.0, 0.1), (0.5, 0.2), (2.0, 0.3), (2.5, 0.4), (4.0, 0.5)):
+            now[0] = 100.0 + seconds
+            report(share)
+    # from 10 % on: 20 % in 2 s leaves 70 % for 7 s; 40 % in 4 s leaves 50 % for 5 s
+    assert capsys.readouterr().err.splitlines() == [
+        "searching: 30.0 %, about 7 s left",
+        "searching: 50.0 %, about 5 s left",
+    ]
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_nothing_is_said_where_nobody_looks(quiet):
+    with show_share("searching", quiet=quiet) as report:
+        assert report is None

@@ -1,0 +1,138 @@
+"""Which positions the lights may take, and which are left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lightopt.config import load_rig
+from lightopt.errors import InputError
+from lightopt.optimize import find_candidates
+from lightopt.optimize._angles import light_angles
+
+RIG = """\
+format: lightopt-rig/1
+name: test
+camera: {{distance_mm: 550, elevation_deg: 90, resolution_px: [160, 120], pixel_size_um: 44, image_distance_mm: 55, sensor: {{bit_depth: 8}}}}
+light_source: {{size_mm: [60, 60], points: 4}}
+lights:
+{lights}
+"""  # noqa: E501
+
+
+def rig_of(folder, *lights):
+    path = folder / "rig.yaml"
+    path.write_text(RIG.format(lights="\n".join(f"  - {{{light}}}" for light in lights)), encoding="utf-8")
+    return load_rig(path)
+
+
+def light(name, elevation, azimuth, rest="", distance=330):
+    return f"name: {name}, distance_mm: {distance}, elevation_deg: {elevation}, azimuth_deg: {azimuth}{rest}"
+
+
+def test_ranges_at_a_step_include_both_ends(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("a", 40, 0, ", elevation_range_deg: [30, 42]"),
+        light("b", 50, 90, ", azimuth_range_deg: [80, 100]"),
+        light("c", 50, 180, ", elevation_range_deg: [40, 50], azimuth_range_deg: [170, 190]"),
+        light("d", 50, 270),
+    )
+    found = find_candidates(rig, step_deg=5.0)
+    assert found.angles[0] == ((30.0, 0.0), (35.0, 0.0), (40.0, 0.0), (42.0, 0.0))
+    assert found.angles[1] == tuple((50.0, a) for a in (80.0, 85.0, 90.0, 95.0, 100.0))
+    assert found.angles[2] == tuple(
+        (e, a) for e in (40.0, 45.0, 50.0) for a in (170.0, 175.0, 180.0, 185.0, 190.0)
+    )
+    assert found.angles[3] == ((50.0, 270.0),)
+    assert found.space.sizes == (4, 5, 15, 1)
+    assert found.left_out == ()
+    panel = found.panels[2][7]
+    assert np.rad2deg([panel.elevation, panel.azimuth]) == pytest.approx(found.angles[2][7])
+    # steps that rounding keeps just off the end do not give the end twice
+    assert [e for e, _ in light_angles(rig, 0, step_deg=0.1)][-2:] == [41.9, 42.0]
+
+
+def test_a_full_turn_has_no_position_twice(tmp_path):
+    rig = rig_of(
+        tmp_path, light("a", 40, 0, ", azimuth_range_deg: [0, 360]"), light("b", 40, 0, distance=500)
+    )
+    assert len(light_angles(rig, 0, step_deg=90.0)) == 4
+
+
+def test_common_elevation_ties_those_that_move(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("a", 40, 0, ", elevation_range_deg: [30, 60], azimuth_range_deg: [0, 10]"),
+        light("b", 50, 90, ", elevation_range_deg: [45, 70]"),
+        light("c", 55, 180),
+    )
+    found = find_candidates(rig, step_deg=5.0, common_elevation=True)
+    shared = [45.0, 50.0, 55.0, 60.0]
+    assert sorted({e for e, _ in found.angles[0]}) == shared
+    assert found.angles[1] == tuple((e, 90.0) for e in shared)
+    assert len(found.space.groups) == 4
+    for elevation, rows in zip(shared, found.space.groups, strict=True):
+        assert {found.angles[0][k][0] for k in rows[0]} == {elevation}
+        assert {found.angles[1][k][0] for k in rows[1]} == {elevation}
+        assert rows[2].tolist() == [0]
+
+
+def test_positions_that_the_machine_cannot_take_are_listed(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("high", 80, 0, ", elevation_range_deg: [70, 90]"),
+        light("low", 10, 180, ", elevation_range_deg: [2, 12]"),
+    )
+    found = find_candidates(rig, step_deg=5.0)
+    said = {(out.light, out.elevation_deg): out.reason for out in found.left_out}
+    assert "stands in the camera's view, over" in said["high", 90.0]
+    assert "mm below the table top" in said["low", 2.0]
+    kept = {e for e, _ in found.angles[0]} | {e for e, _ in found.angles[1]}
+    assert kept & {e for _, e in said} == set()
+    assert 70.0 in kept
+    assert 12.0 in kept
+
+
+def test_panels_that_meet_are_kept_apart(tmp_path):
+    # 60 mm panels at 330 mm meet when less than about 10 degrees apart
+    rig = rig_of(
+        tmp_path,
+        light("a", 45, 0, ", azimuth_range_deg: [0, 40]"),
+        light("b", 45, 60, ", azimuth_range_deg: [20, 60]"),
+    )
+    found = find_candidates(rig, step_deg=20.0)
+    assert found.angles == (
+        tuple((45.0, a) for a in (0.0, 20.0, 40.0)),
+        tuple((45.0, a) for a in (20.0, 40.0, 60.0)),
+    )
+    np.testing.assert_array_equal(
+        found.space.clashes[0, 1], [[False, False, False], [True, False, False], [False, True, False]]
+    )
+    blocked = find_candidates(
+        rig_of(tmp_path, light("a", 45, 0, ", azimuth_range_deg: [0, 40]"), light("b", 45, 20)), step_deg=20.0
+    )
+    assert [(out.light, out.azimuth_deg) for out in blocked.left_out] == [("a", 20.0)]
+    assert blocked.left_out[0].reason == "collides with b wherever that one stands"
+    assert blocked.space.clashes == {}
+
+
+def test_bad_input_says_where_and_what_to_do(tmp_path):
+    movable = ", elevation_range_deg: [30, 60]"
+    with pytest.raises(InputError, match=r"rig.yaml:5: lights: expected two lights or more, found one"):
+        find_candidates(rig_of(tmp_path, light("a", 40, 0, movable)), step_deg=5.0)
+    with pytest.raises(InputError, match="no light can be moved; give one"):
+        find_candidates(rig_of(tmp_path, light("a", 40, 0), light("b", 40, 90)), step_deg=5.0)
+    rig = rig_of(tmp_path, light("a", 40, 0, movable), light("b", 90, 90))
+    with pytest.raises(
+        InputError, match=r"rig.yaml:7: .*no position of light b is left: it stands in the camera"
+    ):
+        find_candidates(rig, step_deg=5.0)
+    rig = rig_of(tmp_path, light("a", 40, 0, movable), light("b", 70, 90, ", elevation_range_deg: [65, 70]"))
+    with pytest.raises(InputError, match="b stays at 65° or above and a at 60° or below"):
+        find_candidates(rig, step_deg=5.0, common_elevation=True)
+    for step in (0.0, -1.0, float("nan")):
+        with pytest.raises(InputError, match="--step: expected degrees above 0"):
+            find_candidates(rig, step_deg=step)
+    with pytest.raises(InputError, match="at most 100,000 are accepted"):
+        find_candidates(rig, step_deg=1e-7)

@@ -1,0 +1,275 @@
+"""The exact search gives what trying every combination gives: scores, argmax, ties, runner-up, to the last digit."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lightopt.errors import InputError
+from lightopt.optimize import OBJECTIVES, LuminanceMatrix, Space, Thresholds, area_units, search
+from lightopt.optimize._bits import bit_scores
+from lightopt.optimize._runs import run_scores
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from reference._search import all_combinations, coverage_value, paper_value
+
+EIGHT_BITS = (np.uint8, 255)
+TWELVE_BITS = (np.uint16, 4080)
+
+
+def random_levels(rng, sizes, patches, kind=EIGHT_BITS, *, few=False):
+    """Levels with all classes in them; with `few` values only, so that combinations tie."""
+    dtype, top = kind
+    levels = []
+    for size in sizes:
+        layer = (
+            rng.choice([0, 9, 10, 100, top], (size, patches))
+            if few
+            else rng.integers(0, top, (size, patches))
+        )
+        layer = np.where(rng.random((size, patches)) < 0.2, top, layer)
+        levels.append(layer.astype(dtype))
+    return tuple(levels)
+
+
+def plain(matrix, objective, thresholds, allowed=None):
+    weights = np.ones(len(matrix.areas), np.int64) if objective == "paper" else area_units(matrix.areas)
+    t = (thresholds.shade, thresholds.saturation)
+    if objective == "paper":
+        value = partial(paper_value, shade=t[0], saturation=t[1])
+    else:
+        value = partial(coverage_value, shade=t[0], saturation=t[1], areas=weights)
+    return all_combinations(matrix.levels, value, *t, weights, allowed)
+
+
+def as_tuples(found):
+    return [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking]
+
+
+def agree(found, expected, keep):
+    assert as_tuples(found) == expected[:keep]
+    assert found.ties == sum(value == expected[0][0] for value, _, _ in expected)
+    assert found.scored + found.excluded + found.clashing >= len(expected)
+    assert found.left == 0
+    assert found.proven
+    assert found.bound == -expected[0][0]
+    assert found.gap == expected[1][0] - expected[0][0]
+
+
+@pytest.mark.parametrize("kind", [EIGHT_BITS, TWELVE_BITS], ids=["8bit", "12bit"])
+@pytest.mark.parametrize("few", [False, True], ids=["random", "ties"])
+@pytest.mark.parametrize(
+    ("objective", "sizes"),
+    [
+        ("paper", (4, 3, 5)),
+        ("paper", (4, 3, 5, 2)),
+        ("paper", (3, 2, 3, 2, 2)),
+        ("paper", (2, 3, 2, 2, 1, 2)),
+        ("coverage", (6, 5)),
+        ("coverage", (4, 3, 5)),
+        ("coverage", (4, 3, 5, 2)),
+        ("coverage", (2, 3, 2, 2, 1, 2)),
+    ],
+)
+def test_plain_reading_of_section_5_2(objective, sizes, few, kind):
+    rng = np.random.default_rng(len(sizes))
+    matrix = LuminanceMatrix(
+        levels=random_levels(rng, sizes, 7 if few else 61, kind, few=few), areas=rng.random(7 if few else 61)
+    )
+    thresholds = Thresholds(shade=10, saturation=kind[1])
+    found = search([matrix], OBJECTIVES[objective], thresholds, keep=17)
+    expected = plain(matrix, objective, thresholds)
+    agree(found, expected, 17)
+    assert found.scored == len(expected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_plain_reading_of_any_small_matrix(data):
+    lights = data.draw(st.integers(2, 5))
+    sizes = data.draw(st.lists(st.integers(1, 3), min_size=lights, max_size=lights))
+    patches = data.draw(st.integers(1, 6))
+    shade = data.draw(st.integers(0, 40))
+    saturation = data.draw(st.integers(shade + 1, 255))
+    level = st.sampled_from(sorted({0, max(0, shade - 1), shade, saturation - 1, saturation, 255}))
+    levels = tuple(
+        np.array(data.draw(st.lists(level, min_size=n * patches, max_size=n * patches)), np.uint8).reshape(
+            n, -1
+        )
+        for n in sizes
+    )
+    areas = np.array(data.draw(st.lists(st.integers(0, 5), min_size=patches, max_size=patches))) * 1e-6
+    matrix = LuminanceMatrix(levels=levels, areas=areas)
+    thresholds = Thresholds(shade=shade, saturation=saturation)
+    for name, objective in OBJECTIVES.items():
+        if objective.refusal(lights):
+            continue
+        found = search([matrix], objective, thresholds, keep=1000)
+        assert as_tuples(found) == plain(matrix, name, thresholds)
+        # taken in small boxes, with bounds, the same
+        cells = data.draw(st.integers(1, 6))
+        boxed = search([matrix], objective, thresholds, keep=2, table_cells=cells)
+        assert as_tuples(boxed) == as_tuples(found)[:2]
+        assert (boxed.ties, boxed.bound, boxed.left) == (found.ties, found.bound, 0)
+        assert boxed.scored + boxed.excluded == np.prod(sizes)
+
+
+@pytest.mark.parametrize("name", ["paper", "coverage"])
+def test_scores_are_those_of_the_definition_and_below_the_bound(name):
+    rng = np.random.default_rng(5)
+    levels = random_levels(rng, (3, 4, 2, 3), 200)
+    thresholds = Thresholds(shade=10, saturation=255)
+    objective = OBJECTIVES[name]
+    weights = objective.weights(rng.random(200))
+    scores = objective.scores(levels, weights, thresholds, threads=1)
+    for place in np.ndindex(scores.shape):
+        columns = np.stack([layer[i] for layer, i in zip(levels, place, strict=True)])
+        assert scores[place] == objective.score(columns, weights, thresholds)
+    assert scores.max() <= objective.bound(levels, weights, thresholds)
+    assert (scores == objective.scores(levels, weights, thresholds, threads=3)).all()
+
+
+def test_runs_and_packed_bits_agree_on_any_weights():
+    rng = np.random.default_rng(6)
+    levels = random_levels(rng, (5, 4, 3, 4), 333)
+    weights = rng.integers(0, 1 << 33, 333)
+    thresholds = Thresholds(shade=30, saturation=240)
+    for rule in ((1, 0), (2, 1), (3, 2)):
+        runs = run_scores(levels, weights, thresholds, rule=rule, threads=2)
+        bits = bit_scores(levels, weights, thresholds, rule=rule, threads=2)
+        np.testing.assert_array_equal(runs, bits)
+
+
+def test_more_patches_than_a_kernel_takes_at_once():
+    rng = np.random.default_rng(7)
+    levels = random_levels(rng, (2, 1, 2, 2), 140_001)
+    matrix = LuminanceMatrix(levels=levels, areas=np.full(140_001, 1e-3))
+    thresholds = Thresholds(shade=10, saturation=255)
+    for objective in OBJECTIVES.values():
+        found = search([matrix], objective, thresholds, keep=8)
+        for ranked in found.ranking:
+            columns = matrix.combination(ranked.candidates)
+            assert ranked.score == objective.score(columns, objective.weights(matrix.areas), thresholds)
+
+
+def test_a_limit_leaves_a_bound_that_holds():
+    rng = np.random.default_rng(8)
+    matrix = LuminanceMatrix(levels=random_levels(rng, (6, 6, 6, 6), 50), areas=rng.random(50))
+    thresholds = Thresholds(shade=10, saturation=255)
+    for objective in OBJECTIVES.values():
+        whole = search([matrix], objective, thresholds, keep=2)
+        part = search([matrix], objective, thresholds, keep=2, table_cells=64, limit=100)
+        assert 0 < part.scored < whole.scored
+        assert part.left > 0
+        assert part.scored + part.excluded + part.left == 6**4
+        assert part.best.score <= whole.best.score <= part.bound
+
+
+def test_bounds_exclude_combinations_of_dark_positions():
+    rng = np.random.default_rng(9)
+    levels = [np.minimum(layer, 200) for layer in random_levels(rng, (8, 8, 8), 40)]
+    for layer in levels[:2]:
+        layer[4:] = 0
+    matrix = LuminanceMatrix(levels=tuple(levels), areas=np.ones(40))
+    thresholds = Thresholds(shade=10, saturation=255)
+    boxed = search([matrix], OBJECTIVES["paper"], thresholds, keep=2, table_cells=16)
+    whole = search([matrix], OBJECTIVES["paper"], thresholds, keep=2)
+    assert boxed.excluded > 0
+    assert as_tuples(boxed) == as_tuples(whole)
+
+
+def test_several_postures_are_decided_by_their_sum():
+    rng = np.random.default_rng(10)
+    matrices = [
+        LuminanceMatrix(levels=random_levels(rng, (3, 4, 2), patches), areas=rng.random(patches))
+        for patches in (20, 35)
+    ]
+    thresholds = Thresholds(shade=10, saturation=255)
+    for name, objective in OBJECTIVES.items():
+        both = {}
+        for matrix in matrices:
+            for value, usable, combination in plain(matrix, name, thresholds):
+                before = both.get(combination, (0, 0))
+                both[combination] = (before[0] + value, before[1] + usable)
+        expected = sorted((v, u, c) for c, (v, u) in both.items())
+        agree(search(matrices, objective, thresholds, keep=24), expected, 24)
+
+
+def test_colliding_panels_and_common_angles_restrict_the_space():
+    rng = np.random.default_rng(11)
+    matrix = LuminanceMatrix(levels=random_levels(rng, (3, 3, 3), 30), areas=rng.random(30))
+    thresholds = Thresholds(shade=10, saturation=255)
+    clash = np.zeros((3, 3), np.bool_)
+    clash[2, :2] = True
+    space = Space(sizes=(3, 3, 3), groups=(tuple(np.arange(3) for _ in range(3)),), clashes={(0, 2): clash})
+    found = search([matrix], OBJECTIVES["paper"], thresholds, space=space, keep=50)
+    agree(found, plain(matrix, "paper", thresholds, lambda c: not clash[c[0], c[2]]), 50)
+    assert (found.scored, found.clashing) == (21, 6)
+    together = Space(sizes=(3, 3, 3), groups=tuple((np.array([k]),) * 3 for k in range(3)))
+    found = search([matrix], OBJECTIVES["coverage"], thresholds, space=together, keep=50)
+    agree(found, plain(matrix, "coverage", thresholds, lambda c: len(set(c)) == 1), 50)
+    clash[:] = True
+    with pytest.raises(InputError, match="panels collide"):
+        search([matrix], OBJECTIVES["paper"], thresholds, space=space)
+
+
+def test_ties_go_to_more_usable_light_then_to_lower_candidates():
+    # under every combination the one patch is usable twice; light 1's second candidate is brighter, light 2's are equal
+    levels = (np.array([[50], [60]], np.uint8), np.array([[70], [70]], np.uint8))
+    matrix = LuminanceMatrix(levels=levels, areas=np.array([0.25]))
+    found = search([matrix], OBJECTIVES["coverage"], Thresholds(shade=10, saturation=255))
+    assert [r.candidates for r in found.ranking] == [(1, 0), (1, 1), (0, 0), (0, 1)]
+    assert (found.best.score, found.ties, found.gap) == (250_000, 4, 0)
+    assert found.best.usable == 250_000 * 130
+
+
+def test_areas_are_kept_when_patches_are_split_where_they_stand():
+    rng = np.random.default_rng(12)
+    areas = rng.integers(1, 1000, 500) * 2.0**-18
+    halves = np.repeat(areas / 2.0, 2)
+    levels = random_levels(rng, (5, 4, 6), 500)
+    split = tuple(np.repeat(layer, 2, axis=1) for layer in levels)
+    thresholds = Thresholds(shade=10, saturation=255)
+    whole, parts = (
+        search([LuminanceMatrix(levels=some, areas=a)], OBJECTIVES["coverage"], thresholds)
+        for some, a in ((levels, areas), (split, halves))
+    )
+    assert as_tuples(whole) == as_tuples(parts)
+    assert whole.ties == parts.ties
+    tiny = np.full(1000, 1e-7)
+    assert area_units(tiny).sum() == 100, "patches smaller than the unit count, too"
+
+
+def test_refusals_say_what_to_do():
+    dark = LuminanceMatrix(levels=(np.zeros((2, 0), np.uint8),) * 3, areas=np.zeros(0))
+    thresholds = Thresholds(shade=10, saturation=255)
+    with pytest.raises(InputError, match="no patch is visible"):
+        search([dark], OBJECTIVES["paper"], thresholds)
+    two = LuminanceMatrix(levels=(np.zeros((2, 3), np.uint8),) * 2, areas=np.ones(3))
+    with pytest.raises(InputError, match="nothing is left; expected at least 3 lights"):
+        search([two], OBJECTIVES["paper"], thresholds)
+    one = LuminanceMatrix(levels=(np.zeros((2, 3), np.uint8),), areas=np.ones(3))
+    with pytest.raises(InputError, match="one light only"):
+        search([one], OBJECTIVES["coverage"], thresholds)
+    with pytest.raises(InputError, match="leaves none usable"):
+        Thresholds(shade=255, saturation=255)
+    with pytest.raises(InputError, match="share of full scale from 0 to 1"):
+        Thresholds.of_sensor(shade_share=10.0, max_level=255, saturated_from=255)
+    with pytest.raises(InputError, match="expected uint8 or uint16 of shape"):
+        LuminanceMatrix(levels=(np.zeros((2, 3)),), areas=np.ones(3))
+
+
+def test_thresholds_of_sensors():
+    assert Thresholds.of_sensor(shade_share=10 / 255, max_level=255, saturated_from=255) == Thresholds(
+        shade=10, saturation=255
+    )
+    assert Thresholds.of_sensor(shade_share=10 / 255, max_level=4095, saturated_from=4080) == Thresholds(
+        shade=161, saturation=4080
+    )
