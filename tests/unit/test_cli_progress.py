@@ -6,14 +6,14 @@ import sys
 
 import pytest
 
-from lightopt.cli._terminal import show_share
+from lightopt.cli._terminal import show_time_left
 
 
 def test_time_left_is_that_of_the_rest_at_the_pace_so_far(capsys, monkeypatch):
     now = [100.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with show_share("searching", quiet=False) as report:
+    with show_time_left("searching", quiet=False) as report:
         assert report is not None
         for seconds, share in ((0.0, 0.1), (0.5, 0.2), (2.0, 0.3), (2.5, 0.4), (4.0, 0.5)):
             now[0] = 100.0 + seconds
@@ -27,5 +27,5 @@ def test_time_left_is_that_of_the_rest_at_the_pace_so_far(capsys, monkeypatch):
 
 @pytest.mark.parametrize("quiet", [True, False])
 def test_nothing_is_said_where_nobody_looks(quiet):
-    with show_share("searching", quiet=quiet) as report:
+    with show_time_left("searching", quiet=quiet) as report:
         assert report is None
