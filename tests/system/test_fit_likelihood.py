@@ -86,7 +86,7 @@ def test_one_exposure_recovers_the_reflectance(one_exposure):
 
 
 def test_a_second_exposure_pins_r_s_down(world, one_exposure, two_exposures):
-    """At least five times, as the median of three draws of the noise: how much an interval is widened varies with it."""
+    """At least five times, as the median of three draws of the noise, on which the widening of intervals depends."""
     assert_recovers(two_exposures, TRUTH, R_d=0.01, R_s=0.02, sigma=0.01)
     pairs = [(one_exposure, two_exposures)]
     pairs += [(world.fit(seed=seed), world.fit(exposures=(1.0, 1 / 16), seed=seed)) for seed in (1, 2)]
