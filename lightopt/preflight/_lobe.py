@@ -74,9 +74,10 @@ def check_levels(subject: SceneSubject) -> Iterator[Finding]:
         "saturation_level": saturation,
         "full_scale": reflectance.full_scale,
     }
+    shown = f"{peak:.3g}" if peak < 100.0 else f"{peak:,.0f}"
     text = (
         f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one that "
-        f"mirrors the whole panel of {mirrored} {peak:.3g} of specular light; saturation is at {saturation:.4g}"
+        f"mirrors the whole panel of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}"
     )
     if level >= saturation:
         exposure = 0.5 * saturation / level
