@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from lightopt.errors import InputError, counted
 from lightopt.mesh import face_normals
 from lightopt.optimize._matrix import Levels, LuminanceMatrix
-from lightopt.optimize._threads import available_processors, run_all
+from lightopt.optimize._threads import run_all
 from lightopt.raycast import RayCaster
 from lightopt.rendering import (
     PatchTable,
     SurfacePoints,
+    available_processors,
     converged_panel,
     shade_converged,
     shade_points,

@@ -24,7 +24,7 @@ from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, usable_sums
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._ranking import Ranked, Ranking, rank
 from lightopt.optimize._space import Rows, Space, allowed_mask
-from lightopt.optimize._threads import available_processors
+from lightopt.rendering import available_processors
 
 __all__ = ["DEFAULT_LIMIT", "Found", "search"]
 

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any
 
-__all__ = ["available_processors", "run_all"]
+__all__ = ["run_all"]
 
 Task = tuple[Callable[..., None], tuple[Any, ...]]
-
-
-def available_processors() -> int:
-    """Processors that this process may use, which batch systems and containers restrict."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | None = None) -> None:

@@ -34,12 +34,12 @@ from lightopt.rendering._pixels import (
     UNLIT,
     WHOLE,
     PosturePixels,
-    in_threads,
     panel_verdict,
     trace_pixels,
 )
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
+from lightopt.rendering._threads import available_processors, in_threads
 
 __all__ = [
     "DEFAULT_PATCH_BUDGET",
@@ -61,6 +61,7 @@ __all__ = [
     "Report",
     "SurfacePoints",
     "TooFewPixels",
+    "available_processors",
     "build_patches",
     "cast_rays_at",
     "converged_panel",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from lightopt.raycast import Hits, RayCaster
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.rendering._threads import available_processors
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 from lightopt.transforms import Posture
 
@@ -201,15 +201,8 @@ def render_posture(
     """
     before = caster.rays_cast
     job = _Job(scene, posture, caster, shadows, supersample, layers, patches)
-    _run_blocks(job, threads or _available_processors(), progress)
+    _run_blocks(job, threads or available_processors(), progress)
     return job.result(caster.rays_cast - before)
-
-
-def _available_processors() -> int:
-    # those that this process may use, which batch systems and containers restrict; not every platform can tell
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _run_blocks(job: _Job, threads: int, progress: Progress | None) -> None:

@@ -17,13 +17,14 @@ from lightopt.raycast import RayCaster
 from lightopt.rendering._converged import converged_panel
 from lightopt.rendering._lobe import (
     gauss_legendre_table,
+    mirror_point,
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
 )
 from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
-from lightopt.rendering._pixels import in_threads
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._threads import in_threads
 from lightopt.scene import PanelLight, panel_grid
 
 __all__ = ["LightLayer", "light_layer"]
@@ -252,7 +253,9 @@ def _deflection(
     for i in range(start, end):
         p, n, v = points[i], normals[i], views[i]
         n_dot_v = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
-        s, t = _nearest_to_mirror(p, n, v, n_dot_v, panel)
+        # the place of the panel nearest to it
+        s, t = mirror_point(p, n, v, n_dot_v, panel)
+        s, t = min(max(s, -0.5), 0.5), min(max(t, -0.5), 0.5)
         lx = panel.centre_x + s * panel.across_x + t * panel.along_x - p[0]
         ly = panel.centre_y + s * panel.across_y + t * panel.along_y - p[1]
         lz = panel.centre_z + s * panel.across_z + t * panel.along_z - p[2]
@@ -261,22 +264,3 @@ def _deflection(
         length = math.sqrt(hx * hx + hy * hy + hz * hz)
         dx, dy, dz = n[0] - hx / length, n[1] - hy / length, n[2] - hz / length
         result[i] = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(dx * dx + dy * dy + dz * dz)))
-
-
-@kernel
-def _nearest_to_mirror(
-    p: Float64, n: Float64, v: Float64, n_dot_v: float, panel: PanelNumbers
-) -> tuple[float, float]:
-    # the place of the panel nearest to where the mirrored view meets its plane; its centre where it never does
-    mx, my, mz = 2.0 * n_dot_v * n[0] - v[0], 2.0 * n_dot_v * n[1] - v[1], 2.0 * n_dot_v * n[2] - v[2]
-    cx, cy, cz = panel.centre_x - p[0], panel.centre_y - p[1], panel.centre_z - p[2]
-    towards = mx * panel.outward_x + my * panel.outward_y + mz * panel.outward_z
-    ahead = cx * panel.outward_x + cy * panel.outward_y + cz * panel.outward_z
-    if abs(towards) < 1e-3 or ahead / towards <= 0.0:
-        return 0.0, 0.0
-    x, y, z = ahead / towards * mx - cx, ahead / towards * my - cy, ahead / towards * mz - cz
-    ux, uy, uz = panel.across_x, panel.across_y, panel.across_z
-    wx, wy, wz = panel.along_x, panel.along_y, panel.along_z
-    s = (x * ux + y * uy + z * uz) / (ux * ux + uy * uy + uz * uz)
-    t = (x * wx + y * wy + z * wz) / (wx * wx + wy * wy + wz * wz)
-    return min(max(s, -0.5), 0.5), min(max(t, -0.5), 0.5)

@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from lightopt.kernels import kernel
 from lightopt.rendering._panel import PanelNumbers, point_terms
 
-__all__ = ["MAX_NODES", "gauss_legendre_table", "out_of_reach", "rectangle_diffuse", "rectangle_specular"]
+__all__ = [
+    "MAX_NODES",
+    "gauss_legendre_table",
+    "mirror_point",
+    "out_of_reach",
+    "rectangle_diffuse",
+    "rectangle_specular",
+]
 
 Float64 = NDArray[np.float64]
 
@@ -178,7 +185,7 @@ def rectangle_specular(
     """
     if n_dot_v <= 0.0:
         return 0.0
-    s, t = _mirror_point(p, n, v, n_dot_v, panel)
+    s, t = mirror_point(p, n, v, n_dot_v, panel)
     s, t = min(max(s, s0), s1), min(max(t, t0), t1)
     hx = hy = jxs = jxt = jys = jyt = 0.0
     a = b = c = 0.0
@@ -321,10 +328,10 @@ def out_of_reach(
 
 
 @kernel
-def _mirror_point(
+def mirror_point(
     p: Float64, n: Float64, v: Float64, n_dot_v: float, panel: PanelNumbers
 ) -> tuple[float, float]:
-    # where the mirrored view meets the panel's plane; the panel's centre where it never does
+    """Where the mirrored view meets the panel's plane, (s, t) in the panel's sides; its centre where it never does."""
     mx, my, mz = (
         2.0 * n_dot_v * n[0] - v[0],
         2.0 * n_dot_v * n[1] - v[1],

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -14,10 +11,11 @@ from numpy.typing import NDArray
 from lightopt.raycast import RayCaster
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.rendering._threads import in_threads
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
 from lightopt.transforms import Posture
 
-__all__ = ["LEFT_OUT", "UNLIT", "WHOLE", "PosturePixels", "in_threads", "panel_verdict", "trace_pixels"]
+__all__ = ["LEFT_OUT", "UNLIT", "WHOLE", "PosturePixels", "panel_verdict", "trace_pixels"]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -160,17 +158,6 @@ def panel_verdict(
     verdict = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
     verdict[mixed | (lit & near_hidden) | (hidden & near_lit)] = LEFT_OUT
     return verdict
-
-
-def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | None = None) -> list[T]:
-    """Results of a function of pieces' starts, in order, worked out by a pool of threads."""
-    count = threads or (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    if count == 1 or len(starts) < 2:
-        return [work(start) for start in starts]
-    with ThreadPoolExecutor(count) as pool:
-        return list(pool.map(work, starts))
 
 
 def _probes(light: PanelLight) -> Float64:
