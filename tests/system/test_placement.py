@@ -1,0 +1,87 @@
+"""Where a part really lies: the moved view against points moved by hand, and a place found from images."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from captured import captured
+
+from lightopt import build_scene
+from lightopt.align import Placement, find_placement, place_part, refine_placement
+from lightopt.align._pixels import view_of_placed
+from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.scene import Scene, project, view_from_part
+from lightopt.transforms import Posture
+
+PIVOT = np.array([2.0, -3.0, 5.0])
+TRUTH = Placement(x=0.7, y=-0.5, turn=math.radians(0.6))
+TILTED = Posture(elevation_deg=-10.0, rotation_deg=170.0)
+
+
+@pytest.fixture(scope="module")
+def scene(shared_bench) -> Scene:
+    return replace(build_scene(shared_bench.rig, shared_bench.part), pivot=PIVOT)
+
+
+def by_hand(point: np.ndarray, placement: Placement) -> np.ndarray:
+    """A point of the part where it lies on the stage at posture (0, 0)."""
+    c, s = math.cos(placement.turn), math.sin(placement.turn)
+    x, y, z = point - PIVOT
+    return PIVOT + np.array([c * x - s * y + placement.x, s * x + c * y + placement.y, z])
+
+
+def test_a_placed_part_is_turned_about_the_stage_axis_and_then_shifted(scene: Scene) -> None:
+    placed = place_part(scene, TRUTH)
+    for before, after in zip(scene.mesh.vertices[::97], placed.mesh.vertices[::97], strict=True):
+        np.testing.assert_allclose(after, by_hand(before, TRUTH), atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(placed.mesh.normals, axis=1), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("posture", [Posture(elevation_deg=0.0, rotation_deg=0.0), TILTED])
+def test_moving_the_view_is_moving_the_part(scene: Scene, posture: Posture) -> None:
+    nominal = view_of_placed(scene, posture, TRUTH.x, TRUTH.y, TRUTH.turn)
+    moved = view_from_part(place_part(scene, TRUTH), posture)
+    point = scene.mesh.vertices[123]
+    # as far from camera and lights, whether these were moved or the part
+    there = by_hand(point, TRUTH)
+    for a, b in (
+        (nominal.camera.position, moved.camera.position),
+        *((p.centre, q.centre) for p, q in zip(nominal.lights, moved.lights, strict=True)),
+    ):
+        assert np.linalg.norm(a - point) == pytest.approx(np.linalg.norm(b - there), abs=1e-9)
+
+
+@pytest.mark.parametrize("posture", [Posture(elevation_deg=0.0, rotation_deg=0.0), TILTED])
+def test_the_moved_view_sees_the_image_of_the_moved_part(scene: Scene, posture: Posture) -> None:
+    placed = place_part(scene, TRUTH)
+    image = render_posture(placed, posture, caster=cast_rays_at(placed))
+    view = view_of_placed(scene, posture, TRUTH.x, TRUTH.y, TRUTH.turn)
+    hit = image.geometry.hit
+    row, column = (a[::41] for a in np.nonzero(hit))
+    world = image.geometry.points[row, column].astype(np.float64)
+    # back from the world to the part's own frame, by hand: posture, then shift, then turn
+    on_stage = (world - PIVOT) @ posture.matrix + PIVOT
+    c, s = math.cos(-TRUTH.turn), math.sin(-TRUTH.turn)
+    flat = on_stage - PIVOT - np.array([TRUTH.x, TRUTH.y, 0.0])
+    own = PIVOT + np.stack([c * flat[:, 0] - s * flat[:, 1], s * flat[:, 0] + c * flat[:, 1], flat[:, 2]], 1)
+    columns, rows, _ = project(view.camera, own)
+    np.testing.assert_allclose(columns, column + 0.5, atol=0.01)
+    np.testing.assert_allclose(rows, row + 0.5, atol=0.01)
+
+
+def test_a_part_off_by_a_millimetre_is_found_and_the_errors_are_errors(scene: Scene) -> None:
+    images = captured(place_part(scene, TRUTH), exposures=(1.0, 1 / 16))
+    caster = cast_rays_at(scene)
+    start = find_placement(scene, images, caster=caster)
+    assert math.hypot(start.x - TRUTH.x, start.y - TRUTH.y) < 0.6  # a pixel is 0.44 mm
+    wrong = replace(scene.reflectance, R_d=40.0, R_s=9000.0, sigma=0.06)
+    found = refine_placement(replace(scene, reflectance=wrong), images, start, caster=caster)
+    assert found.x == pytest.approx(TRUTH.x, abs=0.02)
+    assert found.y == pytest.approx(TRUTH.y, abs=0.02)
+    assert found.turn == pytest.approx(TRUTH.turn, abs=math.radians(0.05))
+    off = np.array([found.x - TRUTH.x, found.y - TRUTH.y, found.turn - TRUTH.turn])
+    assert np.all(np.array(found.errors) > 0.0)
+    assert np.all(np.abs(off) < 5.0 * np.array(found.errors))
