@@ -14,20 +14,23 @@ from numpy.typing import NDArray
 from lightopt.align import (
     Observation,
     Placement,
+    PlacementInFile,
     find_placement,
     observed_postures,
     place_part,
+    placement_in_file,
     read_observations,
     refine_placement,
 )
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
+from lightopt.fit._cross_check import evenly_lit_words, paper_words
 from lightopt.fit._estimate import Estimate, Freed, estimate
-from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, R_D
+from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._paper import PaperDiffuse, PaperOptions, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, poor_fit, refuse_strangers, words
 from lightopt.fit._regions import PointsRow, compare_regions
-from lightopt.fit._result import FitResult, FittedValue, fitted_values
+from lightopt.fit._result import FitResult, FittedValue, fitted_dark, fitted_gains, fitted_values
 from lightopt.fit._samples import OCTAVES, Samples, collect_samples
 from lightopt.fit._validate import leave_lights_out, unseen
 from lightopt.images import ImageSet
@@ -101,6 +104,7 @@ class _World:
     caster: RayCaster
     observations: tuple[Observation, ...]
     placement: Placement | None = None
+    in_file: PlacementInFile | None = None
 
 
 def fit_diffuse(
@@ -164,9 +168,11 @@ def fit_diffuse(
         points=world.scene.lights[0].points,
         values=(*values, *kept),
         fitted=("R_d",),
-        gains=_gains(world, found) if options.gain else None,
-        dark=float(world.scene.sensor.black_level + found.x[DARK]) if options.dark else None,
+        gains=fitted_gains(world.scene, found) if options.gain else None,
+        dark=fitted_dark(world.scene, found) if options.dark else None,
         placement=world.placement,
+        in_file=world.in_file,
+        highlights=(whole.R_s, whole.sigma),
         observations=len(plain.sample),
         pixels=len(np.unique(plain.sample)),
         quality=quality,
@@ -205,19 +211,30 @@ def fit_specular(
         world = _world(rig, part, image_set, points, options, progress)
         result, samples = _fit_one(world, options, progress)
         row = None
-        if len(choices) > 1 and result.estimate is not None:
+        if len(choices) > 1:
             row = compare_regions(
                 world.scene,
-                result.estimate,
+                _parameters(result, world),
                 world.observations,
                 points=world.scene.lights[0].points,
                 caster=world.caster,
+                likelihood=None if result.estimate is None else result.estimate.mean_log_likelihood,
                 threads=options.threads,
             )
         tried.append((result, world, samples, row))
-    best = max(tried, key=lambda t: t[3].likelihood if t[3] is not None else 0.0)
-    result, world, samples, _ = best
+    result, world, samples, _ = max(tried, key=lambda one: _rank(one[3]))
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
+    if result.estimate is not None and "auto" not in options.points:
+        even = evenly_lit_words(
+            world.scene,
+            world.observations,
+            result.estimate,
+            freed=_freed(options),
+            held=_held(world),
+            caster=world.caster,
+            threads=options.threads,
+        )
+        result = replace(result, words=(*result.words, *even))
     if options.validate and result.estimate is not None:
         left_out = leave_lights_out(
             world.scene,
@@ -245,7 +262,19 @@ def _world(
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points)
     world = _World(scene, cast_rays_at(scene), observations)
-    return _placed(world, options, progress) if options.shift else world
+    if not options.shift:
+        return world
+    placed = _placed(world, options, progress)
+    assert placed.placement is not None
+    in_file = placement_in_file(
+        scene.mesh.vertices,
+        placed.placement,
+        anchor=part.placement.anchor,
+        rotate_deg=part.placement.rotate_deg,
+        translate_mm=part.placement.translate_mm,
+        pivot=scene.pivot,
+    )
+    return replace(placed, in_file=in_file)
 
 
 def _placed(world: _World, options: FitOptions, progress: Progress | None) -> _World:
@@ -307,9 +336,9 @@ def _fit_one(world: _World, options: FitOptions, progress: Progress | None) -> t
         pair = record.R_s, record.sigma
         return _paper_result("specular", world, samples, None, pair, options, paper=record), samples
     samples = _collect(world, options, progress)
-    freed = Freed(diffuse=options.joint, gain=options.gain, dark=options.dark)
-    held = np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
-    found = estimate(samples, freed=freed, held=held, threads=options.threads, progress=progress)
+    found = estimate(
+        samples, freed=_freed(options), held=_held(world), threads=options.threads, progress=progress
+    )
     quality = appraise(samples, found, full_scale=reflectance.full_scale)
     refuse_strangers(samples, quality)
     _refuse_no_highlight(samples, found)
@@ -325,9 +354,10 @@ def _fit_one(world: _World, options: FitOptions, progress: Progress | None) -> t
         points=world.scene.lights[0].points,
         values=values,
         fitted=("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad"),
-        gains=_gains(world, found) if options.gain else None,
-        dark=float(world.scene.sensor.black_level + found.x[DARK]) if options.dark else None,
+        gains=fitted_gains(world.scene, found) if options.gain else None,
+        dark=fitted_dark(world.scene, found) if options.dark else None,
         placement=world.placement,
+        in_file=world.in_file,
         correlation=found.correlation(LOG_R_S, LOG_R_S + 1),
         observations=len(samples.sample),
         pixels=len(samples.diffuse),
@@ -336,6 +366,32 @@ def _fit_one(world: _World, options: FitOptions, progress: Progress | None) -> t
         estimate=found,
     )
     return result, samples
+
+
+def _rank(row: PointsRow | None) -> float:
+    # the likelihood where there is one; the paper looks at area and perimeter
+    if row is None:
+        return 0.0
+    return -row.misfit if row.likelihood is None else row.likelihood
+
+
+def _parameters(result: FitResult, world: _World) -> Float64:
+    if result.estimate is not None:
+        return result.estimate.x
+    x = np.zeros(FIRST_GAIN + len(world.scene.lights))
+    x[R_D] = result.value("R_d")
+    x[LOG_R_S] = math.log(max(result.value("R_s"), LEAST_R_S))
+    x[LOG_SIGMA] = math.log(result.value("sigma_rad"))
+    return x
+
+
+def _freed(options: FitOptions) -> Freed:
+    return Freed(diffuse=options.joint, gain=options.gain, dark=options.dark)
+
+
+def _held(world: _World) -> Float64:
+    reflectance = world.scene.reflectance
+    return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
 
 
 def _paper_result(
@@ -352,6 +408,9 @@ def _paper_result(
             "--method paper knows no --free and no --joint: it fits what sections 4.2 and 4.3 fit"
         )
     own = world.scene.reflectance
+    said = paper_words(
+        samples, R_d=r_d, specular=specular, full_scale=own.full_scale, threads=options.threads
+    )
     r_s, sigma = specular or (own.R_s, own.sigma)
     values = (("R_d", own.R_d if r_d is None else r_d), ("R_s", r_s), ("sigma_rad", sigma))
     return FitResult(
@@ -362,6 +421,7 @@ def _paper_result(
         fitted=("R_d",) if kind == "diffuse" else ("R_s", "sigma_rad"),
         observations=len(samples.sample),
         pixels=len(samples.diffuse),
+        words=(*said, *paper.words()),
         paper=paper,
     )
 
@@ -402,16 +462,8 @@ def _held_r_d(found: Estimate) -> list[str]:
     step = float(here.gradient[R_D]) / max(curvature, 1e-300)
     if abs(step) < 0.02 * max(found.R_d, 1e-9) or abs(step) * math.sqrt(curvature) < 5.0:
         return []
-    wanted = max(found.R_d + step, 0.0)
     text = (
-        f"R_d is held at {found.R_d:.4g}, but these images want about {wanted:.4g}: run fit-diffuse first, or use "
-        "--joint"
+        f"R_d is held at {found.R_d:.4g}, but these images want a {'larger' if step > 0.0 else 'smaller'} one, and R_s "
+        "and σ suffer from it: run fit-diffuse first, or use --joint"
     )
     return [text]
-
-
-def _gains(world: _World, found: Estimate) -> dict[str, float]:
-    return {
-        light.name: light.gain * math.exp(found.x[FIRST_GAIN + i])
-        for i, light in enumerate(world.scene.lights)
-    }
