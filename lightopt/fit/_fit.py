@@ -30,7 +30,7 @@ from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._paper import PaperDiffuse, PaperOptions, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, poor_fit, refuse_strangers, words
 from lightopt.fit._regions import PointsRow, compare_regions
-from lightopt.fit._result import FitResult, FittedValue, fitted_dark, fitted_gains, fitted_values
+from lightopt.fit._result import FitResult, FittedValue, below_zero, fitted_dark, fitted_gains, fitted_values
 from lightopt.fit._samples import OCTAVES, Samples, collect_samples
 from lightopt.fit._validate import leave_lights_out, unseen
 from lightopt.images import ImageSet
@@ -162,6 +162,8 @@ def fit_diffuse(
         FittedValue(name="R_s", value=world.scene.reflectance.R_s),
         FittedValue(name="sigma_rad", value=world.scene.reflectance.sigma),
     )
+    dark = fitted_dark(world.scene, found) if options.dark else None
+    said += below_zero(dark)
     return FitResult(
         kind="diffuse",
         method="likelihood",
@@ -169,7 +171,7 @@ def fit_diffuse(
         values=(*values, *kept),
         fitted=("R_d",),
         gains=fitted_gains(world.scene, found) if options.gain else None,
-        dark=fitted_dark(world.scene, found) if options.dark else None,
+        dark=dark,
         placement=world.placement,
         in_file=world.in_file,
         highlights=(whole.R_s, whole.sigma),
@@ -348,6 +350,8 @@ def _fit_one(world: _World, options: FitOptions, progress: Progress | None) -> t
     said = [*words(found, quality, low, high, shorter=len(exposures) > 1), *_held_r_d(found)]
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)
     said += [text for text in panels if text is not None]
+    dark = fitted_dark(world.scene, found) if options.dark else None
+    said += below_zero(dark)
     result = FitResult(
         kind="specular",
         method="likelihood",
@@ -355,7 +359,7 @@ def _fit_one(world: _World, options: FitOptions, progress: Progress | None) -> t
         values=values,
         fitted=("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad"),
         gains=fitted_gains(world.scene, found) if options.gain else None,
-        dark=fitted_dark(world.scene, found) if options.dark else None,
+        dark=dark,
         placement=world.placement,
         in_file=world.in_file,
         correlation=found.correlation(LOG_R_S, LOG_R_S + 1),

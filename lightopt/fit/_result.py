@@ -17,7 +17,7 @@ from lightopt.fit._regions import PointsRow
 from lightopt.fit._validate import LeftOut
 from lightopt.scene import Scene
 
-__all__ = ["FitResult", "FittedValue", "fitted_dark", "fitted_gains", "fitted_values"]
+__all__ = ["FitResult", "FittedValue", "below_zero", "fitted_dark", "fitted_gains", "fitted_values"]
 
 MOST_LOG = 700.0
 """Logarithm of the greatest value that is written."""
@@ -223,6 +223,17 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
             interval=(light.gain * math.exp(low), light.gain * math.exp(high)),
         )
     return gains
+
+
+def below_zero(dark: FittedValue | None) -> tuple[str, ...]:
+    """What to say of a black level that a rig file cannot hold."""
+    if dark is None or dark.value >= 0.0:
+        return ()
+    text = (
+        f"the black level that fits is {dark.value:.3g}, and a rig file knows none below 0: rig.fitted.yaml has 0, and "
+        "images predicted from it are that much too bright. The camera takes off more than its black: check its offset"
+    )
+    return (text,)
 
 
 def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
