@@ -246,13 +246,19 @@ def test_what_validation_keeps_is_said(cli, bench, images):
 
 
 def test_a_black_level_below_zero_is_not_hidden(cli, bench, images):
+    # the camera takes two levels off, and what was clipped at 255 with them
     spoil(images, lambda levels: np.maximum(levels.astype(int) - 2, 0).astype(np.uint8))
+    edit_manifest(images, lambda manifest: manifest.update(saturation_level=253))
+    bench.edit("rig.yaml", "bit_depth: 8", "bit_depth: 8, saturation_level: 253")
     ran = cli(
         "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "dark", "--no-validation"
     )  # fmt: skip
     assert ran.status == 0
     assert "the black level that fits is -" in ran.err
     assert load_rig(bench.out / "rig.fitted.yaml").camera.sensor.black_level == 0.0
+    assert json.loads((bench.out / "fit.json").read_text())["black_level"]["value"] == pytest.approx(
+        -2, abs=0.1
+    )
 
 
 def test_the_papers_procedure_compares_numbers_of_points(cli, bench, images):
