@@ -291,7 +291,17 @@ def refused(cli, bench, images, *words, command="fit-specular", options=()):
 
 def test_images_of_another_size(cli, bench, images):
     bench.edit("rig.yaml", "[160, 120]", "[176, 120]")
-    refused(cli, bench, images, "160 × 120 px", "176 × 120 px", "resolution_px")
+    refused(cli, bench, images, "160 × 120 px", "176 × 120 px", "resolution_px", "and 7 images more")
+
+
+def test_a_folder_without_manifest_is_told_what_to_do(cli, bench, images, tmp_path):
+    (images / "manifest.json").rename(images / "renamed.json")
+    refused(cli, bench, images, "no manifest.json", "docs/conventions.md")
+    refused(cli, bench, images / "renamed.txt", "renamed.txt")
+    (images / "renamed.json").rename(images / "manifest.json")
+    refused(cli, bench, images.parent, "no image set, but these folders in it are", str(images))
+    picture = next(images.rglob("*.png"))
+    refused(cli, bench, picture, "not text; expected an image set's folder or its manifest.json")
 
 
 def test_lights_that_the_rig_does_not_have(cli, bench, images):
