@@ -1,0 +1,1 @@
+"""A rig that is not there: simulated firmware and a camera that sees what the firmware does."""
