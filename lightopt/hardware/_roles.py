@@ -1,7 +1,7 @@
 """The three roles that devices play: a light controller, a stage, a camera.
 
-A driver plays one role. It *has* a serial link and never *is* one, so that two drivers may be tested against the same wire
-and a wire replaced without a driver noticing.
+A driver plays one role. It *has* a serial link and never *is* one, so that two drivers may be tested against the same
+wire and a wire replaced without a driver noticing.
 """
 
 from __future__ import annotations

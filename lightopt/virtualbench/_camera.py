@@ -1,21 +1,23 @@
-"""The camera of the virtual bench: a small server beside the firmware, which looks at what the firmware does.
+"""The camera of the virtual bench, in the process of the firmware: it looks at what the firmware does.
 
-A frame is asked for by a line of JSON and comes as a line of JSON and the bytes of its pixels, row by row, little end first.
+A frame is asked for over the control socket; its pixels follow the answer row by row, little end first.
 """
 
 from __future__ import annotations
 
-import json
-import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from lightopt.transforms import Posture
+from lightopt.virtualbench._requests import Answer, Handler
 from lightopt.virtualbench._truth import BenchTruth
+
+if TYPE_CHECKING:
+    from lightopt.virtualbench._optics import BenchOptics
 
 __all__ = ["EXPOSURE_RANGE_US", "AxisWire", "BenchCamera", "CameraSetup", "LightWire"]
 
@@ -105,7 +107,7 @@ class CameraSetup:
 
 
 class BenchCamera:
-    """Serves frames over a loopback socket, one client at a time.
+    """Takes frames of what the devices do at the moment.
 
     Parameters
     ----------
@@ -123,53 +125,28 @@ class BenchCamera:
         self._positions = positions
         self._number = 0
         self._seen: tuple[dict[str, float], Posture] | None = None
-        self._optics: Any = None
+        self._optics: BenchOptics | None = None
         self._building = threading.Lock()
-        self._server = socket.create_server(("127.0.0.1", 0))
-        threading.Thread(target=self._serve, name="camera", daemon=True).start()
         # the mesh is loaded while the client is still opening its ports
         threading.Thread(target=self._build, name="scene", daemon=True).start()
 
-    @property
-    def address(self) -> tuple[str, int]:
-        """Host and port."""
-        host, port = self._server.getsockname()[:2]
-        return host, port
+    def requests(self) -> dict[str, Handler]:
+        """What the control socket can ask of the camera."""
+        return {"camera": self._identity, "frame": self._frame}
 
-    def _build(self) -> Any:
+    def _build(self) -> BenchOptics:
         with self._building:
             if self._optics is None:
                 from lightopt.scene import build_scene
                 from lightopt.virtualbench._optics import BenchOptics
 
-                # the stage may stand anywhere; only the scene's own postures would be checked
-                scene = build_scene(Path(self._setup.rig), Path(self._setup.part))
+                rig, part = Path(self._setup.rig), Path(self._setup.part)
+                # postures come from the stage; those of the part's file may be beyond the rig's range
+                scene = build_scene(rig, part, postures=())
                 self._optics = BenchOptics(scene, self._setup.truth)
             return self._optics
 
-    def _serve(self) -> None:
-        while True:
-            try:
-                client, _ = self._server.accept()
-            except OSError:
-                return
-            with client, client.makefile("rwb") as stream:
-                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                try:
-                    for line in stream:
-                        self._answer(json.loads(line), stream)
-                except (OSError, ValueError):
-                    continue  # a client that went away, or is none
-
-    def _answer(self, request: dict[str, Any], stream: BinaryIO) -> None:
-        try:
-            head, pixels = self._identity() if request["ask"] == "identity" else self._frame(request)
-        except Exception as error:  # noqa: BLE001  (told to the client, which knows what to make of it)
-            head, pixels = {"error": f"{type(error).__name__}: {error}"}, b""
-        stream.write(json.dumps({**head, "bytes": len(pixels)}).encode() + b"\n" + pixels)
-        stream.flush()
-
-    def _identity(self) -> tuple[dict[str, Any], bytes]:
+    def _identity(self, _: Mapping[str, Any]) -> Answer:
         scene = self._build().scene
         return {
             "resolution_px": [scene.camera.width, scene.camera.height],
@@ -177,29 +154,27 @@ class BenchCamera:
             "triggered": self._setup.truth.triggered,
         }, b""
 
-    def _frame(self, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+    def _frame(self, request: Mapping[str, Any]) -> Answer:
         optics, exposure_us = self._build(), float(request["exposure_us"])
         now = self._state()
         # a free-running camera began this frame when it had finished the one before
         shares, posture = now if self._setup.truth.triggered or self._seen is None else self._seen
-        begun = time.monotonic()
+        begun, begun_ns = time.monotonic(), time.time_ns()
         pixels = optics.frame(shares, posture, exposure=exposure_us / self._setup.exposure_us)
-        begun_ns = time.time_ns()
         time.sleep(max(0.0, exposure_us / 1e6 - (time.monotonic() - begun)))
         self._seen = self._state()
         self._number += 1
-        head = {
+        little = pixels.dtype.newbyteorder("<")
+        return {
             "number": self._number,
             "timestamp_ns": begun_ns,
             "exposure_us": exposure_us,
             "shape": list(pixels.shape),
-            "dtype": pixels.dtype.newbyteorder("<").str,
-        }
-        return head, pixels.astype(pixels.dtype.newbyteorder("<"), copy=False).tobytes()
+            "dtype": little.str,
+        }, pixels.astype(little, copy=False).tobytes()
 
     def _state(self) -> tuple[dict[str, float], Posture]:
-        devices = {wire.device for wire in self._setup.lights}
-        levels = {device: self._levels(device) for device in devices}
+        levels = {device: self._levels(device) for device in {wire.device for wire in self._setup.lights}}
         shares = {
             wire.light: levels[wire.device].get(wire.channel, 0.0) / wire.share for wire in self._setup.lights
         }
