@@ -74,7 +74,9 @@ class ChannelConfig(Frozen):
 
     controller: FileName = Field(description="Name of the controller.")
     channel: _Channel = Field(description="Channel, counted from 1 as on the device.")
-    level: _Level = Field(description="Intensity at which the light has the brightness that the rig describes.")
+    level: _Level = Field(
+        description="Intensity at which the light has the brightness that the rig describes."
+    )
     max_level: _Level | None = Field(
         default=None, description="Intensity never exceeded; the controller's highest if absent."
     )
@@ -116,7 +118,8 @@ class CameraDeviceConfig(Frozen):
     """The device that takes the images."""
 
     driver: Annotated[Literal["virtual", "folder"], expecting("virtual or folder")] = Field(
-        default="virtual", description="virtual: frames rendered by the virtual bench; folder: frames replayed."
+        default="virtual",
+        description="virtual: frames rendered by the virtual bench; folder: frames replayed.",
     )
     folder: Text | None = Field(
         default=None, description="folder: an image set whose PNG files are replayed; relative to this file."
@@ -141,6 +144,8 @@ class HardwareConfig(Frozen):
 
     controllers: dict[FileName, ControllerConfig] = Field(description="The light controllers by name.")
     lights: dict[FileName, ChannelConfig] = Field(description="Where each light of the rig is plugged in.")
-    stage: StageDeviceConfig | None = Field(default=None, description="The stage; none: the part stands still.")
+    stage: StageDeviceConfig | None = Field(
+        default=None, description="The stage; none: the part stands still."
+    )
     camera: CameraDeviceConfig = Field(description="The camera.")
     timing: TimingConfig = Field(default=TimingConfig(), description="What is waited for.")

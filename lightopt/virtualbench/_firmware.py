@@ -5,7 +5,7 @@ Firmware is written from the tables of its protocol, not from the driver: the tw
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 __all__ = ["Firmware", "LightFirmware", "StageFirmware"]
 
@@ -19,6 +19,18 @@ class Firmware(Protocol):
 
     def poll(self, now: float) -> bytes:
         """Return bytes that the device sends on its own or late (banners, withheld replies); often none."""
+        ...
+
+    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
+        """Suffer a fault of the device from a time [s] on: a stalled axis, a light that stays dark.
+
+        Faults of the line (replies dropped, late, cut short) are the host's and never come here.
+
+        Raises
+        ------
+        ValueError
+            For a fault or an option that the device does not know; the message lists those that it does.
+        """
         ...
 
 
