@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
@@ -136,17 +137,25 @@ class Devices:
     def home(self) -> None:
         """Let the stage seek its origin."""
         assert self.stage is not None
-        self._stage_may_move = True
-        self.stage.home()
-        self._stage_may_move = False
+        with self._moving():
+            self.stage.home()
 
     def move_to(self, posture: Posture) -> StageState:
         """Move the stage and verify where it stands."""
         assert self.stage is not None
+        with self._moving():
+            return self.stage.move_to(posture)
+
+    @contextmanager
+    def _moving(self) -> Generator[None]:
+        """Remember that the stage may move; a driver that fails has stopped it and says so."""
         self._stage_may_move = True
-        state = self.stage.move_to(posture)
+        try:
+            yield
+        except LightoptError:
+            self._stage_may_move = False
+            raise
         self._stage_may_move = False
-        return state
 
     def identities(self) -> dict[str, Any]:
         """Who the devices say they are, in JSON form."""
@@ -162,7 +171,7 @@ class Devices:
         if self.stage is None or not failed:
             return burning, None
         if not self._stage_may_move:
-            return burning, "the stage was not moving"
+            return burning, None
         try:
             self.stage.stop()
             stopped = "the stage was stopped"

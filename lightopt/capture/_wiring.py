@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lightopt.config import HardwareConfig, RigConfig
+from lightopt.config import RigConfig
 from lightopt.config._hardware import (
     AxisConfig,
     CameraDeviceConfig,
     ChannelConfig,
     ControllerConfig,
+    HardwareConfig,
     StageDeviceConfig,
 )
 
