@@ -1,10 +1,9 @@
 """The SIGMA KOKI / OptoSigma controller GSC-02, which answers to questions only.
 
 It knows no absolute move: the position is asked for, ``M:1+P500`` or ``M:W+P500-P200`` names the way from there,
-``G:`` goes it, and the position is verified at the end. A relative move is never sent twice. Whether a command was taken
-shows in ACK1 of the next ``Q:``. Seeking the origin needs a sense, ``H:1-`` or ``H:W-+``, and only ``L:W`` and ``L:E``
-stop it.
-``D:`` sets the speeds of both axes at once, in a slow or in a fast range.
+``G:`` goes it, and the position is verified at the end. A relative move is never sent twice. Whether a command was
+taken shows in ACK1 of the next ``Q:``. Seeking the origin needs a sense, ``H:1-`` or ``H:W-+``, and only ``L:W`` and
+``L:E`` stop it. ``D:`` sets the speeds of both axes at once, in a slow or in a fast range.
 """
 
 from __future__ import annotations
