@@ -11,19 +11,17 @@ from lightopt.capture._devices import Devices
 from lightopt.capture._folder_camera import FolderCamera
 from lightopt.capture._plan import Plan
 from lightopt.capture._signals import EndSignals
+from lightopt.capture._virtual import STAGE, start_bench
 from lightopt.capture._wiring import VIRTUAL, Wiring
 from lightopt.config import PartConfig, RigConfig
-from lightopt.config._hardware import AxisConfig, ControllerConfig
+from lightopt.config._hardware import ControllerConfig
 from lightopt.errors import InputError
-from lightopt.hardware import Camera, Event, LightController, SerialLog, Stage
+from lightopt.hardware import Camera, Event, LightController, LightSettings, SerialLog, Stage, light_drivers
 from lightopt.hardware._axes import Axis
 from lightopt.hardware._stages import open_stage
-from lightopt.virtualbench import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire, VirtualCamera
+from lightopt.virtualbench import BenchProcess, BenchTruth, VirtualCamera
 
-__all__ = ["connect_devices", "start_bench"]
-
-_STAGE = "stage"
-"""Name of the stage among the devices of a virtual bench; controllers have the names of the rig file."""
+__all__ = ["connect_devices"]
 
 
 def connect_devices(
@@ -103,47 +101,6 @@ def connect_devices(
     return devices
 
 
-def start_bench(
-    rig: RigConfig, wiring: Wiring, *, part: PartConfig | None = None, truth: BenchTruth | None = None
-) -> BenchProcess:
-    """Switch on a virtual bench with the devices of a rig that are virtual, and with a camera where there is a part.
-
-    Raises
-    ------
-    HardwareError
-        When its process does not start.
-    """
-    hardware = wiring.hardware
-    devices: dict[str, dict[str, Any]] = {
-        name: {"kind": config.driver, "options": _light_firmware(config)}
-        for name, config in hardware.controllers.items()
-        if config.port == VIRTUAL
-    }
-    if wiring.stage_is_virtual and hardware.stage is not None:
-        devices[_STAGE] = {"kind": hardware.stage.driver, "options": _stage_firmware(rig, wiring)}
-    if part is None:
-        return BenchProcess(devices)
-    setup = CameraSetup(
-        rig=str(rig.source.path.resolve()),
-        part=str(part.source.path.resolve()),
-        exposure_us=wiring.exposure_us,
-        lights=tuple(
-            LightWire(
-                light=name,
-                device=channel.controller,
-                channel=channel.channel,
-                share=channel.level / hardware.controllers[channel.controller].top_level,
-            )
-            for name, channel in hardware.lights.items()
-            if channel.controller in devices
-        ),
-        elevation=_axis_wire(wiring, "elevation"),
-        rotation=_axis_wire(wiring, "rotation"),
-        truth=truth or BenchTruth(),
-    )
-    return BenchProcess(devices, camera=setup.as_dict())
-
-
 def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderCamera | None:
     config = wiring.hardware.camera
     if config.driver != "folder":
@@ -161,10 +118,18 @@ def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderC
     return camera
 
 
-def _controller(
-    name: str, config: ControllerConfig, port: str, log: SerialLog | None
-) -> LightController:
-    return open_lights(config.driver)
+def _controller(name: str, config: ControllerConfig, port: str, log: SerialLog | None) -> LightController:
+    settings = LightSettings(
+        name=name,
+        port=port,
+        baud=config.baud,
+        channels=config.channels,
+        top_level=config.top_level,
+        dialect=config.dialect,
+        template=None if config.template is None else config.template.model_dump(),
+        timeout_s=config.timeout_s,
+    )
+    return light_drivers()[config.driver](settings, log)
 
 
 def _stage(
@@ -188,20 +153,12 @@ def _stage(
     ]
     return open_stage(
         config.driver,
-        port=ports[_STAGE] if config.port == VIRTUAL else config.port,
+        port=ports[STAGE] if config.port == VIRTUAL else config.port,
         axes=axes,
         baud=config.baud,
         timeout_s=config.timeout_s,
         log=log,
     )
-
-
-def _axis_wire(wiring: Wiring, name: str) -> AxisWire | None:
-    stage = wiring.hardware.stage
-    axis: AxisConfig | None = None if stage is None else getattr(stage, name)
-    if axis is None or not wiring.stage_is_virtual:
-        return None
-    return AxisWire(device=_STAGE, axis=axis.axis, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
 
 
 def _events(drivers: list[Any]) -> list[Event]:

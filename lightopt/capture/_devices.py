@@ -10,7 +10,7 @@ from typing import Any
 from lightopt.capture._signals import EndSignals
 from lightopt.capture._wiring import Wiring
 from lightopt.errors import HardwareError, InputError, LightoptError
-from lightopt.hardware import Camera, Event, LightController, Stage, StageState
+from lightopt.hardware import Camera, Event, LightController, Stage, StageState, all_off
 from lightopt.transforms import Posture
 
 __all__ = ["Devices"]
@@ -122,17 +122,11 @@ class Devices:
 
     def all_off(self) -> list[str]:
         """Switch every channel off, each tried even if another fails; returns what failed, in words."""
-        failures: list[str] = []
-        names = {(c.controller, c.channel): name for name, c in self.wiring.hardware.lights.items()}
-        for controller, device in self.controllers.items():
-            for channel in range(1, device.channels + 1):
-                try:
-                    device.set_level(channel, 0)
-                except LightoptError as error:
-                    light = names.get((controller, channel))
-                    called = f"{light} ({controller}, channel {channel})" if light else f"{controller}, channel {channel}"
-                    failures.append(f"{called} MAY STILL BURN, switching it off failed: {error}")
-        return failures
+        try:
+            all_off(self.controllers)
+        except HardwareError as error:
+            return list(error.messages)
+        return []
 
     def home(self) -> None:
         """Let the stage seek its origin."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lightopt.errors import InputError
 from lightopt.transforms import Posture
 from lightopt.virtualbench._requests import Answer, Handler
 from lightopt.virtualbench._truth import BenchTruth
@@ -141,8 +142,11 @@ class BenchCamera:
                 from lightopt.virtualbench._optics import BenchOptics
 
                 rig, part = Path(self._setup.rig), Path(self._setup.part)
-                # postures come from the stage; those of the part's file may be beyond the rig's range
-                scene = build_scene(rig, part, postures=())
+                try:
+                    # postures come from the stage; those of the part's file may be beyond the rig's range
+                    scene = build_scene(rig, part, postures=())
+                except InputError as error:
+                    raise ValueError(str(error)) from error
                 self._optics = BenchOptics(scene, self._setup.truth)
             return self._optics
 
