@@ -1,6 +1,8 @@
 """Devices of a rig behind three small roles, one module per protocol. The one home of pyserial."""
 
-from lightopt.hardware._errors import LinkLostError, ReplyError
+from lightopt.hardware._drivers import light_drivers
+from lightopt.hardware._errors import LinkLostError, RefusedError, ReplyError
+from lightopt.hardware._lights import LightSettings, all_off
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import Event, SerialLog
 from lightopt.hardware._ports import Port, serial_ports
@@ -12,12 +14,16 @@ __all__ = [
     "Frame",
     "Identity",
     "LightController",
+    "LightSettings",
     "LinkLostError",
     "Port",
+    "RefusedError",
     "ReplyError",
     "SerialLink",
     "SerialLog",
     "Stage",
     "StageState",
+    "all_off",
+    "light_drivers",
     "serial_ports",
 ]

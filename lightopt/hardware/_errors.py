@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from lightopt.errors import HardwareError
 
-__all__ = ["LinkLostError", "ReplyError", "printable"]
+__all__ = ["LinkLostError", "RefusedError", "ReplyError", "printable"]
 
 
 class ReplyError(HardwareError):
     """A reply did not come, came in part, or cannot be what was asked for; asking again may help."""
+
+
+class RefusedError(HardwareError):
+    """The device heard the command and said no. Asking again cannot help."""
 
 
 class LinkLostError(HardwareError):

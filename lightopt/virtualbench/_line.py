@@ -32,10 +32,10 @@ class _Fault:
 class Line:
     """What becomes of the bytes that a device sends.
 
-    Faults, each with ``after``, ``count``, ``probability`` and ``seed``: ``drop``; ``delay`` (by ``delay_s``); ``truncate``
-    (to ``keep`` bytes); ``garbage_before`` and ``garbage_instead`` (so many ``bytes``); ``vanish`` (the cable is pulled
-    when a command arrives; ``obeyed``: whether the device still hears it). Occasions of ``vanish`` are deliveries of
-    bytes to the device, those of the others are replies.
+    Faults, each with ``after``, ``count``, ``probability`` and ``seed``: ``drop``; ``delay`` (by ``delay_s``);
+    ``truncate`` (to ``keep`` bytes); ``garbage_before`` and ``garbage_instead`` (so many ``bytes``); ``vanish`` (the
+    cable is pulled when a command arrives; ``obeyed``: whether the device still hears it). Occasions of ``vanish`` are
+    deliveries of bytes to the device, those of the others are replies.
     """
 
     def __init__(self) -> None:
