@@ -72,7 +72,7 @@ class Axis:
 
     def angle_of(self, units: float) -> float:
         """The rig's angle [°] at a position of the device."""
-        return (units - self.zero) / self.steps_per_deg
+        return (units - self.zero) / self.steps_per_deg + 0.0  # never -0
 
     def units_of(self, angle_deg: float) -> float:
         """The device's position at an angle [°] of the rig, not rounded."""

@@ -20,7 +20,6 @@ import time
 from collections.abc import Mapping, Sequence
 
 from lightopt.errors import HardwareError, InputError
-from lightopt.hardware._ask import ask
 from lightopt.hardware._axes import Axis, describe_range
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._grbl_words import (
@@ -32,6 +31,7 @@ from lightopt.hardware._grbl_words import (
 )
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._moves import Reading
+from lightopt.hardware._retry import Persistence
 
 __all__ = ["GrblDialogue"]
 
@@ -78,6 +78,8 @@ class GrblDialogue:
                 f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}"
             )
         self.link = link
+        self.homes_to_end = True
+        self._patience = Persistence(link)
         self._axes = tuple(axes)
         self._home_timeout_s = home_timeout_s
         self._settings: dict[int, float] | None = None
@@ -88,7 +90,7 @@ class GrblDialogue:
 
     def says(self) -> dict[str, str]:
         """Version and build options."""
-        lines = ask(self.link, lambda: self._line("$I"))
+        lines = self._patience.ask(lambda: self._line("$I"))
         says: dict[str, str] = {}
         for line in lines:
             key, _, value = line.decode("ascii", "replace").strip().strip("[]").partition(":")
@@ -100,7 +102,7 @@ class GrblDialogue:
         """Position and state; after an alarm that silences Grbl, the last that is known, without asking."""
         if self._critical is None:
             try:
-                return ask(self.link, self._report)
+                return self._patience.ask(self._report)
             except ReplyError as error:
                 if self._critical is None:
                     raise ReplyError(
@@ -221,7 +223,7 @@ class GrblDialogue:
 
     def _setting(self, number: int) -> float:
         if self._settings is None:
-            lines = ask(self.link, lambda: self._line("$$"))
+            lines = self._patience.ask(lambda: self._line("$$"))
             settings = dict(setting for line in lines if (setting := parse_setting(line)) is not None)
             needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
             if missing := needed - set(settings):

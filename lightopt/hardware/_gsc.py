@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from lightopt.errors import InputError
-from lightopt.hardware._ask import ask
 from lightopt.hardware._axes import Axis
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._moves import Reading
+from lightopt.hardware._retry import Persistence
 from lightopt.hardware._sigmakoki import (
     END,
     RAMP_MS,
@@ -46,18 +46,20 @@ class GscDialogue:
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
         check_axes(axes, slowest=_RANGES[1][0], fastest=_RANGES[2][1])
         self.link = link
+        self.homes_to_end = False
+        self._patience = Persistence(link)
         self._axes = tuple(axes)
         self._speeds = _speed_command(self._axes)
 
     def says(self) -> dict[str, str]:
         """Version of the controller's program."""
-        line = ask(self.link, lambda: self.link.query(command("?:V"), end=END))
+        line = self._patience.ask(lambda: self.link.query(command("?:V"), end=END))
         version = line.decode("ascii", "replace").strip()
         return {"version": version} if version not in ("", "NG") else {}
 
     def read(self) -> Reading:
         """Where the axes are and whether they move."""
-        return self._reading(ask(self.link, self._status))
+        return self._reading(self._patience.ask(self._status))
 
     def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
         """One pulse."""
@@ -104,7 +106,7 @@ class GscDialogue:
     def _command(self, text: str) -> None:
         """Send a command, and ask whether it was taken."""
         self.link.send(command(text))
-        status = ask(self.link, self._status)
+        status = self._patience.ask(self._status)
         if not status.accepted:
             raise self.link.failure(
                 "refused (ACK1 is X): the command is wrong, or the stage is moving", sent=command(text)

@@ -11,6 +11,7 @@ from lightopt.errors import HardwareError, InputError
 from lightopt.hardware._axes import Axis
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._link import SerialLink
+from lightopt.hardware._log import Event
 from lightopt.hardware._roles import Identity, StageState
 from lightopt.transforms import Posture
 
@@ -55,6 +56,11 @@ class Dialogue(Protocol):
     @property
     def link(self) -> SerialLink:
         """The wire."""
+        ...
+
+    @property
+    def homes_to_end(self) -> bool:
+        """Whether :meth:`home` returns when the origins are found, rather than when the search has begun."""
         ...
 
     def says(self) -> dict[str, str]:
@@ -142,6 +148,11 @@ class MovingStage:
         self._left_at: dict[str, float] | None = None
         self._homed = False
         self._lost: str | None = None
+
+    @property
+    def events(self) -> list[Event]:
+        """What was out of the ordinary on the link so far."""
+        return self._link.events
 
     def identify(self) -> Identity:
         """Ask the device who it is, without moving it."""
@@ -345,11 +356,13 @@ class MovingStage:
 
     def _come_home(self) -> Reading:
         started = self._clock.now()
+        moved = self._dialogue.homes_to_end
         wrong_since: float | None = None
         while True:
             reading = self._dialogue.read()
             now = self._clock.now()
             if reading.moving:
+                moved = True
                 wrong_since = None
                 if now - started > self._home_timeout_s:
                     raise self._link.failure(
@@ -357,10 +370,10 @@ class MovingStage:
                     )
             else:
                 problem = self._dialogue.homed(reading)
-                if problem is None:
+                if problem is None and (moved or now - started > _SETTLE_S):
                     return reading
                 wrong_since = now if wrong_since is None else wrong_since
-                if now - wrong_since > _SETTLE_S:
+                if problem is not None and now - wrong_since > _SETTLE_S:
                     raise self._link.failure(f"has not found its origin: {problem}")
             self._clock.sleep(_POLL_S)
 
@@ -377,7 +390,7 @@ class MovingStage:
             return f"It was told to stop, which failed too, so it may still move: {failed}"
         finally:
             self._left_at = None
-        return f"It was told to stop and stands still. Before the next move, {HOME_FIRST}"
+        return f"It stands still now. Before the next move, {HOME_FIRST}"
 
     def _state(self, reading: Reading) -> StageState:
         angles = {"elevation": 0.0, "rotation": 0.0}

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from lightopt.hardware._ask import ask
 from lightopt.hardware._axes import Axis
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._moves import Reading
+from lightopt.hardware._retry import Persistence
 from lightopt.hardware._sigmakoki import (
     END,
     RAMP_MS,
@@ -43,16 +43,18 @@ class ShotDialogue:
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
         check_axes(axes, slowest=_SLOWEST, fastest=_FASTEST)
         self.link = link
+        self.homes_to_end = False
+        self._patience = Persistence(link)
         self._axes = tuple(axes)
 
     def says(self) -> dict[str, str]:
         """Version of the controller's program."""
-        version = ask(self.link, lambda: self._query("?:V"))
+        version = self._patience.ask(lambda: self._query("?:V"))
         return {} if version == "NG" else {"version": version}
 
     def read(self) -> Reading:
         """Where the axes are and whether they move."""
-        return ask(self.link, self._read)
+        return self._patience.ask(self._read)
 
     def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
         """One pulse."""
@@ -67,12 +69,12 @@ class ShotDialogue:
             fast = round(axis.speed_units())
             slow = max(_SLOWEST, fast // 10)
             text = f"D:{axis.device}S{slow}F{fast}R{RAMP_MS}"
-            ask(self.link, lambda text=text: self._command(text))
+            self._patience.ask(lambda text=text: self._command(text))
 
     def go(self, targets: Mapping[str, float]) -> None:
         """Name the targets, which may be said twice, and go, which may not."""
         text = axis_words("A", {axis: signed(round(units)) for axis, units in targets.items()})
-        ask(self.link, lambda: self._command(text))
+        self._patience.ask(lambda: self._command(text))
         self._command("G:")
 
     def home(self) -> None:
@@ -88,7 +90,7 @@ class ShotDialogue:
 
     def halt(self) -> None:
         """Stop at once."""
-        ask(self.link, lambda: self._command("L:E"))
+        self._patience.ask(lambda: self._command("L:E"))
 
     def _read(self) -> Reading:
         line = self.link.query(command("Q:"), end=END)

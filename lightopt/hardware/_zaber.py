@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lightopt.errors import InputError
-from lightopt.hardware._ask import ask
 from lightopt.hardware._axes import Axis
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._moves import Reading
+from lightopt.hardware._retry import Persistence
 from lightopt.hardware._zaber_messages import (
     NOT_HOMED,
     Reply,
@@ -58,6 +58,8 @@ class ZaberDialogue:
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
         self.link = link
+        self.homes_to_end = False
+        self._patience = Persistence(link)
         self._axes = tuple(axes)
         self._addresses = {axis.device: _address(axis) for axis in axes}
         if len(set(self._addresses.values())) < len(self._axes):
@@ -75,7 +77,7 @@ class ZaberDialogue:
                 ("serial", "system.serial"),
                 ("version", "version"),
             ):
-                reply = ask(self.link, lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
+                reply = self._patience.ask(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
                 if reply.accepted:
                     says[f"{key}{device if device > 1 else ''}"] = reply.data
         return says
@@ -86,7 +88,7 @@ class ZaberDialogue:
         moving, homed = False, True
         alarms: list[str] = []
         for axis in self._axes:
-            reply, position = ask(self.link, lambda axis=axis: self._number_of(axis.device, "get pos"))
+            reply, position = self._patience.ask(lambda axis=axis: self._number_of(axis.device, "get pos"))
             units[axis.device] = float(position)
             moving = moving or reply.busy
             homed = homed and reply.warning not in NOT_HOMED
@@ -119,9 +121,11 @@ class ZaberDialogue:
         """Set the speed of each axis where it is another; the device keeps it."""
         for axis in self._axes:
             wanted = max(1, round(axis.speed_units() * _SPEED_UNIT))
-            _, holds = ask(self.link, lambda axis=axis: self._number_of(axis.device, "get maxspeed"))
+            _, holds = self._patience.ask(lambda axis=axis: self._number_of(axis.device, "get maxspeed"))
             if holds != wanted:
-                ask(self.link, lambda axis=axis, v=wanted: self._accepted(axis.device, f"set maxspeed {v}"))
+                self._patience.ask(
+                    lambda axis=axis, v=wanted: self._accepted(axis.device, f"set maxspeed {v}")
+                )
                 self.link.note(f"axis {axis.device}: maxspeed was {holds}, set to {wanted}")
 
     def go(self, targets: Mapping[str, float]) -> None:
@@ -143,14 +147,14 @@ class ZaberDialogue:
     def halt(self) -> None:
         """Stop every axis of each device."""
         for device in sorted({address.device for address in self._addresses.values()}):
-            reply = ask(self.link, lambda d=device: self._exchange(d, 0, "stop"))
+            reply = self._patience.ask(lambda d=device: self._exchange(d, 0, "stop"))
             if not reply.accepted:
                 raise self.link.failure(f"device {device} refused to stop: {rejection_words(reply.data)}")
 
     def _limits_of(self, axis: str) -> tuple[int, int]:
         if axis not in self._limits:
             low, high = (
-                ask(self.link, lambda s=setting: self._number_of(axis, f"get {s}"))[1]
+                self._patience.ask(lambda s=setting: self._number_of(axis, f"get {s}"))[1]
                 for setting in ("limit.min", "limit.max")
             )
             self._limits[axis] = (low, high)

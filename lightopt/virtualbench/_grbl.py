@@ -9,12 +9,12 @@ locked start with homing enabled; a machine space from 0 down to −$130; no rep
 from __future__ import annotations
 
 import math
-import re
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
 from lightopt.virtualbench._gcode import GcodeError, Modes, Move, parse_line
+from lightopt.virtualbench._grbl_settings import Settings
 from lightopt.virtualbench._travel import Axes
 from lightopt.virtualbench._trigger import Trigger, trigger
 
@@ -28,52 +28,13 @@ _CRITICAL = (1, 2)
 _BLOCKS = 15  # moves that the planner holds
 _SLOW_START_S = 0.004  # a report so soon after the ok still says Idle
 _BRAKE_S = 0.02
-_DEFAULTS = {
-    # fmt: off
-    0: 10.0,
-    1: 25.0,
-    2: 0.0,
-    3: 0.0,
-    4: 0.0,
-    5: 0.0,
-    6: 0.0,
-    10: 1.0,
-    11: 0.01,
-    12: 0.002,
-    13: 0.0,
-    20: 0.0,
-    21: 0.0,
-    22: 0.0,
-    23: 0.0,
-    24: 25.0,
-    25: 500.0,
-    26: 250.0,
-    27: 1.0,
-    30: 1000.0,
-    31: 0.0,
-    32: 0.0,
-    100: 250.0,
-    101: 250.0,
-    102: 250.0,
-    110: 500.0,
-    111: 500.0,
-    112: 500.0,
-    120: 10.0,
-    121: 10.0,
-    122: 10.0,
-    130: 200.0,
-    131: 200.0,
-    132: 200.0,
-    # fmt: on
-}
-_FRACTIONS = {11, 12, 24, 25, 27, *range(100, 133)}
 
 
 class GrblFirmware:
     """A Grbl 1.1h with three axes.
 
-    Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse`` (option
-    ``code``: lines are answered by ``error:code``, with ``after``, ``count``, ``probability`` and ``seed``),
+    Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
+    (option ``code``: lines are answered by ``error:code``, with ``after``, ``count``, ``probability`` and ``seed``),
     ``power_cycle``.
 
     Parameters
@@ -97,7 +58,7 @@ class GrblFirmware:
         if not set(given) <= set(_NAMES):
             raise ValueError(f"the axes are X, Y and Z, found {', '.join(given)}")
         self._axes = Axes({name: given.get(name, {}) for name in _NAMES})
-        self._settings = {**_DEFAULTS, **{int(key): value for key, value in (settings or {}).items()}}
+        self._settings = Settings(settings or {})
         self._home_speed = home_speed
         self._refuse: tuple[Trigger, int] | None = None
         self._power_up()
@@ -370,11 +331,11 @@ class GrblFirmware:
         line = text.replace(" ", "").upper()
         if line.startswith("$J="):
             return self._jog(line[3:], now)
-        if line in ("$$", "$H") or "=" in line:
-            if self._moving(now) or self._state == "Hold":
-                raise GcodeError(8)
+        changes = line in ("$$", "$H") or "=" in line
+        if changes and (self._moving(now) or self._state == "Hold"):
+            raise GcodeError(8)
         if line == "$$":
-            return b"".join(self._setting_line(number) for number in sorted(self._settings)) + b"ok\r\n"
+            return self._settings.lines() + b"ok\r\n"
         if line == "$I":
             return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
         if line == "$G":
@@ -386,21 +347,7 @@ class GrblFirmware:
             return (b"[MSG:Caution: Unlocked]\r\n" if locked else b"") + b"ok\r\n"
         if line == "$H":
             return self._home(now)
-        match = re.fullmatch(r"\$(\d+)=(\d+(?:\.\d+)?)", line)
-        if match is None or int(match[1]) not in self._settings:
-            raise GcodeError(3)
-        return self._set(int(match[1]), float(match[2]))
-
-    def _setting_line(self, number: int) -> bytes:
-        value = self._settings[number]
-        return f"${number}={f'{value:.3f}' if number in _FRACTIONS else int(value)}\r\n".encode()
-
-    def _set(self, number: int, value: float) -> bytes:
-        if number == 20 and value and not self._settings[22]:
-            raise GcodeError(10)
-        self._settings[number] = value
-        if number == 22 and not value:
-            self._settings[20] = 0
+        self._settings.set_from(line)
         return b"ok\r\n"
 
     def _home(self, now: float) -> bytes:

@@ -26,9 +26,9 @@ class ZaberFirmware:
     """A chain with one device.
 
     Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
-    FS unless told, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``, BADDATA
-    unless told), ``checksum`` (a reply's checksum is wrong), both with ``after``, ``count``, ``probability`` and
-    ``seed``; ``power_cycle``.
+    FS unless told, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
+    BADDATA unless told), ``checksum`` (a reply's checksum is wrong), both with ``after``, ``count``, ``probability``
+    and ``seed``; ``power_cycle``.
 
     Parameters
     ----------
