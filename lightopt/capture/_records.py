@@ -49,8 +49,8 @@ def open_set(
     """
     if (folder / MANIFEST_NAME).exists() and not (resume or force):
         raise InputError(
-            f"{folder}: holds an image set; use --resume to take what is missing of it, --force to replace it, or choose "
-            "another output folder"
+            f"{folder}: holds an image set; use --resume to take what is missing of it, --force to replace it, "
+            "or choose another output folder"
         )
     header = Manifest(
         kind="captured",
@@ -86,7 +86,10 @@ class CapturedSet:
         self._scene = scene
         self._plan = plan
         self._angles = {
-            light.name: (round(float(np.degrees(light.elevation)), 9), round(float(np.degrees(light.azimuth)), 9))
+            light.name: (
+                round(float(np.degrees(light.elevation)), 9),
+                round(float(np.degrees(light.azimuth)), 9),
+            )
             for light in scene.lights
         }
 

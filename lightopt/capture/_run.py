@@ -70,6 +70,7 @@ def capture(
     resume: bool = False,
     force: bool = False,
     connect: Connect | None = None,
+    serial_log: Path | None = None,
     warn: Callable[[str], None] | None = None,
     report: CaptureReport | None = None,
 ) -> Captured:
@@ -89,14 +90,16 @@ def capture(
         Replace the set that is there.
     connect
         Opens the devices; those of the rig's file if not given.
+    serial_log
+        File that gets every byte on the wires with its time.
     warn, report
         Called with warnings and with progress.
 
     Raises
     ------
     InputError
-        When the plan cannot be, the folder holds something else, or the disk refuses; before anything is opened wherever
-        that can be known.
+        When the plan cannot be, the folder holds something else, or the disk refuses; before anything is opened
+        wherever that can be known.
     HardwareError
         When a device fails or an image is not lit by its light; the message says in which step and what state things
         are in. The lights are off then, or it says which may not be.
@@ -113,7 +116,7 @@ def capture(
             # the devices are made safe first, then what is still being written is finished
             stack.callback(run.finish)
             with timing.spent("opening_s"):
-                devices = stack.enter_context((connect or _connecting(rig, part))(plan))
+                devices = stack.enter_context((connect or _connecting(rig, part, serial_log))(plan))
                 check_camera(
                     devices,
                     resolution_px=rig.camera.resolution_px,
@@ -135,8 +138,8 @@ def capture(
     )
 
 
-def _connecting(rig: RigConfig, part: PartConfig) -> Connect:
-    return lambda plan: connect_devices(rig, plan.wiring, part=part, plan=plan)
+def _connecting(rig: RigConfig, part: PartConfig, serial_log: Path | None) -> Connect:
+    return lambda plan: connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log)
 
 
 class _Run:
@@ -249,13 +252,13 @@ class _Run:
                 shooter.light_off()
             taken[exposure] = shot.image
             if exposure == missing[0]:
-                devices.step = f"checking that {light} lights the image {task.posture} at exposure {exposure:g}"
+                devices.step = (
+                    f"checking that {light} lights the image {task.posture} at exposure {exposure:g}"
+                )
                 shot.facts["lit"] = self._judge.judge(light, task.posture, exposure, shot, dark, self.warn)
             self._write(self._records.add, light, task.posture, exposure, shot)
             self.taken += 1
-        self._writing.append(
-            self._disk.submit(self._records.add_linear, light, task.posture, taken, dark)
-        )
+        self._writing.append(self._disk.submit(self._records.add_linear, light, task.posture, taken, dark))
 
     def _expose(
         self, devices: Devices, shooter: Shooter, task: PostureTask, light: str | None, exposure: float

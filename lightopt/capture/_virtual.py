@@ -83,13 +83,16 @@ def _stage(rig: RigConfig, wiring: Wiring) -> dict[str, Any]:
         for axis, range_deg in axes
     }
     if stage.driver == "zaber":
-        options["limits"] = {name: [int(min(0, low)) - 1, int(high) + 1] for name, (low, high) in ends.items()}
+        options["limits"] = {
+            name: [int(min(0, low)) - 1, int(high) + 1] for name, (low, high) in ends.items()
+        }
     if stage.driver == "grbl":
         numbers = {"X": 0, "Y": 1, "Z": 2}
-        options["settings"] = {"22": 1}
+        settings: dict[str, float] = {"22": 1.0}
         for name, speed in speeds.items():
-            options["settings"][str(110 + numbers[name])] = 60.0 * speed
-            options["settings"][str(130 + numbers[name])] = max(1.0, -ends[name][0])
+            settings[str(110 + numbers[name])] = 60.0 * speed
+            settings[str(130 + numbers[name])] = max(1.0, -ends[name][0])
+        options["settings"] = settings
     return options
 
 
