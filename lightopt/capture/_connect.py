@@ -13,10 +13,14 @@ from lightopt.capture._plan import Plan
 from lightopt.capture._signals import EndSignals
 from lightopt.capture._virtual import STAGE, start_bench
 from lightopt.capture._wiring import VIRTUAL, Wiring
-from lightopt.config import PartConfig, RigConfig
-from lightopt.config._hardware import ControllerConfig
+from lightopt.config import (
+    ControllerConfig,
+    PartConfig,
+    RigConfig,
+)
 from lightopt.errors import InputError
 from lightopt.hardware import (
+    Axis,
     Camera,
     Event,
     LightController,
@@ -24,10 +28,9 @@ from lightopt.hardware import (
     SerialLog,
     Stage,
     light_drivers,
+    open_stage,
     serial_ports,
 )
-from lightopt.hardware._axes import Axis
-from lightopt.hardware._stages import open_stage
 from lightopt.virtualbench import BenchProcess, BenchTruth, VirtualCamera
 
 __all__ = ["connect_devices"]

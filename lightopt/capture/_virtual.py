@@ -5,8 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from lightopt.capture._wiring import VIRTUAL, Wiring
-from lightopt.config import PartConfig, RigConfig
-from lightopt.config._hardware import AxisConfig, ControllerConfig
+from lightopt.config import (
+    AxisConfig,
+    ControllerConfig,
+    PartConfig,
+    RigConfig,
+)
 from lightopt.virtualbench import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
 
 __all__ = ["STAGE", "start_bench"]
