@@ -117,7 +117,7 @@ def test_shot_says_no_and_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(HardwareError) as failed:
         stage("shot", pulses()).move_to(Posture(18.0, 40.0))
     text = str(failed.value)
-    assert 'stage (shot) on COM9: refused (NG)' in text
+    assert "stage (shot) on COM9: refused (NG)" in text
     assert 'sent "G:\\r\\n", got "NG\\r\\n"' in text
     assert "lightopt bench home" in text
     assert script.ended()
@@ -367,7 +367,11 @@ def lrc(body: bytes) -> bytes:
 
 @pytest.mark.parametrize(
     ("reason", "words"),
-    [("BADDATA", "the value is wrong or out of range"), ("PARKED", "the device is parked"), ("NEWER", "unknown")],
+    [
+        ("BADDATA", "the value is wrong or out of range"),
+        ("PARKED", "the device is parked"),
+        ("NEWER", "unknown"),
+    ],
 )
 def test_zaber_says_why_it_rejects(monkeypatch: pytest.MonkeyPatch, reason: str, words: str) -> None:
     replies = [b"OK IDLE -- 0", b"OK IDLE -- 0", b"OK IDLE -- 360000", b"OK IDLE -- 163840"]
@@ -449,7 +453,9 @@ def test_out_of_range_sends_nothing(monkeypatch: pytest.MonkeyPatch, driver: str
 
 def test_an_axis_that_the_stage_lacks_stands_at_0(monkeypatch: pytest.MonkeyPatch) -> None:
     play(monkeypatch, [])
-    with pytest.raises(InputError, match=r"elevation: 5° was asked for, but hardware\.stage has no elevation axis"):
+    with pytest.raises(
+        InputError, match=r"elevation: 5° was asked for, but hardware\.stage has no elevation axis"
+    ):
         stage("zaber", microsteps()).move_to(Posture(5.0, 10.0))
 
 
@@ -471,7 +477,11 @@ def test_an_axis_that_the_stage_lacks_stands_at_0(monkeypatch: pytest.MonkeyPatc
         ("grbl", [Axis("rotation", "A", TURN)], "axes are X, Y and Z"),
         ("zaber", [Axis("rotation", "X", TURN)], r"device/axis \(2/1\), found X"),
         ("zaber", [Axis("elevation", "1", TILT), Axis("rotation", "1/1", TURN)], "same axis"),
-        ("marlin", [Axis("rotation", "X", TURN)], "unknown stage driver marlin; there are: shot, gsc, grbl, zaber"),
+        (
+            "marlin",
+            [Axis("rotation", "X", TURN)],
+            "unknown stage driver marlin; there are: shot, gsc, grbl, zaber",
+        ),
         ("shot", [], "no axis"),
     ],
 )
