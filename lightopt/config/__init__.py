@@ -6,6 +6,16 @@ into physics.
 
 from lightopt.config._camera import CameraConfig, DistortionConfig, SensorConfig
 from lightopt.config._edit import with_values
+from lightopt.config._hardware import (
+    AxisConfig,
+    CameraDeviceConfig,
+    ChannelConfig,
+    ControllerConfig,
+    HardwareConfig,
+    StageDeviceConfig,
+    TemplateConfig,
+    TimingConfig,
+)
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, PostureConfig, ReflectanceConfig
@@ -14,8 +24,13 @@ from lightopt.config._schema import json_schema
 from lightopt.config._source import Source
 
 __all__ = [
+    "AxisConfig",
     "CameraConfig",
+    "CameraDeviceConfig",
+    "ChannelConfig",
+    "ControllerConfig",
     "DistortionConfig",
+    "HardwareConfig",
     "LightConfig",
     "LightSourceConfig",
     "MeshConfig",
@@ -27,6 +42,9 @@ __all__ = [
     "SensorConfig",
     "Source",
     "StageConfig",
+    "StageDeviceConfig",
+    "TemplateConfig",
+    "TimingConfig",
     "json_schema",
     "load_part",
     "load_rig",

@@ -101,6 +101,11 @@ class ImageSetWriter:
             if name is not None
         )
 
+    def linear_done(self, light: str, posture: Posture) -> bool:
+        """Whether the linear image of a light and posture is listed and its file is there with the hash listed."""
+        entry = next((e for e in self._manifest.images if e.key[:2] == (light, posture) and e.exr), None)
+        return entry is not None and self._intact(entry.exr or "", entry.sha256.get("exr"))
+
     def geometry_done(self, posture: Posture) -> bool:
         """Whether the geometry of a posture is listed and its file is there with the hash listed."""
         entry = next((e for e in self._manifest.geometry if e.posture == posture), None)
@@ -166,6 +171,65 @@ class ImageSetWriter:
         entries = {e.key: _with_exr(e, listed) for e in self._manifest.images}
         self._save(images=tuple({**entries, listed.key: listed}.values()))
         return listed
+
+    def add_linear(
+        self, light: str, posture: Posture, channels: Mapping[str, NDArray[np.float32]]
+    ) -> None:
+        """Write the linear image that listed exposures of a light and posture share, then list it with each of them.
+
+        Parameters
+        ----------
+        light, posture
+            Of images that are listed.
+        channels
+            Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
+
+        Raises
+        ------
+        InputError
+            When no image of them is listed, a file of others is in the way, or the disk refuses.
+        """
+        of_it = [e for e in self._manifest.images if e.key[:2] == (light, posture)]
+        if not of_it:
+            raise InputError(f"light {light!r} at {posture}: a linear image needs an image that is listed")
+        name = exr_name(light, posture)
+        digest = write_exr(self._place(name), channels, metadata=self._metadata(of_it[0], linear=True))
+        self._verified[name] = digest
+        self._save(
+            images=tuple(
+                replace(e, exr=name, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
+                if e.key[:2] == (light, posture)
+                else e
+                for e in self._manifest.images
+            )
+        )
+
+    def add_levels(
+        self, name: str, levels: NDArray[np.uint8] | NDArray[np.uint16], *, metadata: Mapping[str, Any]
+    ) -> None:
+        """Write camera levels that are no image of a light (a dark frame) as a further file, then list it.
+
+        Parameters
+        ----------
+        name
+            Path relative to the set's folder, POSIX style.
+        levels
+            Camera levels (H, W), as :func:`write_png` takes them.
+        metadata
+            What the file says of itself, JSON-able.
+
+        Raises
+        ------
+        InputError
+            When the path leaves the folder, a file of others is in the way or the disk refuses.
+        """
+        if problem := inside_problem(name):
+            raise InputError(f"{name!r}: {problem}")
+        self._names.claim(name, f"the file {name}")
+        facts = {**self._origin(), "bit_depth": self._manifest.bit_depth, **metadata}
+        digest = write_png(self._place(name), levels, metadata=facts)
+        self._verified[name] = digest
+        self._save(files={**self._manifest.files, name: digest})
 
     def add_geometry(
         self,

@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from lightopt.virtualbench._camera import BenchCamera, CameraSetup
 from lightopt.virtualbench._control import ControlServer
 from lightopt.virtualbench._requests import handlers
 from lightopt.virtualbench._wires import have_ptys
@@ -29,7 +30,7 @@ def run(spec: Mapping[str, Any]) -> None:
     Parameters
     ----------
     spec
-        ``devices`` (see :class:`World`) and ``tcp``.
+        ``devices`` (see :class:`World`), ``tcp``, and ``camera`` (see :class:`CameraSetup`).
 
     Raises
     ------
@@ -37,8 +38,11 @@ def run(spec: Mapping[str, Any]) -> None:
         For devices that cannot be built; nothing is served then.
     """
     world = World(spec["devices"], tcp=bool(spec.get("tcp", not have_ptys)))
+    requests = handlers(world)
+    if "camera" in spec:
+        requests |= _camera(world, spec["camera"]).requests()
     token = secrets.token_hex(16)
-    control = ControlServer(handlers(world), token)
+    control = ControlServer(requests, token)
     hello = {"control": control.port, "token": token, "ports": world.ports()}
     print(json.dumps(hello), flush=True)  # noqa: T201  (how the ports are handed over)
     ours, theirs = socket.socketpair()
@@ -48,6 +52,14 @@ def run(spec: Mapping[str, Any]) -> None:
     finally:
         control.close()
         world.close()
+
+
+def _camera(world: World, setup: Mapping[str, Any]) -> BenchCamera:
+    return BenchCamera(
+        CameraSetup.of(setup),
+        lambda device: world.levels()[device],
+        lambda device: world.positions(time.monotonic())[device],
+    )
 
 
 def _await_end(bell: socket.socket) -> None:
