@@ -15,8 +15,8 @@ from lightopt.hardware import open_stage
 from lightopt.virtualbench._catalogue import build
 
 SAID = (
-    rb"\r\n|\n|Q:|G:|A:1+P5|M:W+P1-P1|H:W-+|L:E|?|!|~|\x18|$$|$H|$X|G1X-1F5|/1 1 |home|move abs 5|:2C|ok\r\n|error:|ALARM:"
-    rb"|<Idle|MPos:|@01 1 |OK "
+    rb"\r\n|\n|Q:|G:|A:1+P5|M:W+P1-P1|H:W-+|L:E|?|!|~|\x18|$$|$H|$X|G1X-1F5|/1 1 |home|move abs 5|:2C"
+    rb"|ok\r\n|error:|ALARM:|<Idle|MPos:|@01 1 |OK "
 )
 WORDS = st.sampled_from([word.decode("unicode_escape").encode("latin-1") for word in SAID.split(b"|")])
 NOISE = st.lists(st.binary(max_size=8) | WORDS, max_size=12)
