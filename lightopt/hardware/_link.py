@@ -242,8 +242,12 @@ class SerialLink:
     def close(self) -> None:
         """Give up the port; never raises."""
         with self.lock:
+            # pyserial leaves the socket of a lost peer open
+            connection = getattr(self._serial, "_socket", None)
             try:
                 self._serial.close()
+                if connection is not None:
+                    connection.close()
             except _LOST as error:
                 self.note(f"closing failed: {error}")
             if self._log is not None:
