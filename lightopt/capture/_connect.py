@@ -132,9 +132,7 @@ def _controller(name: str, config: ControllerConfig, port: str, log: SerialLog |
     return light_drivers()[config.driver](settings, log)
 
 
-def _stage(
-    rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog | None
-) -> Stage | None:
+def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog | None) -> Stage | None:
     config = wiring.hardware.stage
     if config is None:
         return None

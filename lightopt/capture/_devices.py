@@ -192,8 +192,12 @@ class Devices:
         burning, stage = state
         cause = error.messages if isinstance(error, LightoptError) else (f"ended by {type(error).__name__}",)
         # what all_off said at the start and again at the end is said once
-        lights = [line for line in burning if line not in cause] or ([] if burning else ["all lights are off"])
-        return HardwareError(f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else []))
+        lights = [line for line in burning if line not in cause] or (
+            [] if burning else ["all lights are off"]
+        )
+        return HardwareError(
+            f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else [])
+        )
 
 
 def check_camera(devices: Devices, *, resolution_px: tuple[int, int], bit_depth: int, where: str) -> None:

@@ -65,7 +65,11 @@ class FolderCamera:
         """Say which image of a plan the set lacks; None where it has it."""
         if light is None:
             name = dark_name(posture, exposure)
-            return None if name in self._set.manifest.files else f"{self._set.folder}: no dark frame {name} to replay"
+            return (
+                None
+                if name in self._set.manifest.files
+                else f"{self._set.folder}: no dark frame {name} to replay"
+            )
         if (light, posture, exposure) in self._entries:
             return None
         return (
@@ -103,7 +107,9 @@ class FolderCamera:
                 raise HardwareError(problem)
             levels = self._black()
         else:
-            name = dark_name(posture, exposure) if light is None else self._entries[light, posture, exposure].png
+            name = (
+                dark_name(posture, exposure) if light is None else self._entries[light, posture, exposure].png
+            )
             try:
                 levels = read_png(self._set.path(name or ""))
             except InputError as error:

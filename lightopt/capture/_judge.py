@@ -106,7 +106,9 @@ class Judge:
             exposure=shot.image.exposure,
         )
         if found.problem is not None:
-            raise HardwareError(f"{found.problem} The image was not kept. --no-check captures without this check")
+            raise HardwareError(
+                f"{found.problem} The image was not kept. --no-check captures without this check"
+            )
         if found.undecided is not None:
             warn(f"{light} {posture}: cannot tell whether the light is the right one: {found.undecided}")
         return found.as_dict()

@@ -153,14 +153,14 @@ def check_lit(
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
-        return LitCheck(problem=None, brightness=0.0, resemblance=0.0, undecided="too little of the part shows")
+        return LitCheck(
+            problem=None, brightness=0.0, resemblance=0.0, undecided="too little of the part shows"
+        )
     seen = cells(image, predictions)[part] - (
         cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
     )
     room = sensor.saturated_from - sensor.black_level
-    alone = {
-        name: np.minimum(level[part] * exposure, room) for name, level in predictions.levels.items()
-    }
+    alone = {name: np.minimum(level[part] * exposure, room) for name, level in predictions.levels.items()}
     expected = float(alone[light].mean())
     noise = float(np.std(seen - _smooth_guess(seen, alone[light]))) / np.sqrt(seen.size)
     if expected <= 5.0 * max(noise, 0.02):
@@ -192,7 +192,11 @@ def check_lit(
         for name in others
     }
     worst = max(also.items(), key=lambda item: item[1], default=None)
-    if worst is not None and worst[1] >= max(RESEMBLES, own + CLEARLY_MORE) and brightness > 1.0 + STAYED_DARK:
+    if (
+        worst is not None
+        and worst[1] >= max(RESEMBLES, own + CLEARLY_MORE)
+        and brightness > 1.0 + STAYED_DARK
+    ):
         return replace(
             found,
             problem=f"{worst[0]} burns together with {light}: the image looks like both (correlation {worst[1]:.2f}, "

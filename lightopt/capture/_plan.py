@@ -151,7 +151,9 @@ class Plan:
             yield Step(kind="light off", what=light, seconds=_COMMAND_S, light=light)
         if self.home:
             stage = self.wiring.hardware.stage
-            axes = [axis for axis in (stage and stage.elevation, stage and stage.rotation) if axis is not None]
+            axes = [
+                axis for axis in (stage and stage.elevation, stage and stage.rotation) if axis is not None
+            ]
             # how far the origin is, nobody knows: at most once round
             slowest = min((axis.speed_deg_per_s for axis in axes), default=1.0)
             yield Step(kind="home", what="the stage, at most", seconds=360.0 / slowest)
@@ -159,9 +161,7 @@ class Plan:
     def _arrive(self, here: Posture, posture: Posture) -> Iterator[Step]:
         if self.wiring.hardware.stage is None:
             return
-        yield Step(
-            kind="move", what=f"to {posture}", seconds=self.travel_s(here, posture), posture=posture
-        )
+        yield Step(kind="move", what=f"to {posture}", seconds=self.travel_s(here, posture), posture=posture)
         yield Step(
             kind="settle",
             what="stage",

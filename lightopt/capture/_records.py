@@ -86,7 +86,10 @@ class CapturedSet:
         self._scene = scene
         self._plan = plan
         self._angles = {
-            light.name: (round(float(np.degrees(light.elevation)), 9), round(float(np.degrees(light.azimuth)), 9))
+            light.name: (
+                round(float(np.degrees(light.elevation)), 9),
+                round(float(np.degrees(light.azimuth)), 9),
+            )
             for light in scene.lights
         }
 

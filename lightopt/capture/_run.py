@@ -249,13 +249,13 @@ class _Run:
                 shooter.light_off()
             taken[exposure] = shot.image
             if exposure == missing[0]:
-                devices.step = f"checking that {light} lights the image {task.posture} at exposure {exposure:g}"
+                devices.step = (
+                    f"checking that {light} lights the image {task.posture} at exposure {exposure:g}"
+                )
                 shot.facts["lit"] = self._judge.judge(light, task.posture, exposure, shot, dark, self.warn)
             self._write(self._records.add, light, task.posture, exposure, shot)
             self.taken += 1
-        self._writing.append(
-            self._disk.submit(self._records.add_linear, light, task.posture, taken, dark)
-        )
+        self._writing.append(self._disk.submit(self._records.add_linear, light, task.posture, taken, dark))
 
     def _expose(
         self, devices: Devices, shooter: Shooter, task: PostureTask, light: str | None, exposure: float

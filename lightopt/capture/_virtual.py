@@ -83,7 +83,9 @@ def _stage(rig: RigConfig, wiring: Wiring) -> dict[str, Any]:
         for axis, range_deg in axes
     }
     if stage.driver == "zaber":
-        options["limits"] = {name: [int(min(0, low)) - 1, int(high) + 1] for name, (low, high) in ends.items()}
+        options["limits"] = {
+            name: [int(min(0, low)) - 1, int(high) + 1] for name, (low, high) in ends.items()
+        }
     if stage.driver == "grbl":
         numbers = {"X": 0, "Y": 1, "Z": 2}
         options["settings"] = {"22": 1}

@@ -172,9 +172,7 @@ class ImageSetWriter:
         self._save(images=tuple({**entries, listed.key: listed}.values()))
         return listed
 
-    def add_linear(
-        self, light: str, posture: Posture, channels: Mapping[str, NDArray[np.float32]]
-    ) -> None:
+    def add_linear(self, light: str, posture: Posture, channels: Mapping[str, NDArray[np.float32]]) -> None:
         """Write the linear image that listed exposures of a light and posture share, then list it with each of them.
 
         Parameters

@@ -95,7 +95,8 @@ class CameraSetup:
     def of(cls, data: Mapping[str, Any]) -> CameraSetup:
         """From its JSON form."""
         axes = {
-            name: None if data.get(name) is None else AxisWire(**data[name]) for name in ("elevation", "rotation")
+            name: None if data.get(name) is None else AxisWire(**data[name])
+            for name in ("elevation", "rotation")
         }
         return cls(
             rig=data["rig"],

@@ -69,7 +69,9 @@ class VirtualCamera:
         """
         low, high = EXPOSURE_RANGE_US
         if not low <= exposure_us <= high:
-            raise InputError(f"camera: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs")
+            raise InputError(
+                f"camera: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs"
+            )
         self._exposure_us = float(round(exposure_us))
         return self._exposure_us
 

@@ -92,6 +92,7 @@ class GrblFirmware:
         out, self._pending = self._pending, b""
         if self._critical:
             return out
+        self._stands(now)  # brings all axes up to now
         if any(axis.at_limit for axis in self._axes.by_name.values()):
             return out + self._alarm(1, now)
         if self._homing and not self._axes.moving(now):
@@ -100,12 +101,10 @@ class GrblFirmware:
             out += b"ok\r\n" if found else self._alarm(9, now) + b"ok\r\n"
             self._state = "Idle" if found else "Alarm"
         self._next_block(now)
-        if self._dwell is not None and not self._axes.moving(now) and not self._blocks:
-            self._dwell = now + self._dwell if self._dwell_from is None else self._dwell
-            self._dwell_from = now if self._dwell_from is None else self._dwell_from
-            if now >= self._dwell:
-                self._dwell = self._dwell_from = None
-                out += b"ok\r\n"
+        self._begin_dwell(now)
+        if self._dwell_until is not None and now >= self._dwell_until:
+            self._dwell = self._dwell_until = None
+            out += b"ok\r\n"
         if self._status_wanted and not self._homing:
             self._status_wanted = False
             out += self._report(now)
@@ -153,11 +152,16 @@ class GrblFirmware:
         self._homing = False
         self._jogging = False
         self._dwell: float | None = None
-        self._dwell_from: float | None = None
+        self._dwell_until: float | None = None
         self._status_wanted = False
         self._until_wco = self._until_ov = 0
         self._modes = Modes()
         self._planned: dict[str, float] | None = None
+
+    def _begin_dwell(self, now: float) -> None:
+        """Begin to wait, once all that was planned is done."""
+        if self._dwell is not None and self._dwell_until is None and not self._moving(now):
+            self._dwell_until = now + self._dwell
 
     def _moving(self, now: float) -> bool:
         return self._axes.moving(now) or bool(self._blocks)
@@ -260,6 +264,7 @@ class GrblFirmware:
         move = parse_line(text, self._modes)
         if move.dwell_s is not None:
             self._dwell = move.dwell_s
+            self._begin_dwell(now)
             return b""
         if not move.words:
             return b"ok\r\n"

@@ -96,9 +96,7 @@ class BenchOptics:
     def _layer(self, posture: Posture, light: str) -> Float32:
         key = (posture, light)
         if key not in self._layers:
-            alone = replace(
-                self._scene, lights=tuple(one for one in self._scene.lights if one.name == light)
-            )
+            alone = replace(self._scene, lights=tuple(one for one in self._scene.lights if one.name == light))
             self._layers[key] = render_posture(alone, posture, caster=self._caster).lights[0].level
         self._layers.move_to_end(key)
         layer = self._layers[key]
