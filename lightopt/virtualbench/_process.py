@@ -12,12 +12,13 @@ import threading
 from collections.abc import Mapping
 from typing import Any, BinaryIO
 
-from lightopt.errors import HardwareError
+from lightopt.errors import HardwareError, InputError
 
 __all__ = ["BenchProcess"]
 
 _START_S = 60.0
 _REQUEST_S = 120.0
+_WRONG = 2  # exit status of the process where its description is at fault
 
 
 class BenchProcess:
@@ -40,6 +41,8 @@ class BenchProcess:
 
     Raises
     ------
+    lightopt.errors.InputError
+        When a device cannot be as described.
     lightopt.errors.HardwareError
         When the process does not start.
     """
@@ -164,6 +167,8 @@ class BenchProcess:
         finally:
             watchdog.cancel()
         if not line:
+            if self._process.wait(_START_S) == _WRONG:
+                raise InputError(*self._gone("cannot be as described").messages)
             raise self._gone("did not start")
         return json.loads(line)
 

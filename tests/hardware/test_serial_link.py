@@ -310,9 +310,17 @@ def test_ports_are_listed_with_what_they_are(monkeypatch: pytest.MonkeyPatch) ->
         SerialLink("/no/such/port", device="lamp", baud=9600)
 
 
-@pytest.mark.parametrize("port", ["bogus://x", "socket://", "socket://nowhere", "/no/such/port"])
+@pytest.mark.parametrize("port", ["bogus://x", "/no/such/port", "hwgrep://no:thing"])
 def test_ports_that_are_none(port: str) -> None:
     with pytest.raises(InputError, match=r"lamp: port .*(cannot be|is not a port)"):
+        SerialLink(port, device="lamp", baud=9600)
+
+
+@pytest.mark.parametrize("port", ["socket://", "socket://nowhere", "socket://:4000", "rfc2217://nowhere"])
+def test_addresses_without_host_or_number(port: str) -> None:
+    with pytest.raises(
+        InputError, match=r"names no host and number; expected (socket|rfc2217)://host:number"
+    ):
         SerialLink(port, device="lamp", baud=9600)
 
 
