@@ -132,6 +132,28 @@ def test_what_lies_in_the_input_is_no_reply(far: Far) -> None:
     link.close()
 
 
+def test_the_reply_to_a_query_that_was_interrupted_answers_no_other(
+    far: Far, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C comes between a command and its reply; then the lights are switched off."""
+    link = far.link(timeout_s=1)
+    first = far.answer(b"", b"OK for the first\r\n", pause_s=0.05)
+    with monkeypatch.context() as patch:
+
+        def interrupted(_: int) -> bytes:
+            raise KeyboardInterrupt
+
+        patch.setattr(link._serial, "read", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            link.query(b"first", end=b"\r\n")
+    second = threading.Thread(target=lambda: (first.join(), far.answer(b"OK for the second\r\n").join()))
+    second.start()
+    assert link.query(b"second", end=b"\r\n") == b"OK for the second\r\n"
+    second.join()
+    assert "threw away 18 bytes" in link.events[-1].what
+    link.close()
+
+
 def test_draining_waits_for_what_comes_late(far: Far) -> None:
     link = far.link()
     link.send(b"Q:")
