@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 from lightopt.errors import InputError
 from lightopt.hardware._axes import Axis
+from lightopt.hardware._dialogue import Reading
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._link import SerialLink
-from lightopt.hardware._moves import Reading
 from lightopt.hardware._retry import Persistence
 from lightopt.hardware._zaber_messages import (
     NOT_HOMED,
@@ -41,7 +41,7 @@ class _Address:
 
 
 class ZaberDialogue:
-    """The Zaber ASCII protocol; see :class:`~lightopt.hardware._moves.Dialogue`.
+    """The Zaber ASCII protocol; see :class:`~lightopt.hardware._dialogue.Dialogue`.
 
     Parameters
     ----------
