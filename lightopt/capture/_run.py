@@ -244,9 +244,8 @@ class _Run:
                 dark[exposure] = self._records.dark_there(task.posture, exposure)
                 continue
             shot = self._expose(devices, shooter, task, None, exposure)
-            self._write(self._records.add_dark, task.posture, exposure, shot)
+            self._write(self._keep_dark, task.posture, exposure, shot)
             dark[exposure] = shot.image.mean
-            self._judge.dark(shot, exposure)
         if self._plan.reference and not self._judge.has_reference:
             exposure = self._plan.exposures[0]
             self._judge.dark(self._expose(devices, shooter, task, None, exposure), exposure)
@@ -276,6 +275,11 @@ class _Run:
         if judge:
             shot.facts["lit"] = self._judge.judge(light, posture, exposure, shot, dark, self.warn)
         self._records.add(light, posture, exposure, shot)
+
+    def _keep_dark(self, posture: Posture, exposure: float, shot: Shot) -> None:
+        """Check that no light burns, and put the frame on disk."""
+        self._judge.dark(shot, exposure)
+        self._records.add_dark(posture, exposure, shot)
 
     def _merge(
         self, last: Future[Any] | None, light: str, posture: Posture, taken: dict[float, Exposed], dark: Dark
