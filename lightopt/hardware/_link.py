@@ -120,8 +120,8 @@ class SerialLink:
     def send(self, frame: bytes) -> None:
         """Throw away what lies in the input and send a frame to which no reply is awaited.
 
-        Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still be
-        on its way; the line is then first listened to until it is silent.
+        Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
+        be on its way; the line is then first listened to until it is silent.
 
         Raises
         ------
