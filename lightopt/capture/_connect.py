@@ -13,12 +13,24 @@ from lightopt.capture._plan import Plan
 from lightopt.capture._signals import EndSignals
 from lightopt.capture._virtual import STAGE, start_bench
 from lightopt.capture._wiring import VIRTUAL, Wiring
-from lightopt.config import PartConfig, RigConfig
-from lightopt.config._hardware import ControllerConfig
+from lightopt.config import (
+    ControllerConfig,
+    PartConfig,
+    RigConfig,
+)
 from lightopt.errors import InputError
-from lightopt.hardware import Camera, Event, LightController, LightSettings, SerialLog, Stage, light_drivers
-from lightopt.hardware._axes import Axis
-from lightopt.hardware._stages import open_stage
+from lightopt.hardware import (
+    Axis,
+    Camera,
+    Event,
+    LightController,
+    LightSettings,
+    SerialLog,
+    Stage,
+    light_drivers,
+    open_stage,
+    serial_ports,
+)
 from lightopt.virtualbench import BenchProcess, BenchTruth, VirtualCamera
 
 __all__ = ["connect_devices"]
@@ -34,6 +46,7 @@ def connect_devices(
     serial_log: Path | None = None,
     truth: BenchTruth | None = None,
     bench: BenchProcess | None = None,
+    touch_lights: bool = True,
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
 
@@ -53,6 +66,8 @@ def connect_devices(
         How the virtual bench differs from the files.
     bench
         A virtual bench that runs already; it is left running.
+    touch_lights
+        False for a mere look at the devices: nothing is switched.
 
     Raises
     ------
@@ -62,6 +77,7 @@ def connect_devices(
         When a device does not answer.
     """
     replay = _folder_camera(rig, wiring, plan) if camera else None
+    _check_ports(rig, wiring)
     signals = EndSignals()
     signals.install()
     with ExitStack() as stack:
@@ -96,6 +112,7 @@ def connect_devices(
             events=lambda: _events([*controllers.values(), *([stage] if stage else [])]),
             closing=closing,
             signals=signals,
+            touch_lights=touch_lights,
         )
         stack.pop_all()  # from here on the devices close themselves
     return devices
@@ -116,6 +133,26 @@ def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderC
         if problems := [problem for key in keys if (problem := camera.missing(*key)) is not None]:
             raise InputError(*problems)
     return camera
+
+
+def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
+    """Refuse ports that are not there before any other is opened; a URL is only known when it is opened."""
+    hardware = wiring.hardware
+    named = [
+        (rig.source.at("hardware", "controllers", name, "port"), config.port)
+        for name, config in hardware.controllers.items()
+    ]
+    if hardware.stage is not None:
+        named.append((rig.source.at("hardware", "stage", "port"), hardware.stage.port))
+    there = [port.name for port in serial_ports()]
+    problems = [
+        f"{where}: no port {port} on this computer; there {'is' if len(there) == 1 else 'are'} "
+        f"{', '.join(there) or 'none'}"
+        for where, port in named
+        if port != VIRTUAL and "://" not in port and port not in there and not Path(port).exists()
+    ]
+    if problems:
+        raise InputError(*problems)
 
 
 def _controller(name: str, config: ControllerConfig, port: str, log: SerialLog | None) -> LightController:

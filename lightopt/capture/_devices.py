@@ -20,8 +20,8 @@ class Devices:
     """Lights, stage and camera of a rig, opened.
 
     Entering switches every channel off, because nobody knows what an earlier run left. On every way out, whatever
-    the reason, every channel is switched off, each tried even if another fails; after an error the stage is stopped; then
-    all is closed. Meanwhile the signals that end a program wait.
+    the reason, every channel is switched off, each tried even if another fails; a stage that may move is stopped;
+    then all is closed. Meanwhile the signals that end a program wait.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ class Devices:
         Called last, in order: the links' log, the virtual bench.
     signals
         Installed already where devices were opened under their protection.
+    touch_lights
+        False for a mere look at the devices: what burns then burns on.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Devices:
         events: Callable[[], Sequence[Event]] = tuple,
         closing: Sequence[Callable[[], None]] = (),
         signals: EndSignals | None = None,
+        touch_lights: bool = True,
     ) -> None:
         self.wiring = wiring
         self.controllers = dict(controllers)
@@ -59,6 +62,7 @@ class Devices:
         self._closing = tuple(closing)
         self._signals = signals
         self._stage_may_move = False
+        self._touch_lights = touch_lights
 
     @property
     def camera(self) -> Camera:
@@ -76,7 +80,7 @@ class Devices:
             self._signals = EndSignals()
             self._signals.install()
         try:
-            if failures := self.all_off():
+            if self._touch_lights and (failures := self.all_off()):
                 raise HardwareError(*failures)
         except BaseException as error:
             self.__exit__(type(error), error, error.__traceback__)
@@ -102,16 +106,16 @@ class Devices:
         if error is None and self._signals.pending is not None:
             raise KeyboardInterrupt(self._signals.pending)
 
-    def light_on(self, name: str) -> int | None:
-        """Light a panel at its level and return what its controller holds; None where it cannot tell."""
+    def light_on(self, name: str, level: int | None = None) -> int | None:
+        """Light a panel, at its level unless another is given; returns what is read back, None where nothing can be."""
         channel = self.wiring.light(name)
         controller = self.controllers[channel.controller]
-        controller.set_level(channel.channel, channel.level)
+        asked = channel.level if level is None else level
+        controller.set_level(channel.channel, asked)
         held = controller.read_level(channel.channel)
-        if held is not None and held != channel.level:
+        if held is not None and held != asked:
             raise HardwareError(
-                f"{name} ({channel.controller}, channel {channel.channel}): set to level {channel.level}, "
-                f"but it holds {held}; nothing was exposed"
+                f"{name} ({channel.controller}, channel {channel.channel}): set to level {asked}, but it holds {held}"
             )
         return held
 
@@ -161,7 +165,7 @@ class Devices:
 
     def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:
         """Lights first, then the stage; returns lights that may burn and how the stage is."""
-        burning = self.all_off()
+        burning = self.all_off() if self._touch_lights else []
         if self.stage is None or not failed:
             return burning, None
         if not self._stage_may_move:
@@ -192,9 +196,9 @@ class Devices:
         burning, stage = state
         cause = error.messages if isinstance(error, LightoptError) else (f"ended by {type(error).__name__}",)
         # what all_off said at the start and again at the end is said once
-        lights = [line for line in burning if line not in cause] or (
-            [] if burning else ["all lights are off"]
-        )
+        lights = [line for line in burning if line not in cause]
+        if self._touch_lights and not burning:
+            lights = ["all lights are off"]
         return HardwareError(
             f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else [])
         )

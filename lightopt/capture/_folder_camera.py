@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import Frame, Identity
@@ -120,8 +121,7 @@ class FolderCamera:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def _black(self) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
+    def _black(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """The set's black level, to check lit images against where it has no dark frames."""
-        width, height = self._resolution_px
-        dtype = np.uint8 if self.bit_depth <= 8 else np.uint16
-        return np.full((height, width), round(self._set.manifest.black_level), dtype)
+        shape, level = self._resolution_px[::-1], round(self._set.manifest.black_level)
+        return np.full(shape, level, np.uint8) if self.bit_depth <= 8 else np.full(shape, level, np.uint16)

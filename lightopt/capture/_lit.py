@@ -1,7 +1,7 @@
 """Whether an image is lit by the light that it says: against the frame without light, and against the prediction.
 
-The image is compared with what each light of the rig would make of the part, seen coarsely. Gains and reflectance need not be
-right for that: only which pattern it resembles most counts, and by how much.
+The image is compared with what each light of the rig would make of the part, seen coarsely. Gains and reflectance need
+not be right for that: only which pattern it resembles most counts, and by how much.
 """
 
 from __future__ import annotations
@@ -245,11 +245,16 @@ def cells(image: NDArray[Any], predictions: Predictions) -> Float64:
 
 def _smooth_guess(seen: Float64, expected: Float64) -> Float64:
     """The best multiple of the prediction."""
-    power = float(expected @ expected)
-    return expected * (float(seen @ expected) / power if power > 0.0 else 0.0)
+    power = _dot(expected, expected)
+    return expected * (_dot(seen, expected) / power if power > 0.0 else 0.0)
 
 
 def _correlation(a: Float64, b: Float64) -> float:
     a, b = a - a.mean(), b - b.mean()
-    scale = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / scale if scale > 0.0 else 0.0
+    scale = float(np.sqrt(_dot(a, a) * _dot(b, b)))
+    return _dot(a, b) / scale if scale > 0.0 else 0.0
+
+
+def _dot(a: Float64, b: Float64) -> float:
+    # not a @ b: its threads take longer to wake, while others render, than the product does
+    return float((a * b).sum())

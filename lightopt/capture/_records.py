@@ -49,8 +49,8 @@ def open_set(
     """
     if (folder / MANIFEST_NAME).exists() and not (resume or force):
         raise InputError(
-            f"{folder}: holds an image set; use --resume to take what is missing of it, --force to replace it, or choose "
-            "another output folder"
+            f"{folder}: holds an image set; use --resume to take what is missing of it, --force to replace it, "
+            "or choose another output folder"
         )
     header = Manifest(
         kind="captured",

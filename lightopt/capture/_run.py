@@ -10,8 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lightopt.capture._connect import connect_devices
 from lightopt.capture._devices import Devices, check_camera
+from lightopt.capture._frames import Exposed
 from lightopt.capture._judge import Judge
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan import Plan, PostureTask, make_plan
@@ -20,8 +24,12 @@ from lightopt.capture._shoot import Shooter, Shot
 from lightopt.capture._timing import Timing
 from lightopt.config import PartConfig, RigConfig
 from lightopt.scene import Scene, build_scene
+from lightopt.transforms import Posture
 
 __all__ = ["CaptureReport", "Captured", "Connect", "capture"]
+
+Dark = dict[float, NDArray[np.float32]]
+"""Frames without light of a posture by relative exposure."""
 
 CaptureReport = Callable[[str, float], None]
 """Called with what is being done and the share of the images that is there (0 to 1)."""
@@ -70,6 +78,7 @@ def capture(
     resume: bool = False,
     force: bool = False,
     connect: Connect | None = None,
+    serial_log: Path | None = None,
     warn: Callable[[str], None] | None = None,
     report: CaptureReport | None = None,
 ) -> Captured:
@@ -89,14 +98,16 @@ def capture(
         Replace the set that is there.
     connect
         Opens the devices; those of the rig's file if not given.
+    serial_log
+        File that gets every byte on the wires with its time.
     warn, report
         Called with warnings and with progress.
 
     Raises
     ------
     InputError
-        When the plan cannot be, the folder holds something else, or the disk refuses; before anything is opened wherever
-        that can be known.
+        When the plan cannot be, the folder holds something else, or the disk refuses; before anything is opened
+        wherever that can be known.
     HardwareError
         When a device fails or an image is not lit by its light; the message says in which step and what state things
         are in. The lights are off then, or it says which may not be.
@@ -113,7 +124,7 @@ def capture(
             # the devices are made safe first, then what is still being written is finished
             stack.callback(run.finish)
             with timing.spent("opening_s"):
-                devices = stack.enter_context((connect or _connecting(rig, part))(plan))
+                devices = stack.enter_context((connect or _connecting(rig, part, serial_log))(plan))
                 check_camera(
                     devices,
                     resolution_px=rig.camera.resolution_px,
@@ -135,12 +146,16 @@ def capture(
     )
 
 
-def _connecting(rig: RigConfig, part: PartConfig) -> Connect:
-    return lambda plan: connect_devices(rig, plan.wiring, part=part, plan=plan)
+def _connecting(rig: RigConfig, part: PartConfig, serial_log: Path | None) -> Connect:
+    return lambda plan: connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log)
 
 
 class _Run:
-    """A plan on its way to disk. One worker writes, so that the stage moves and lights settle meanwhile."""
+    """A plan on its way to disk.
+
+    One worker checks and writes images, one merges and writes linear ones, while the stage moves and lights settle. An
+    exposure waits for the image before it, not for linear ones, which can be made from the images at any time.
+    """
 
     def __init__(
         self,
@@ -157,6 +172,7 @@ class _Run:
         self._warn = warn
         self._report = report
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="disk")
+        self._linear = ThreadPoolExecutor(1, thread_name_prefix="linear")
         self._writing: list[Future[Any]] = []
         self._last_image: Future[Any] | None = None
         self._judge = Judge(scene, check=plan.options.check)
@@ -199,7 +215,7 @@ class _Run:
             shooter.home()
         for task in self.todo():
             self._posture(devices, shooter, task)
-        devices.step = "writing the last images"
+        devices.step = "checking and writing the last images"
         self._wait(self._writing)
 
     def flush(self) -> None:
@@ -210,6 +226,7 @@ class _Run:
     def finish(self) -> None:
         """Let what is being written be finished, whatever else happened."""
         self._disk.shutdown(wait=True)
+        self._linear.shutdown(wait=True)
         self._judge.close()
 
     def _posture(self, devices: Devices, shooter: Shooter, task: PostureTask) -> None:
@@ -220,26 +237,23 @@ class _Run:
         for light in self._records.todo(task):
             self._light(devices, shooter, task, light, dark)
 
-    def _dark(self, devices: Devices, shooter: Shooter, task: PostureTask) -> dict[float, Any]:
-        dark: dict[float, Any] = {}
+    def _dark(self, devices: Devices, shooter: Shooter, task: PostureTask) -> Dark:
+        dark: Dark = {}
         for exposure in task.dark_exposures:
             if not self._records.dark_missing(task.posture, exposure):
                 dark[exposure] = self._records.dark_there(task.posture, exposure)
                 continue
             shot = self._expose(devices, shooter, task, None, exposure)
-            self._write(self._records.add_dark, task.posture, exposure, shot)
+            self._write(self._keep_dark, task.posture, exposure, shot)
             dark[exposure] = shot.image.mean
-            self._judge.dark(shot, exposure)
         if self._plan.reference and not self._judge.has_reference:
             exposure = self._plan.exposures[0]
             self._judge.dark(self._expose(devices, shooter, task, None, exposure), exposure)
         return dark
 
-    def _light(
-        self, devices: Devices, shooter: Shooter, task: PostureTask, light: str, dark: dict[float, Any]
-    ) -> None:
+    def _light(self, devices: Devices, shooter: Shooter, task: PostureTask, light: str, dark: Dark) -> None:
         missing = self._records.missing(light, task.posture)
-        taken: dict[float, Any] = {}
+        taken: dict[float, Exposed] = {}
         if missing:
             shooter.set_exposure(missing[0])
             shooter.light_on(light)
@@ -248,14 +262,32 @@ class _Run:
             if exposure == missing[-1]:
                 shooter.light_off()
             taken[exposure] = shot.image
-            if exposure == missing[0]:
-                devices.step = (
-                    f"checking that {light} lights the image {task.posture} at exposure {exposure:g}"
-                )
-                shot.facts["lit"] = self._judge.judge(light, task.posture, exposure, shot, dark, self.warn)
-            self._write(self._records.add, light, task.posture, exposure, shot)
+            self._write(self._keep, light, task.posture, exposure, shot, dark, exposure == missing[0])
             self.taken += 1
-        self._writing.append(self._disk.submit(self._records.add_linear, light, task.posture, taken, dark))
+        self._writing.append(
+            self._linear.submit(self._merge, self._last_image, light, task.posture, taken, dark)
+        )
+
+    def _keep(
+        self, light: str, posture: Posture, exposure: float, shot: Shot, dark: Dark, judge: bool
+    ) -> None:
+        """Check that the image is lit by its light, and put it on disk."""
+        if judge:
+            shot.facts["lit"] = self._judge.judge(light, posture, exposure, shot, dark, self.warn)
+        self._records.add(light, posture, exposure, shot)
+
+    def _keep_dark(self, posture: Posture, exposure: float, shot: Shot) -> None:
+        """Check that no light burns, and put the frame on disk."""
+        self._judge.dark(shot, exposure)
+        self._records.add_dark(posture, exposure, shot)
+
+    def _merge(
+        self, last: Future[Any] | None, light: str, posture: Posture, taken: dict[float, Exposed], dark: Dark
+    ) -> None:
+        """Put the linear image on disk, once all its exposures are there."""
+        if last is not None:
+            last.result()
+        self._records.add_linear(light, posture, taken, dark)
 
     def _expose(
         self, devices: Devices, shooter: Shooter, task: PostureTask, light: str | None, exposure: float
@@ -264,7 +296,7 @@ class _Run:
         shooter.set_exposure(exposure)
         shooter.settle()
         if self._last_image is not None:
-            devices.step = "writing the image before"
+            devices.step = "checking and writing the image before"
             self._wait([self._last_image])
         return shooter.expose(task.posture, exposure)
 

@@ -117,7 +117,8 @@ class Shooter:
         held = self._devices.camera.set_exposure(asked)
         if abs(held - asked) > EXPOSURE_TOLERANCE * asked:
             raise HardwareError(
-                f"the camera holds an exposure of {held:g} µs instead of {asked:g} µs; choose exposures that it can hold"
+                f"the camera holds an exposure of {held:g} µs instead of {asked:g} µs; choose exposures that it "
+                "can hold"
             )
         self._changed = self._changed or held != self._held_us
         self._held_us = held
@@ -184,8 +185,8 @@ class Shooter:
         width, height = self._devices.camera.resolution_px
         if frame.levels.shape != (height, width) or int(frame.levels.max()) > self._sensor.max_level:
             raise HardwareError(
-                f"the camera delivered a frame of {frame.levels.shape[1]} × {frame.levels.shape[0]} pixels with levels up "
-                f"to {frame.levels.max()}; expected {width} × {height} and at most {self._sensor.max_level}"
+                f"the camera delivered a frame of {frame.levels.shape[1]} × {frame.levels.shape[0]} pixels with levels "
+                f"up to {frame.levels.max()}; expected {width} × {height} and at most {self._sensor.max_level}"
             )
         if self._held_us is not None and abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
             raise HardwareError(
@@ -204,8 +205,8 @@ class Shooter:
     def _burns_too_long(self, left_s: float) -> None:
         assert self._lit is not None
         raise HardwareError(
-            f"{self._lit[0]} may burn {max(0.0, left_s):.3g} s more (max_on_s) and the exposure takes longer: frames came later "
-            "than planned; take fewer or shorter exposures"
+            f"{self._lit[0]} may burn {max(0.0, left_s):.3g} s more (max_on_s) and the exposure takes longer: frames "
+            "came later than planned; take fewer or shorter exposures"
         )
 
     def _wait_until(self, moment: float) -> None:

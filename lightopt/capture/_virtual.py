@@ -5,8 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from lightopt.capture._wiring import VIRTUAL, Wiring
-from lightopt.config import PartConfig, RigConfig
-from lightopt.config._hardware import AxisConfig, ControllerConfig
+from lightopt.config import (
+    AxisConfig,
+    ControllerConfig,
+    PartConfig,
+    RigConfig,
+)
 from lightopt.virtualbench import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
 
 __all__ = ["STAGE", "start_bench"]
@@ -88,10 +92,11 @@ def _stage(rig: RigConfig, wiring: Wiring) -> dict[str, Any]:
         }
     if stage.driver == "grbl":
         numbers = {"X": 0, "Y": 1, "Z": 2}
-        options["settings"] = {"22": 1}
+        settings: dict[str, float] = {"22": 1.0}
         for name, speed in speeds.items():
-            options["settings"][str(110 + numbers[name])] = 60.0 * speed
-            options["settings"][str(130 + numbers[name])] = max(1.0, -ends[name][0])
+            settings[str(110 + numbers[name])] = 60.0 * speed
+            settings[str(130 + numbers[name])] = max(1.0, -ends[name][0])
+        options["settings"] = settings
     return options
 
 

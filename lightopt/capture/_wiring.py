@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lightopt.config import RigConfig
-from lightopt.config._hardware import (
+from lightopt.config import (
     AxisConfig,
     CameraDeviceConfig,
     ChannelConfig,
     ControllerConfig,
     HardwareConfig,
+    RigConfig,
     StageDeviceConfig,
 )
 

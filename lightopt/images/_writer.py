@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +30,7 @@ class ImageSetWriter:
 
     The manifest is on disk from the start and is rewritten after each file that it names, so whenever the run
     stops the folder holds a valid set of what was finished. Opened again with the same header, it resumes:
-    `done` tells what need not be made again.
+    `done` tells what need not be made again. Threads may add files of their own at the same time.
 
     Parameters
     ----------
@@ -56,6 +57,7 @@ class ImageSetWriter:
         self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[ImageKey] = ()
     ) -> None:
         self._folder = Path(folder)
+        self._lock = threading.Lock()
         self._names = Names()
         self._verified: dict[str, str] = {}
         plan = tuple(plan)
@@ -168,8 +170,9 @@ class ImageSetWriter:
         listed = replace(
             entry, png=files.get("png"), exr=files.get("exr"), sha256=dict(sorted(hashes.items()))
         )
-        entries = {e.key: _with_exr(e, listed) for e in self._manifest.images}
-        self._save(images=tuple({**entries, listed.key: listed}.values()))
+        with self._lock:
+            entries = {e.key: _with_exr(e, listed) for e in self._manifest.images}
+            self._save(images=tuple({**entries, listed.key: listed}.values()))
         return listed
 
     def add_linear(self, light: str, posture: Posture, channels: Mapping[str, NDArray[np.float32]]) -> None:
@@ -193,14 +196,15 @@ class ImageSetWriter:
         name = exr_name(light, posture)
         digest = write_exr(self._place(name), channels, metadata=self._metadata(of_it[0], linear=True))
         self._verified[name] = digest
-        self._save(
-            images=tuple(
-                replace(e, exr=name, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
-                if e.key[:2] == (light, posture)
-                else e
-                for e in self._manifest.images
+        with self._lock:
+            self._save(
+                images=tuple(
+                    replace(e, exr=name, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
+                    if e.key[:2] == (light, posture)
+                    else e
+                    for e in self._manifest.images
+                )
             )
-        )
 
     def add_levels(
         self, name: str, levels: NDArray[np.uint8] | NDArray[np.uint16], *, metadata: Mapping[str, Any]
@@ -227,7 +231,8 @@ class ImageSetWriter:
         facts = {**self._origin(), "bit_depth": self._manifest.bit_depth, **metadata}
         digest = write_png(self._place(name), levels, metadata=facts)
         self._verified[name] = digest
-        self._save(files={**self._manifest.files, name: digest})
+        with self._lock:
+            self._save(files={**self._manifest.files, name: digest})
 
     def add_geometry(
         self,
@@ -259,8 +264,9 @@ class ImageSetWriter:
         digest = write_exr(self._place(name), channels, metadata=facts)
         self._verified[name] = digest
         listed = GeometryEntry(posture=posture, exr=name, sha256={"exr": digest})
-        entries = {e.posture: e for e in self._manifest.geometry}
-        self._save(geometry=tuple({**entries, posture: listed}.values()))
+        with self._lock:
+            entries = {e.posture: e for e in self._manifest.geometry}
+            self._save(geometry=tuple({**entries, posture: listed}.values()))
         return listed
 
     def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -274,7 +280,8 @@ class ImageSetWriter:
         self._names.claim(_PATCHES_NAME, "the patch table")
         digest = write_npz_atomic(self._place(_PATCHES_NAME), arrays)
         self._verified[_PATCHES_NAME] = digest
-        self._save(patches=_PATCHES_NAME, files={**self._manifest.files, _PATCHES_NAME: digest})
+        with self._lock:
+            self._save(patches=_PATCHES_NAME, files={**self._manifest.files, _PATCHES_NAME: digest})
 
     def add_file(self, name: str, data: bytes | str) -> None:
         """Write a further file of the set (a report, a contact sheet), then list it.
@@ -298,7 +305,8 @@ class ImageSetWriter:
             self._place(name), data.encode("utf-8") if isinstance(data, str) else data
         )
         self._verified[name] = digest
-        self._save(files={**self._manifest.files, name: digest})
+        with self._lock:
+            self._save(files={**self._manifest.files, name: digest})
 
     def add_warnings(self, warnings: Iterable[str]) -> None:
         """List warnings that are not listed yet.
@@ -308,9 +316,10 @@ class ImageSetWriter:
         InputError
             When the disk refuses.
         """
-        merged = tuple(dict.fromkeys((*self._manifest.warnings, *warnings)))
-        if merged != self._manifest.warnings:
-            self._save(warnings=merged)
+        with self._lock:
+            merged = tuple(dict.fromkeys((*self._manifest.warnings, *warnings)))
+            if merged != self._manifest.warnings:
+                self._save(warnings=merged)
 
     def _refuse_stranger(self, name: str) -> None:
         path = self._folder / name

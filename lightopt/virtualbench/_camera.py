@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ Positions = Callable[[str], Mapping[str, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class LightWire:
-    """Where a light is plugged in: device and channel, and the share of the highest intensity that the rig describes."""
+    """Where a light is plugged in, and the share of the highest intensity at which it is as the rig describes."""
 
     light: str
     device: str
@@ -77,7 +77,7 @@ class CameraSetup:
     lights: tuple[LightWire, ...]
     elevation: AxisWire | None = None
     rotation: AxisWire | None = None
-    truth: BenchTruth = BenchTruth()
+    truth: BenchTruth = field(default_factory=BenchTruth)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -103,7 +103,7 @@ class CameraSetup:
             part=data["part"],
             exposure_us=data["exposure_us"],
             lights=tuple(LightWire(**wire) for wire in data["lights"]),
-            truth=BenchTruth.of(data.get("truth", {})),
+            truth=BenchTruth.of(data["truth"]),
             **axes,
         )
 

@@ -94,12 +94,13 @@ class BenchOptics:
         return np.random.default_rng(int.from_bytes(digest[:16], "little"))
 
     def _layer(self, posture: Posture, light: str) -> Float32:
-        key = (posture, light)
-        if key not in self._layers:
-            alone = replace(self._scene, lights=tuple(one for one in self._scene.lights if one.name == light))
-            self._layers[key] = render_posture(alone, posture, caster=self._caster).lights[0].level
-        self._layers.move_to_end(key)
-        layer = self._layers[key]
-        while len(self._layers) > 1 and len(self._layers) * layer.nbytes > _CACHE_BYTES:
+        if (posture, light) not in self._layers:
+            # all lights at once: the rays are cast once, and the others are wanted next
+            images = render_posture(self._scene, posture, caster=self._caster)
+            self._layers |= {(posture, image.light): image.level for image in images.lights}
+        layer = self._layers[posture, light]
+        for name in (one.name for one in self._scene.lights):
+            self._layers.move_to_end((posture, name))
+        while len(self._layers) > len(self._scene.lights) and len(self._layers) * layer.nbytes > _CACHE_BYTES:
             self._layers.popitem(last=False)
         return layer

@@ -44,4 +44,12 @@ class BenchTruth:
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> BenchTruth:
         """From its JSON form."""
-        return cls(**{**data, "part_offset_mm": tuple(data.get("part_offset_mm", (0.0, 0.0, 0.0)))})
+        x, y, z = data["part_offset_mm"]
+        return cls(
+            seed=data["seed"],
+            gains=data["gains"],
+            part_offset_mm=(x, y, z),
+            dark_level=data["dark_level"],
+            ambient_level=data["ambient_level"],
+            triggered=data["triggered"],
+        )

@@ -19,7 +19,7 @@ class World:
     """What the devices do; `log` holds it in order, and `trouble` is called before each, to raise from."""
 
     levels: dict[tuple[str, int], int] = field(default_factory=dict)
-    posture: Posture = Posture(0.0, 0.0)
+    posture: Posture = field(default_factory=lambda: Posture(0.0, 0.0))
     log: list[tuple] = field(default_factory=list)
     trouble: Callable[[tuple], None] = lambda event: None
     plugs: dict[tuple[str, int], tuple[str, int]] = field(default_factory=dict)

@@ -17,7 +17,6 @@ from lightopt.transforms import Posture
 from lightopt.virtualbench import BenchTruth
 
 
-
 @pytest.fixture
 def world():
     return World()
@@ -291,7 +290,10 @@ def test_every_channel_is_tried_even_if_one_fails(take, world):
 
 def test_a_channel_that_cannot_be_switched_off_at_the_start_ends_the_run(take, world):
     world.trouble = broken("level")
-    with pytest.raises(HardwareError, match="while switching all lights off: controller bench1, channel 1: .* may still be lit"):
+    with pytest.raises(
+        HardwareError,
+        match=r"while switching all lights off: controller bench1, channel 1: .* may still be lit",
+    ):
         take()
     assert not world.did("home")
 
