@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from lightopt.hardware._errors import RefusedError, ReplyError
+from lightopt.hardware._errors import RefusedError, ReplyError, printable
 from lightopt.hardware._lights import LightSettings, check_light
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import Event, SerialLog
@@ -124,9 +124,10 @@ class CcsController:
     def _verify(self, channel: int, level: int) -> None:
         held, mode, on = self._settings(channel)
         if mode != 0 and level > 0:
+            frame = printable(self._frame(channel, "S00"))
             raise self._link.failure(
-                f"channel {channel} is in strobe mode S{mode:02d} and stays dark without triggers; "
-                "set it to S00 (on/off) on the controller"
+                f"channel {channel} is in strobe mode S{mode:02d}, in which it waits for triggers; if no machine needs "
+                f"that, set it to S00 (on/off) with the maker's tool, or by sending {frame}"
             )
         if held != level or on != (level > 0):
             state = f"{held} and is switched {'on' if on else 'off'}"
@@ -142,9 +143,12 @@ class CcsController:
         """Say an instruction that may be repeated; the data of the reply."""
         return self._persistence.ask(lambda: self._ask_once(channel, instruction, expected))
 
-    def _ask_once(self, channel: int, instruction: str, expected: str) -> str:
+    def _frame(self, channel: int, instruction: str) -> bytes:
         body = f"@{channel - 1:02d}{instruction}{self._unit}".encode("ascii")
-        frame = body + _checksum(body) + b"\r\n"
+        return body + _checksum(body) + b"\r\n"
+
+    def _ask_once(self, channel: int, instruction: str, expected: str) -> str:
+        frame = self._frame(channel, instruction)
         reply = self._link.query(frame, end=b"\r\n")
         match = re.fullmatch(rb"(@(\d\d)([ON])([ -~]*))([0-9A-F]{2})\r\n", reply)
         if match is None:

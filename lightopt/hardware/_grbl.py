@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 
 from lightopt.errors import HardwareError, InputError
 from lightopt.hardware._axes import Axis, describe_range
+from lightopt.hardware._dialogue import Reading
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._grbl_words import (
     CRITICAL_ALARMS,
@@ -30,7 +31,6 @@ from lightopt.hardware._grbl_words import (
     parse_setting,
 )
 from lightopt.hardware._link import SerialLink
-from lightopt.hardware._moves import Reading
 from lightopt.hardware._retry import Persistence
 
 __all__ = ["GrblDialogue"]
@@ -52,7 +52,7 @@ _HELD = {
 
 
 class GrblDialogue:
-    """The language of Grbl 1.1; see :class:`~lightopt.hardware._moves.Dialogue`.
+    """The language of Grbl 1.1; see :class:`~lightopt.hardware._dialogue.Dialogue`.
 
     Parameters
     ----------

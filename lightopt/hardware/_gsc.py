@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 
 from lightopt.errors import InputError
 from lightopt.hardware._axes import Axis
+from lightopt.hardware._dialogue import Reading
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._link import SerialLink
-from lightopt.hardware._moves import Reading
 from lightopt.hardware._retry import Persistence
 from lightopt.hardware._sigmakoki import (
     END,
@@ -35,7 +35,7 @@ _FARTHEST = 16_777_214  # longest relative move [pulses]
 
 
 class GscDialogue:
-    """The language of the GSC-02; see :class:`~lightopt.hardware._moves.Dialogue`.
+    """The language of the GSC-02; see :class:`~lightopt.hardware._dialogue.Dialogue`.
 
     Raises
     ------

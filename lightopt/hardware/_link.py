@@ -86,6 +86,7 @@ class SerialLink:
         self._log = log
         self._quiet_since = 0.0
         self._lost = False
+        self._owed = False
         try:
             self._serial = serial.serial_for_url(
                 port,
@@ -111,10 +112,16 @@ class SerialLink:
         """Throw away what lies in the input, send a frame, and read the reply; see :meth:`read`."""
         with self.lock:
             self.send(frame)
-            return self.read(end=end, deadline_s=deadline_s, after=frame)
+            self._owed = True
+            reply = self.read(end=end, deadline_s=deadline_s, after=frame)
+            self._owed = False
+            return reply
 
     def send(self, frame: bytes) -> None:
         """Throw away what lies in the input and send a frame to which no reply is awaited.
+
+        Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
+        be on its way; the line is then first listened to until it is silent.
 
         Raises
         ------
@@ -122,7 +129,11 @@ class SerialLink:
             When the device is gone or does not take the bytes.
         """
         with self.lock:
-            self.discard()
+            if self._owed:
+                self._owed = False
+                self.drain()
+            else:
+                self.discard()
             wait_s = self._quiet_since + self._gap_s - time.monotonic()
             if wait_s > 0:
                 time.sleep(wait_s)
@@ -242,8 +253,12 @@ class SerialLink:
     def close(self) -> None:
         """Give up the port; never raises."""
         with self.lock:
+            # pyserial leaves the socket of a lost peer open
+            connection = getattr(self._serial, "_socket", None)
             try:
                 self._serial.close()
+                if connection is not None:
+                    connection.close()
             except _LOST as error:
                 self.note(f"closing failed: {error}")
             if self._log is not None:

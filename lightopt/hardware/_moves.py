@@ -5,99 +5,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from lightopt.errors import HardwareError, InputError
 from lightopt.hardware._axes import Axis
+from lightopt.hardware._dialogue import Dialogue, Reading
 from lightopt.hardware._errors import ReplyError
-from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import Event
 from lightopt.hardware._roles import Identity, StageState
 from lightopt.transforms import Posture
 
-__all__ = ["HOME_FIRST", "Clock", "Dialogue", "MovingStage", "Reading"]
+__all__ = ["HOME_FIRST", "Clock", "MovingStage"]
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
 
-_POLL_S = 0.02  # between two looks at a moving stage
+_POLL_S = 0.02  # between two looks at a moving stage,
+_NEAR_S = 0.004  # and when it should be there
 _MARGIN_S = 3.0  # beyond twice the travel time: ramps, replies
 _SETTLE_S = 0.5  # devices report that they stand still for a moment after the command that moves them
 _HALT_S = 2.0  # a stage comes to rest within
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What a device says of itself at one moment.
-
-    Attributes
-    ----------
-    units
-        Position of each axis by the device's name of it [device units].
-    moving
-        Whether any axis moves.
-    referenced
-        Whether it knows its origin; None where it cannot tell.
-    alarm
-        The alarm in words; None without one.
-    """
-
-    units: Mapping[str, float]
-    moving: bool
-    referenced: bool | None = None
-    alarm: str | None = None
-
-
-class Dialogue(Protocol):
-    """What a stage's language must say; one class per protocol. Positions are in device units, axes by device name.
-
-    Each method raises :class:`~lightopt.errors.HardwareError` when the device answers no, or not at all.
-    """
-
-    @property
-    def link(self) -> SerialLink:
-        """The wire."""
-        ...
-
-    @property
-    def homes_to_end(self) -> bool:
-        """Whether :meth:`home` returns when the origins are found, rather than when the search has begun."""
-        ...
-
-    def says(self) -> dict[str, str]:
-        """What the device answers when asked who it is."""
-        ...
-
-    def read(self) -> Reading:
-        """Ask where it stands and how it is; may be asked again."""
-        ...
-
-    def step(self, axis: Axis) -> float:
-        """Smallest distance [device units] between two positions of an axis."""
-        ...
-
-    def check(self, targets: Mapping[str, float]) -> None:
-        """Raise an InputError for targets that the device is known to refuse; sends nothing that moves."""
-        ...
-
-    def prepare(self) -> None:
-        """Set speeds; once, before the first move."""
-        ...
-
-    def go(self, targets: Mapping[str, float]) -> None:
-        """Start a move; never sent twice. A ReplyError says that it is unknown whether it was taken."""
-        ...
-
-    def home(self) -> None:
-        """Start to seek the origins, or seek them to the end, as the protocol has it; never sent twice."""
-        ...
-
-    def homed(self, reading: Reading) -> str | None:
-        """What is wrong with a reading after homing; None when all is well."""
-        ...
-
-    def halt(self) -> None:
-        """Stop all axes at once."""
-        ...
 
 
 @dataclass
@@ -220,7 +145,7 @@ class MovingStage:
                 except ReplyError as error:
                     # whether it was taken shows in where the stage goes; sent again it might move twice
                     self._link.note(f"{error}; not sent again, the position will tell")
-                reading = self._arrive(targets, 2 * longest_s + _MARGIN_S)
+                reading = self._arrive(targets, longest_s)
             except HardwareError as error:
                 raise self._stopped(error) from error
             except BaseException:
@@ -311,8 +236,10 @@ class MovingStage:
             self._dialogue.prepare()
             self._prepared = True
 
-    def _arrive(self, targets: Mapping[str, float], limit_s: float) -> Reading:
+    def _arrive(self, targets: Mapping[str, float], travel_s: float) -> Reading:
+        """Watch a move that should take so long until the stage stands at its targets."""
         started = self._clock.now()
+        limit_s = 2 * travel_s + _MARGIN_S
         still_since: float | None = None
         while True:
             reading = self._dialogue.read()
@@ -337,7 +264,7 @@ class MovingStage:
                         "stands still and is not where it should be: stalled, at a limit switch, or the command was "
                         f"not taken{self._where(reading, targets)}"
                     )
-            self._clock.sleep(_POLL_S)
+            self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
 
     def _there(self, reading: Reading, targets: Mapping[str, float]) -> bool:
         return all(

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import errno
+import re
 from dataclasses import dataclass
 
 from lightopt.errors import InputError
 
 __all__ = ["Port", "cannot_open", "serial_ports"]
+
+_NETWORK = ("socket://", "rfc2217://")
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,11 @@ def cannot_open(port: str, device: str, error: BaseException) -> InputError:
         return InputError(
             f"{head} may not be opened by this user; on Linux add the user to the group that owns it (dialout)"
         )
-    if port.startswith("socket:"):
+    if port.startswith(_NETWORK):
+        if re.fullmatch(r"\w+://[^/]+:\d+.*", port) is None:
+            return InputError(
+                f"{head} names no host and number; expected {port.partition(':')[0]}://host:number"
+            )
         return InputError(
             f"{head} cannot be reached: {_short(reason)}; check address and network, that the device is on, "
             "and that no other program holds its one connection"

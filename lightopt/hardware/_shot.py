@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from lightopt.hardware._axes import Axis
+from lightopt.hardware._dialogue import Reading
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._link import SerialLink
-from lightopt.hardware._moves import Reading
 from lightopt.hardware._retry import Persistence
 from lightopt.hardware._sigmakoki import (
     END,
@@ -32,7 +32,7 @@ _SLOWEST, _FASTEST = 1, 500_000  # [pulses/s]
 
 
 class ShotDialogue:
-    """The language of the SHOT family; see :class:`~lightopt.hardware._moves.Dialogue`.
+    """The language of the SHOT family; see :class:`~lightopt.hardware._dialogue.Dialogue`.
 
     Raises
     ------

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from lightopt.errors import InputError
 from lightopt.hardware._axes import Axis
+from lightopt.hardware._dialogue import Reading
 from lightopt.hardware._errors import printable
-from lightopt.hardware._moves import Reading
 
 __all__ = [
     "END",

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from lightopt.errors import InputError, LightoptError
 from lightopt.hardware._axes import Axis
+from lightopt.hardware._dialogue import Dialogue
 from lightopt.hardware._grbl import GrblDialogue
 from lightopt.hardware._gsc import GscDialogue
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import SerialLog
-from lightopt.hardware._moves import Clock, Dialogue, MovingStage
+from lightopt.hardware._moves import Clock, MovingStage
 from lightopt.hardware._shot import ShotDialogue
 from lightopt.hardware._zaber import ZaberDialogue
 

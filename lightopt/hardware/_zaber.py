@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 from lightopt.errors import InputError
 from lightopt.hardware._axes import Axis
+from lightopt.hardware._dialogue import Reading
 from lightopt.hardware._errors import ReplyError
 from lightopt.hardware._link import SerialLink
-from lightopt.hardware._moves import Reading
 from lightopt.hardware._retry import Persistence
 from lightopt.hardware._zaber_messages import (
     NOT_HOMED,
@@ -41,7 +41,7 @@ class _Address:
 
 
 class ZaberDialogue:
-    """The Zaber ASCII protocol; see :class:`~lightopt.hardware._moves.Dialogue`.
+    """The Zaber ASCII protocol; see :class:`~lightopt.hardware._dialogue.Dialogue`.
 
     Parameters
     ----------
@@ -130,13 +130,11 @@ class ZaberDialogue:
 
     def go(self, targets: Mapping[str, float]) -> None:
         """Start each axis; a reply that is lost is not asked for again."""
-        for axis, units in targets.items():
-            self._accepted(axis, f"move abs {round(units)}")
+        self._start({axis: f"move abs {round(units)}" for axis, units in targets.items()})
 
     def home(self) -> None:
         """Start to seek the home position of each axis in use."""
-        for axis in self._axes:
-            self._accepted(axis.device, "home")
+        self._start({axis.device: "home" for axis in self._axes})
 
     def homed(self, reading: Reading) -> str | None:
         """The device itself says whether it is."""
@@ -150,6 +148,17 @@ class ZaberDialogue:
             reply = self._patience.ask(lambda d=device: self._exchange(d, 0, "stop"))
             if not reply.accepted:
                 raise self.link.failure(f"device {device} refused to stop: {rejection_words(reply.data)}")
+
+    def _start(self, commands: Mapping[str, str]) -> None:
+        """Send each axis its command once; one whose reply is lost does not keep the others from theirs."""
+        lost: ReplyError | None = None
+        for axis, command in commands.items():
+            try:
+                self._accepted(axis, command)
+            except ReplyError as error:  # noqa: PERF203  (a serial line is slower)
+                lost = error
+        if lost is not None:
+            raise lost
 
     def _limits_of(self, axis: str) -> tuple[int, int]:
         if axis not in self._limits:

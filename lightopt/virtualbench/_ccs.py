@@ -48,7 +48,7 @@ class CcsFirmware:
         channels: int = 4,
         top_level: int = 255,
         levels: Mapping[str, int] | None = None,
-        on: bool = False,
+        on: bool = True,
         gap_s: float = 0.0,
     ) -> None:
         self._lamps = Lamps(channels, top_level, levels, on=on)

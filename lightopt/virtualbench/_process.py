@@ -12,12 +12,13 @@ import threading
 from collections.abc import Mapping
 from typing import Any, BinaryIO
 
-from lightopt.errors import HardwareError
+from lightopt.errors import HardwareError, InputError
 
 __all__ = ["BenchProcess"]
 
 _START_S = 60.0
 _REQUEST_S = 120.0
+_WRONG = 2  # exit status of the process where its description is at fault
 
 
 class BenchProcess:
@@ -40,6 +41,8 @@ class BenchProcess:
 
     Raises
     ------
+    lightopt.errors.InputError
+        When a device cannot be as described.
     lightopt.errors.HardwareError
         When the process does not start.
     """
@@ -50,6 +53,7 @@ class BenchProcess:
         spec = {"devices": devices, **({} if tcp is None else {"tcp": tcp}), **more}
         self._lock = threading.Lock()
         self._control: socket.socket | None = None
+        self._replies: BinaryIO | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
         command = [sys.executable, "-m", "lightopt.virtualbench", json.dumps(spec)]
         # A group of its own: Ctrl-C is for the client, which still has lights to switch off.
@@ -67,7 +71,7 @@ class BenchProcess:
             self.ports: dict[str, str] = hello["ports"]
             self._control = socket.create_connection(("127.0.0.1", hello["control"]), timeout=_REQUEST_S)
             self._control.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._replies: BinaryIO = self._control.makefile("rb")
+            self._replies = self._control.makefile("rb")
             self._control.sendall(hello["token"].encode() + b"\n")
         except BaseException:
             self.close()
@@ -90,7 +94,7 @@ class BenchProcess:
         """
         with self._lock:
             try:
-                if self._control is None:
+                if self._control is None or self._replies is None:
                     raise OSError("closed")
                 self._control.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
                 line = self._replies.readline()
@@ -135,9 +139,10 @@ class BenchProcess:
 
     def close(self) -> None:
         """End the process; never raises."""
-        if self._control is not None:
-            self._control.close()
-            self._control = None
+        for end in (self._replies, self._control):
+            if end is not None:
+                end.close()
+        self._control = self._replies = None
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
@@ -162,6 +167,8 @@ class BenchProcess:
         finally:
             watchdog.cancel()
         if not line:
+            if self._process.wait(_START_S) == _WRONG:
+                raise InputError(*self._gone("cannot be as described").messages)
             raise self._gone("did not start")
         return json.loads(line)
 

@@ -44,8 +44,7 @@ def handlers(world: World) -> dict[str, Handler]:
         return {}, b""
 
     def unplug(request: Mapping[str, Any]) -> Answer:
-        with world.lock:
-            world.devices[request["device"]].wire.pull()
+        world.pull(request["device"])
         return {}, b""
 
     return {"state": state, "trace": trace, "fault": fault, "unplug": unplug}

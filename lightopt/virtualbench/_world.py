@@ -64,6 +64,7 @@ class Device:
     def speak(self, now: float) -> None:
         """Send what is due, the firmware's own words included."""
         self._reply(self.firmware.poll(now), now)
+        self._out.sort(key=lambda sent: sent.due)
         while self._out and self._out[0].due <= now:
             first = self._out.pop(0)
             taken = self.wire.send(first.data)
@@ -75,6 +76,8 @@ class Device:
         """Suffer a fault of the line or of the device; ``clear`` ends all of both."""
         if fault in LINE_FAULTS or fault == "clear":
             self._line.inject(fault, options)
+        if fault == "clear":
+            self._out = [sent for sent in self._out if sent.due <= now]  # late replies do not come any more
         if fault not in LINE_FAULTS:
             self.firmware.inject(fault, options, now)
 
@@ -113,6 +116,7 @@ class World:
 
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool = not have_ptys) -> None:
         self.lock = threading.RLock()
+        self._served = threading.Event()
         self.trace: deque[Change] = deque(maxlen=_TRACE)
         self.devices: dict[str, Device] = {}
         self._shone: dict[tuple[str, int], float] = {}
@@ -137,6 +141,7 @@ class World:
                 device.hear(now)
                 device.speak(now)
             self._look(now)
+            self._served.set()
 
     def levels(self) -> dict[str, dict[int, float]]:
         """Brightness of each channel of each light controller, as a share of the highest."""
@@ -157,6 +162,20 @@ class World:
                 raise ValueError(f'no device called "{name}"; there is {", ".join(self.devices)}')
             self.devices[name].inject(fault, options, now)
             self._look(now)
+
+    def pull(self, name: str) -> None:
+        """Pull the cable of a device, and wait until nobody holds its end any more.
+
+        Raises
+        ------
+        KeyError
+            For a device that is not there.
+        """
+        with self.lock:
+            self.devices[name].wire.pull()
+            self._served.clear()
+        # The system keeps a wire open for as long as the serving thread waits on it.
+        self._served.wait(1)
 
     def close(self) -> None:
         """Pull every cable."""

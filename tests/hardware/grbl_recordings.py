@@ -1,9 +1,9 @@
 """Dialogues recorded from a Grbl 1.1h: its firmware, run in a simulator of its processor.
 
-Each entry is what was sent and what came back before the next was sent. The simulator ran slower than the real thing, so
-numbers of moving axes are not compared; where its reply to a line came after the next byte was sent, it stands here with
-its line. Reports of the second recording named all input pins (``Pn:``), because the simulator leaves them floating;
-they are left out.
+Each entry is what was sent and what came back before the next was sent. The simulator ran slower than the real thing,
+so numbers of moving axes are not compared; where its reply to a line came after the next byte was sent, it stands here
+with its line. Reports of the second recording named all input pins (``Pn:``), because the simulator leaves them
+floating; they are left out.
 """
 
 from __future__ import annotations

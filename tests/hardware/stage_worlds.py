@@ -1,9 +1,7 @@
-"""Stages of every protocol on a virtual bench, quick enough for tests: a range of 90° and 360° in half a second."""
+"""Stages of every protocol on a virtual bench, quick enough for tests: from end to end in a fifth of a second."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from typing import Any
 
 from lightopt.hardware import Axis, open_stage
@@ -16,20 +14,20 @@ TURN = (0.0, 360.0)
 
 AXES = {
     "shot": [
-        Axis("elevation", "1", TILT, steps_per_deg=500, zero=-25, speed_deg_per_s=200),
-        Axis("rotation", "2", TURN, steps_per_deg=-200, zero=30, speed_deg_per_s=800),
+        Axis("elevation", "1", TILT, steps_per_deg=500, zero=-25, speed_deg_per_s=800),
+        Axis("rotation", "2", TURN, steps_per_deg=-200, zero=30, speed_deg_per_s=2000),
     ],
     "gsc": [
-        Axis("elevation", "1", TILT, steps_per_deg=100, zero=-25, speed_deg_per_s=200),
-        Axis("rotation", "2", TURN, steps_per_deg=-25, zero=30, speed_deg_per_s=800),
+        Axis("elevation", "1", TILT, steps_per_deg=20, zero=-25, speed_deg_per_s=800),
+        Axis("rotation", "2", TURN, steps_per_deg=-10, zero=30, speed_deg_per_s=2000),
     ],
     "grbl": [
-        Axis("elevation", "X", TILT, zero=-50, speed_deg_per_s=200),
-        Axis("rotation", "Y", TURN, zero=-380, speed_deg_per_s=800),
+        Axis("elevation", "X", TILT, zero=-50, speed_deg_per_s=800),
+        Axis("rotation", "Y", TURN, zero=-380, speed_deg_per_s=2000),
     ],
     "zaber": [
-        Axis("elevation", "1", TILT, steps_per_deg=1000, zero=50_000, speed_deg_per_s=200),
-        Axis("rotation", "2", TURN, steps_per_deg=-500, zero=190_000, speed_deg_per_s=800),
+        Axis("elevation", "1", TILT, steps_per_deg=1000, zero=50_000, speed_deg_per_s=800),
+        Axis("rotation", "2", TURN, steps_per_deg=-500, zero=190_000, speed_deg_per_s=2000),
     ],
 }
 STEP = {"shot": 1.0, "gsc": 1.0, "grbl": 0.005, "zaber": 1.0}
@@ -46,14 +44,17 @@ def firmware(kind: str) -> dict[str, Any]:
             "22": 1,
             "100": 200,
             "101": 200,
-            "110": 60_000,
-            "111": 60_000,
+            "110": 200_000,
+            "111": 200_000,
             "130": 120,
             "131": 400,
         }
         axes = {first: {"stands": -3}, second: {"stands": -7}}
-        return {"kind": kind, "options": {"settings": settings, "axes": axes, "home_speed": 400}}
-    options: dict[str, Any] = {"axes": {first: {"stands": 400}, second: {"stands": -300}}, "home_speed": 200_000}
+        return {"kind": kind, "options": {"settings": settings, "axes": axes, "home_speed": 2000}}
+    options: dict[str, Any] = {
+        "axes": {first: {"stands": 4000}, second: {"stands": -3000}},
+        "home_speed": 500_000,
+    }
     return {"kind": kind, "options": options}
 
 
@@ -62,20 +63,32 @@ def open_kind(kind: str, port: str, *, timeout_s: float = 0.5, clock: Clock | No
 
 
 class Pool:
-    """Many devices in one process, handed out one by one: each test has its own."""
+    """Devices of their own for each test, made a batch at a time: a process for each test would take longer."""
 
-    def __init__(self, kinds: tuple[str, ...], count: int) -> None:
-        devices = {
-            f"{kind}-{wire}-{i}": {**firmware(kind), "tcp": wire == "tcp"}
-            for kind in kinds
-            for wire in ("pty", "tcp")
-            for i in range(count)
-        }
-        self.bench = BenchProcess(devices)
-        self._next = itertools.count()
-        self._free: dict[str, Iterator[int]] = {}
-        self._count = count
+    def __init__(self, batch: int = 16) -> None:
+        self._batch = batch
+        self._free: dict[str, list[str]] = {}
+        self._benches: list[BenchProcess] = []
+        self._of: dict[str, BenchProcess] = {}
 
     def take(self, kind: str, wire: str = "pty") -> str:
         """Name of a device that no test has had."""
-        return f"{kind}-{wire}-{next(self._free.setdefault(kind + wire, iter(range(self._count))))}"
+        free = self._free.setdefault(f"{kind}-{wire}", [])
+        if not free:
+            number = len(self._of)
+            names = [f"{kind}-{wire}-{number + i}" for i in range(self._batch)]
+            bench = BenchProcess({name: {**firmware(kind), "tcp": wire == "tcp"} for name in names})
+            self._benches.append(bench)
+            self._of.update(dict.fromkeys(names, bench))
+            free += reversed(names)
+        return free.pop()
+
+    def of(self, name: str) -> BenchProcess:
+        """The bench of a device."""
+        return self._of[name]
+
+    def close(self) -> None:
+        """End the processes."""
+        for bench in self._benches:
+            bench.close()
+            bench._replies.close()

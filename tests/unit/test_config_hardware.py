@@ -6,6 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from lightopt.config import (
     ControllerConfig,
@@ -329,3 +332,41 @@ def test_models_made_in_code_are_taken_as_they_are() -> None:
     assert again.hardware == rig.hardware
     assert isinstance(again.hardware, HardwareConfig)
     assert isinstance(again.hardware.stage, StageDeviceConfig)
+
+
+# ---- whatever is written there, it is told in messages with a line
+
+_SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 2000),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.sampled_from(["", "ccs", "virtual", "COM3", "{level}", "main", "left", "X", "\\r", "("]),
+)
+_ANYTHING = st.recursive(
+    _SCALARS,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=2),
+        st.dictionaries(st.sampled_from(["main", "port", "set", "bad name"]), inner),
+    ),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_value_anywhere(tmp_path: Path, data: st.DataObject) -> None:
+    document = yaml.safe_load(RIG)
+    here = document["hardware"]
+    while True:
+        key = data.draw(st.sampled_from(sorted(here)))
+        if not isinstance(here[key], dict) or data.draw(st.booleans()):
+            break
+        here = here[key]
+    here[key] = data.draw(_ANYTHING)
+    path = write(tmp_path, yaml.safe_dump(document, sort_keys=False))
+    try:
+        load_rig(path)
+    except InputError as error:
+        for message in error.messages:
+            assert re.match(rf"{re.escape(str(path))}:\d+: hardware", message), message
