@@ -123,7 +123,7 @@ def line_cases(deliveries: dict[str, int], *, every: int = 1) -> Iterator[Case]:
         for device in devices:
             for after in range(0, deliveries[device], every):
                 yield Case(f"{kind}, once", device, fault, {**options, "after": after})
-            for after in range(0, deliveries[device], 4 * every):
+            for after in range(every // 2, deliveries[device], 4 * every):
                 yield Case(f"{kind}, for good", device, fault, {**options, "after": after, "count": None})
 
 

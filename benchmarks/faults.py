@@ -1,8 +1,9 @@
-"""``python -m benchmarks.faults [--every N] [--kills N]``: captures that suffer faults; the table of docs/reliability.md.
+"""Captures that suffer faults, one each; renews the table of docs/reliability.md: ``python -m benchmarks.faults``.
 
-Every run is a capture of 8 images and 4 frames without light on the virtual bench, with the drivers and wires of a real one.
-A run passes when it finishes with the images of an undisturbed run, or stops with an error that names the step, with all
-lights off or the lights named that may burn, leaves a valid set, and `--resume` makes of it the images of an undisturbed run.
+Every run is a capture of 8 images and 4 frames without light on the virtual bench, with the drivers and wires of a real
+one. A run passes when it finishes with the images of an undisturbed run, or stops with an error that names the step,
+with all lights off or the lights named that may burn, leaves a valid set, and `--resume` makes of it the images of an
+undisturbed run.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks._fault_cases import Case, line_cases, make_rig, other_cases, pulled_cases
+from benchmarks._fault_cases import line_cases, make_rig, other_cases, pulled_cases
 from benchmarks._fault_runs import Outcome, differences, suffer, undisturbed
 from lightopt.errors import LightoptError
 from lightopt.images import read_image_set
@@ -58,8 +59,10 @@ def rows_of(outcomes: Iterable[Outcome]) -> dict[str, Row]:
 def table(rows: dict[str, Row]) -> str:
     """Counts as Markdown."""
     lines = [
-        "| fault | runs | finished, same images | stopped, same after `--resume` | of these: lights that may burn, named "
-        "| commands sent again | wrong |",
+        (
+            "| fault | runs | finished, same images | stopped, same after `--resume` "
+            "| lights that may burn, named | commands sent again | wrong |"
+        ),
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
     total = Row(*(sum(getattr(row, name) for row in rows.values()) for name in vars(Row())))

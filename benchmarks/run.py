@@ -13,7 +13,7 @@ from benchmarks._report import Report, machine
 
 __all__ = ["NAMES", "main", "save"]
 
-NAMES = ("bare", "peers", "auto", "command", "search")
+NAMES = ("bare", "peers", "auto", "command", "search", "capture")
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -112,11 +112,12 @@ def capture(
         When a device fails or an image is not lit by its light; the message says in which step and what state things
         are in. The lights are off then, or it says which may not be.
     """
-    plan = make_plan(rig, part, options)
-    scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks])
-    records = open_set(Path(folder), rig, part, scene, plan, resume=resume, force=force)
     timing, begun = Timing(), time.monotonic()
-    run = _Run(plan, scene, records, timing, warn, report)
+    with timing.spent("opening_s"):
+        plan = make_plan(rig, part, options)
+        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks])
+        records = open_set(Path(folder), rig, part, scene, plan, resume=resume, force=force)
+        run = _Run(plan, scene, records, timing, warn, report)
     run.warn(*scene.warnings)
     retries = 0
     if run.todo():

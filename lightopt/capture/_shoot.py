@@ -65,6 +65,7 @@ class Shooter:
         self._light_settled = 0.0
         self._held_us: float | None = None
         self._changed = True
+        self._retries = 0
 
     def home(self) -> None:
         """Let the stage seek its origin."""
@@ -132,7 +133,7 @@ class Shooter:
         """Take an image under the light that burns, or in the dark."""
         light = self._lit[0] if self._lit else None
         self._devices.step = f"exposing {light or 'dark'} {posture} at exposure {exposure:g}"
-        camera, retries = self._devices.camera, self._devices.retries
+        camera = self._devices.camera
         if isinstance(camera, FolderCamera):
             camera.show(light, posture, exposure)
         if self._changed and not camera.triggered:
@@ -155,7 +156,7 @@ class Shooter:
             "light": None if self._lit is None else self._lit[1],
             "stage": self._stage,
             "saturated_share": float(image.saturated.mean()),
-            "retries": self._devices.retries - retries,
+            "retries": self._retries_since(),
             "devices": self._identities,
         }
         if frames[0].timestamp_ns is not None:
@@ -163,6 +164,11 @@ class Shooter:
         if frames[0].says:
             facts["camera"] = frames[0].says
         return Shot(image=image, facts=facts)
+
+    def _retries_since(self) -> int:
+        """Commands that were sent again since the image before."""
+        before, self._retries = self._retries, self._devices.retries
+        return self._retries - before
 
     def _grab(self) -> Frame:
         timing = self._plan.wiring.hardware.timing

@@ -12,7 +12,7 @@ __all__ = ["Timing", "utc"]
 
 @dataclass
 class Timing:
-    """Seconds by what they were spent on; `other_s` is what is left of the whole."""
+    """Seconds by what they were spent on; `opening_s` is reading the mesh, planning, and opening the devices."""
 
     whole_s: float = 0.0
     opening_s: float = 0.0
@@ -30,7 +30,7 @@ class Timing:
 
     @property
     def overhead(self) -> float:
-        """What the capture itself adds to moving, settling, exposing and transfer, as a share of these."""
+        """What a capture adds, once all is open, to moving, settling, exposing and transfer, as a share of these."""
         needed = self.moving_s + self.settling_s + self.exposing_s + self.transfer_s
         return (self.whole_s - self.opening_s - needed) / needed if needed else 0.0
 
