@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import random
+import subprocess
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +17,7 @@ from lightopt.errors import HardwareError
 from lightopt.images import read_exr, read_image_set, read_png
 from lightopt.virtualbench import BenchProcess
 
-__all__ = ["OPTIONS", "Outcome", "differences", "suffer", "undisturbed"]
+__all__ = ["OPTIONS", "Outcome", "differences", "kill_sometime", "suffer", "undisturbed"]
 
 OPTIONS = CaptureOptions(exposures=(1.0, 1 / 16), dark=True)
 
@@ -138,6 +141,28 @@ def suffer(case: Case, rig: Path, part: Path, folder: Path, truth: Path) -> Outc
         capture(loaded_rig, loaded_part, folder, options=OPTIONS, resume=True)
         wrong += [f"resumed, but {difference}" for difference in differences(folder, truth)]
     return Outcome(case, bool(retries or message), finished, retries, message, lights, tuple(wrong))
+
+
+def kill_sometime(command: list[str], out: Path, moments: random.Random) -> bool:
+    """Start a command and kill -9 it at a random moment: while it starts, or once it has written so many PNG files.
+
+    Returns
+    -------
+    bool
+        Whether it was still running.
+    """
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    files = moments.randrange(-2, 13)
+    end = time.monotonic() + (moments.uniform(0.0, 2.0) if files < 0 else 60.0)
+    while time.monotonic() < end and process.poll() is None:
+        if files >= 0 and (out / "manifest.json").exists() and len(list(out.rglob("*.png"))) >= files:
+            time.sleep(moments.uniform(0.0, 0.05))
+            break
+        time.sleep(0.001)
+    running = process.poll() is None
+    process.kill()
+    process.wait()
+    return running
 
 
 def _lights(bench: BenchProcess, case: Case, message: str) -> str:

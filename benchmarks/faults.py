@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks._fault_cases import line_cases, make_rig, other_cases, pulled_cases
-from benchmarks._fault_runs import Outcome, differences, suffer, undisturbed
+from benchmarks._fault_runs import Outcome, differences, kill_sometime, suffer, undisturbed
 from lightopt.errors import LightoptError
 from lightopt.images import read_image_set
 
@@ -134,19 +134,14 @@ def _kills(folder: Path, count: int) -> Row:
         "--dark",
         "-o",
     ]
-    begun = time.monotonic()
     subprocess.run([*command, folder / "whole"], check=True)
-    whole = time.monotonic() - begun
     moments, row = random.Random(1), Row()
     for number in range(count):
         out = folder / f"kill-{number}"
-        process = subprocess.Popen([*command, out])
-        time.sleep(moments.uniform(0.2, 1.0) * whole)
-        process.kill()
-        process.wait()
+        killed = kill_sometime([*map(str, command), str(out)], out, moments)
         row.runs += 1
-        row.finished += process.returncode == 0
-        row.stopped += process.returncode != 0
+        row.finished += not killed
+        row.stopped += killed
         try:
             if (out / "manifest.json").exists():
                 read_image_set(out)

@@ -58,15 +58,15 @@ def test_an_undisturbed_run_has_no_retries(bed):
 
 
 def test_spoilt_replies_are_asked_for_again_or_end_safely(bed, tmp_path):
-    check(bed, tmp_path, every(line_cases(bed[2]["shot"][0]), 12))
+    check(bed, tmp_path, every(line_cases(bed[2]["shot"][0]), 8))
 
 
 def test_a_pulled_cable_ends_safely_at_some_steps(bed, tmp_path):
-    check(bed, tmp_path, every(pulled_cases(*bed[2]["shot"]), 8))
+    check(bed, tmp_path, every(pulled_cases(*bed[2]["shot"]), 6))
 
 
 def test_lights_and_stages_that_do_not_obey_end_safely(bed, tmp_path):
-    check(bed, tmp_path, every(other_cases(), 8))
+    check(bed, tmp_path, every(other_cases(), 6))
 
 
 @pytest.mark.slow
