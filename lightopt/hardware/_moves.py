@@ -18,7 +18,8 @@ __all__ = ["HOME_FIRST", "Clock", "MovingStage"]
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
 
-_POLL_S = 0.02  # between two looks at a moving stage
+_POLL_S = 0.02  # between two looks at a moving stage,
+_NEAR_S = 0.004  # and when it should be there
 _MARGIN_S = 3.0  # beyond twice the travel time: ramps, replies
 _SETTLE_S = 0.5  # devices report that they stand still for a moment after the command that moves them
 _HALT_S = 2.0  # a stage comes to rest within
@@ -144,7 +145,7 @@ class MovingStage:
                 except ReplyError as error:
                     # whether it was taken shows in where the stage goes; sent again it might move twice
                     self._link.note(f"{error}; not sent again, the position will tell")
-                reading = self._arrive(targets, 2 * longest_s + _MARGIN_S)
+                reading = self._arrive(targets, longest_s)
             except HardwareError as error:
                 raise self._stopped(error) from error
             except BaseException:
@@ -235,8 +236,10 @@ class MovingStage:
             self._dialogue.prepare()
             self._prepared = True
 
-    def _arrive(self, targets: Mapping[str, float], limit_s: float) -> Reading:
+    def _arrive(self, targets: Mapping[str, float], travel_s: float) -> Reading:
+        """Watch a move that should take so long until the stage stands at its targets."""
         started = self._clock.now()
+        limit_s = 2 * travel_s + _MARGIN_S
         still_since: float | None = None
         while True:
             reading = self._dialogue.read()
@@ -261,7 +264,7 @@ class MovingStage:
                         "stands still and is not where it should be: stalled, at a limit switch, or the command was "
                         f"not taken{self._where(reading, targets)}"
                     )
-            self._clock.sleep(_POLL_S)
+            self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
 
     def _there(self, reading: Reading, targets: Mapping[str, float]) -> bool:
         return all(

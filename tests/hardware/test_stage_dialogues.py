@@ -88,6 +88,23 @@ def test_shot_homes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert script.ended()
 
 
+def test_shot_that_was_just_switched_on_is_not_taken_for_homed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It counts 0 where it stands, and may say that it is ready for a moment after the command."""
+    at_0 = b"          0,          0,K,K,"
+    script = play(
+        monkeypatch,
+        [
+            (b"Q:\r\n", at_0 + b"R\r\n"),
+            (b"H:W\r\n", b"OK\r\n"),
+            (b"Q:\r\n", at_0 + b"R\r\n"),
+            (b"Q:\r\n", b"        -90,          0,K,K,B\r\n"),
+            (b"Q:\r\n", at_0 + b"R\r\n"),
+        ],
+    )
+    stage("shot", pulses()).home()
+    assert script.ended()
+
+
 def test_shot_says_its_version_and_stops(monkeypatch: pytest.MonkeyPatch) -> None:
     script = play(
         monkeypatch,
