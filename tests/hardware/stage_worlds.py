@@ -91,4 +91,3 @@ class Pool:
         """End the processes."""
         for bench in self._benches:
             bench.close()
-            bench._replies.close()

@@ -14,7 +14,7 @@ import pytest
 from stage_worlds import AXES, DEVICE_AXES, KINDS, STEP, Pool, open_kind
 
 from lightopt.errors import HardwareError
-from lightopt.hardware import LinkLostError
+from lightopt.hardware import LinkLostError, open_stage
 from lightopt.hardware._moves import MovingStage
 from lightopt.transforms import Posture
 
@@ -113,6 +113,61 @@ def test_a_command_is_refused(pool: Pool, kind: str) -> None:
     assert real(pool, kind, name) == pytest.approx(units(kind, START), abs=STEP[kind])
     stage.home()
     stage.move_to(TARGET)
+    stage.close()
+
+
+@pytest.mark.parametrize("after", range(4))
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_command_is_refused(pool: Pool, kind: str, after: int) -> None:
+    """Of switching on, homing and moving, the command that comes after so many others."""
+    name = pool.take(kind, WIRE)
+    stage = open_kind(kind, pool.of(name).ports[name], timeout_s=0.3)
+    pool.of(name).set_fault(name, "refuse", after=after, count=1)
+    refused = 0
+    for _ in range(3):
+        try:
+            stage.home()
+            stage.move_to(START)
+            stage.move_to(TARGET)
+        except HardwareError:  # noqa: PERF203
+            refused += 1
+            assert stands_still(pool, kind, name)
+        else:
+            assert real(pool, kind, name) == pytest.approx(units(kind, TARGET), abs=STEP[kind])
+    assert refused == 1
+    stage.close()
+
+
+@pytest.mark.parametrize("busy", [False, True], ids=["says-idle", "says-busy"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_axis_stalls_on_its_way_home(pool: Pool, kind: str, busy: bool) -> None:
+    name = pool.take(kind, WIRE)
+    port = pool.of(name).ports[name]
+    stage = open_stage(kind, port=port, axes=AXES[kind], timeout_s=0.2, home_timeout_s=0.6)
+    pool.of(name).set_fault(name, "stall", axis=DEVICE_AXES[kind][0], busy=busy)
+    with pytest.raises(HardwareError) as failed:
+        stage.home()
+    assert any(
+        words in str(failed.value) for words in ("has not found its origin", "ALARM:9", "no reply after")
+    )
+    assert "home it first" in str(failed.value)
+    assert stands_still(pool, kind, name)
+    assert stage.state().referenced is False
+    with pytest.raises(HardwareError):
+        stage.move_to(START)
+    stage.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"), [("grbl", {"code": 1}), ("grbl", {"code": 3}), ("zaber", {"flag": "FD"})]
+)
+def test_an_alarm_in_the_middle_of_a_move(pool: Pool, kind: str, options: dict[str, object]) -> None:
+    name, stage = at_start(pool, kind)
+    stage._clock.sleep = lambda _: pool.of(name).set_fault(name, "alarm", **options)
+    with pytest.raises(HardwareError, match=r"ALARM:[13]|alarm during the move: axis 1: FD"):
+        stage.move_to(TARGET)
+    assert stands_still(pool, kind, name)
+    assert stage.state().alarm is not None
     stage.close()
 
 

@@ -61,7 +61,7 @@ class Noisy:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(pieces=NOISE)
 def test_drivers_take_any_reply(kind: str, monkeypatch: pytest.MonkeyPatch, pieces: list[bytes]) -> None:
     greeting = b"\r\nGrbl 1.1h ['$' for help]\r\n" if kind == "grbl" else b""
