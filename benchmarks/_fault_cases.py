@@ -128,7 +128,7 @@ def line_cases(deliveries: dict[str, int], *, every: int = 1) -> Iterator[Case]:
 
 
 def pulled_cases(deliveries: dict[str, int], steps: int, *, every: int = 1) -> Iterator[Case]:
-    """The cable of each device pulled at its every so many-th message, and the bench killed at every step of the plan."""
+    """The cable of each device pulled at every so many-th message to it, and the bench killed at every such step."""
     for device in ("lights", "stage"):
         for after in range(0, deliveries[device], every):
             options = {"after": after, "obeyed": bool(after % 2)}
@@ -143,11 +143,17 @@ def other_cases() -> Iterator[Case]:
         yield Case("light stays dark", "lights", "dark", {"channel": channel})
         yield Case("light stays on", "lights", "lit", {"channel": channel})
         yield Case("light ignores commands", "lights", "deaf", {"channel": channel})
-    for move in (0, 1):
+    for move in (2, 3):  # the first two are the search for the origins
         for share in (0.0, 0.3, 0.9):
             yield Case("stage stalls", "stage", "stall", {"after": move, "share": share})
-            yield Case("stage stalls, busy for ever", "stage", "stall", {"after": move, "share": share, "busy": True})
+            yield Case(
+                "stage stalls, busy for ever", "stage", "stall", {"after": move, "share": share, "busy": True}
+            )
+    for move in range(4):
+        for share in (0.3, 0.9):
             yield Case("stage meets a limit switch", "stage", "limit", {"after": move, "share": share})
-            yield Case("stage meets a limit switch", "stage", "limit", {"after": move, "share": share}, stage="grbl")
+            yield Case(
+                "stage meets a limit switch", "stage", "limit", {"after": move, "share": share}, stage="grbl"
+            )
     for code in (1, 2, 3, 9):
         yield Case("alarm of the stage", "stage", "alarm", {"code": code}, stage="grbl")

@@ -102,7 +102,7 @@ class Devices:
         if isinstance(error, HardwareError) or (error is not None and not lights_are_off):
             raise self._told(error, state) from error
         if error is None and not lights_are_off:
-            raise HardwareError(*state[0])
+            raise HardwareError(f"while switching all lights off at the end: {state[0][0]}", *state[0][1:])
         if error is None and self._signals.pending is not None:
             raise KeyboardInterrupt(self._signals.pending)
 

@@ -107,7 +107,7 @@ class Judge:
         )
         if found.problem is not None:
             raise HardwareError(
-                f"{found.problem} The image was not kept. --no-check captures without this check"
+                f"{found.problem}. The image was not kept; --no-check captures without this check"
             )
         if found.undecided is not None:
             warn(f"{light} {posture}: cannot tell whether the light is the right one: {found.undecided}")

@@ -19,6 +19,7 @@ from lightopt.config._hardware import (
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, PostureConfig, ReflectanceConfig
+from lightopt.config._relocate import relocated
 from lightopt.config._rig import RigConfig, StageConfig
 from lightopt.config._schema import json_schema
 from lightopt.config._source import Source
@@ -48,5 +49,6 @@ __all__ = [
     "json_schema",
     "load_part",
     "load_rig",
+    "relocated",
     "with_values",
 ]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from lightopt import __version__
-from lightopt.config import PartConfig, RigConfig, Source, with_values
+from lightopt.config import PartConfig, RigConfig, Source, relocated, with_values
 from lightopt.errors import InputError
 from lightopt.fit._result import FitResult
 from lightopt.images import ImageSet, file_sha256, write_text_atomic
@@ -80,7 +79,7 @@ def write_fit(
     content = {"format": "lightopt-fit/1", **result.as_dict(), "provenance": dict(made_from)}
     texts = {PART_NAME: _part_text(folder, result, part)}
     if result.gains is not None or result.dark is not None:
-        texts[RIG_NAME] = _rig_text(result, rig)
+        texts[RIG_NAME] = _rig_text(folder, result, rig)
         written.append(folder / RIG_NAME)
     for name, text in texts.items():
         write_text_atomic(folder / name, text)
@@ -94,15 +93,11 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     values: dict[tuple[str | int, ...], str] = {
         ("reflectance", name): f"{result.value(name):.6g}" for name in result.fitted
     }
-    mesh = part.source.resolve(part.mesh.file).resolve()
-    if mesh != (folder / part.mesh.file).resolve():
-        # the mesh is named relative to the file, which now lies elsewhere
-        values["mesh", "file"] = json.dumps(_path_from(folder.resolve(), mesh), ensure_ascii=False)
-    return with_values(_text(part.source), values)
+    return with_values(_text(part.source), values | relocated(part, folder))
 
 
-def _rig_text(result: FitResult, rig: RigConfig) -> str:
-    values: dict[tuple[str | int, ...], str] = {}
+def _rig_text(folder: Path, result: FitResult, rig: RigConfig) -> str:
+    values = relocated(rig, folder)
     for index, light in enumerate(rig.lights):
         # the reference keeps its gain, and its line in the file
         if result.gains is not None and abs(result.gains.get(light.name, light.gain) - light.gain) > 1e-9:
@@ -114,13 +109,6 @@ def _rig_text(result: FitResult, rig: RigConfig) -> str:
 
 def _text(source: Source) -> str:
     return source.path.read_bytes().decode("utf-8-sig")
-
-
-def _path_from(folder: Path, target: Path) -> str:
-    try:
-        return Path(os.path.relpath(target, folder)).as_posix()
-    except ValueError:  # another drive
-        return target.as_posix()
 
 
 def _hashes(image_set: ImageSet, *names: str | None) -> dict[str, str]:

@@ -16,6 +16,8 @@ from lightopt.config import (
     RigConfig,
     StageDeviceConfig,
     load_rig,
+    relocated,
+    with_values,
 )
 from lightopt.errors import InputError
 from lightopt.hardware import light_drivers
@@ -332,6 +334,30 @@ def test_models_made_in_code_are_taken_as_they_are() -> None:
     assert again.hardware == rig.hardware
     assert isinstance(again.hardware, HardwareConfig)
     assert isinstance(again.hardware.stage, StageDeviceConfig)
+
+
+# ---- copies of the file in other folders
+
+
+@pytest.mark.parametrize("where", [".", "out", "out/deeper"])
+def test_a_copy_elsewhere_still_finds_the_folder_to_replay(tmp_path: Path, where: str) -> None:
+    rig = load_rig(write(tmp_path, RIG))
+    home = tmp_path / where
+    home.mkdir(parents=True, exist_ok=True)
+    values = relocated(rig, home)
+    assert (values == {}) == (where == ".")
+    copy = home / "copy.yaml"
+    copy.write_text(with_values(RIG, values), encoding="utf-8")
+    again = load_rig(copy)
+    assert again.hardware is not None
+    assert (
+        again.source.resolve(str(again.hardware.camera.folder)).resolve() == (tmp_path / "frames").resolve()
+    )
+
+
+def test_a_rig_that_names_no_files_is_copied_as_it_is(tmp_path: Path) -> None:
+    assert relocated(load_rig(CONFIGS / "rigs" / "four-panel-serial.yaml"), tmp_path) == {}
+    assert relocated(load_rig(CONFIGS / "rigs" / "four-panel.yaml"), tmp_path) == {}
 
 
 # ---- whatever is written there, it is told in messages with a line
