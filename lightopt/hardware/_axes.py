@@ -98,13 +98,19 @@ class Axis:
 
     def check(self, angle_deg: float) -> None:
         """Raise an :class:`~lightopt.errors.InputError` for an angle [°] outside the range."""
+        if wrong := self.problems(angle_deg):
+            raise InputError(*wrong)
+
+    def problems(self, angle_deg: float) -> list[str]:
+        """What is wrong with an angle [°], for people; empty when it may be gone to."""
         low, high = self.range_deg
         slack = _ROUNDING * max(1.0, abs(low), abs(high))
-        if not low - slack <= angle_deg <= high + slack:
-            raise InputError(
-                f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range "
-                f"{describe_range(self.range_deg)}; nothing was moved"
-            )
+        if low - slack <= angle_deg <= high + slack:
+            return []
+        span = describe_range(self.range_deg)
+        return [
+            f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range {span}; nothing was moved"
+        ]
 
     def speed_units(self) -> float:
         """Speed in device units per second."""

@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from lightopt.errors import HardwareError, InputError
 from lightopt.hardware._axes import Axis, describe_range
 from lightopt.hardware._dialogue import Reading
-from lightopt.hardware._errors import ReplyError
+from lightopt.hardware._errors import LinkLostError, ReplyError
 from lightopt.hardware._grbl_words import (
     CRITICAL_ALARMS,
     alarm_words,
@@ -178,20 +178,25 @@ class GrblDialogue:
             return
         self.link.write(b"!")
         until = time.monotonic() + _HOLD_S
-        while time.monotonic() < until:
-            try:
-                if not self._report().moving:
-                    break
-            except ReplyError:
-                break
-            if self._critical is not None:
-                return
+        while time.monotonic() < until and self._moves():
+            pass
+        if self._critical is not None:
+            return
         self.link.write(_RESET)
         try:
             self._await_banner(_BANNER_S)
         except ReplyError as error:
             raise self.link.failure("did not restart after '!' and a reset", sent=_RESET) from error
         self._restarted = False
+
+    def _moves(self) -> bool:
+        """Whether it says that it moves; an alarm stops it, and what answers nothing is not waited for."""
+        try:
+            return self._report().moving
+        except LinkLostError:
+            raise
+        except HardwareError:
+            return False
 
     def _greet(self) -> None:
         """Wait until Grbl answers: it restarts when the port is opened, unless the board is wired not to."""

@@ -100,15 +100,18 @@ class MovingStage:
     def check(self, posture: Posture) -> None:
         """Raise what :meth:`move_to` would raise for a posture that it cannot take; sends nothing."""
         angles = _angles(posture)
-        driven = {axis.name for axis in self._axes}
+        axes = {axis.name: axis for axis in self._axes}
+        wrong: list[str] = []
         for name, angle in angles.items():
-            if name not in driven and abs(angle) > 1e-9:
-                raise InputError(
+            if name in axes:
+                wrong += axes[name].problems(angle)
+            elif abs(angle) > 1e-9:
+                wrong.append(
                     f"stage axis {name}: {angle:g}° was asked for, but hardware.stage has no {name} axis, "
                     "so it stands at 0°; nothing was moved"
                 )
-        for axis in self._axes:
-            axis.check(angles[axis.name])
+        if wrong:
+            raise InputError(*wrong)
 
     def move_to(self, posture: Posture) -> StageState:
         """Move, wait and verify; returns where it stands, to the step.
@@ -122,7 +125,10 @@ class MovingStage:
         """
         self.check(posture)
         with self._link.lock:
-            reading = self._dialogue.read()
+            try:
+                reading = self._dialogue.read()
+            except HardwareError as error:
+                raise type(error)(*error.messages, "No move had been sent to it") from None
             self._may_move(reading)
             targets = self._targets(posture)
             self._dialogue.check({axis.device: targets[axis.name] for axis in self._axes})
@@ -179,6 +185,10 @@ class MovingStage:
 
     def stop(self) -> None:
         """Stop all axes at once, and see that they stand still."""
+        self._rest()
+
+    def _rest(self) -> Reading:
+        """Stop; the reading with which it stands still."""
         with self._link.lock:
             self._left_at = None
             self._dialogue.halt()
@@ -191,6 +201,7 @@ class MovingStage:
                 self._clock.sleep(_POLL_S)
             if reading.alarm is None:
                 self._left_at = dict(reading.units)
+            return reading
 
     def close(self) -> None:
         """Give up the link; never moves an axis, never raises."""
@@ -306,18 +317,19 @@ class MovingStage:
 
     def _stopped(self, error: HardwareError) -> HardwareError:
         """Stop the stage after an error; the error, with what stopping led to."""
-        return type(error)(*error.messages, self._stop_after())
+        return type(error)(*error.messages, self._stop_after(str(error)))
 
-    def _stop_after(self) -> str:
+    def _stop_after(self, told: str = "") -> str:
         """Stop the stage after a failure, and say in words what that led to."""
         self._lost = "the last move failed"
         try:
-            self.stop()
+            alarm = self._rest().alarm
         except HardwareError as failed:
             return f"It was told to stop, which failed too, so it may still move: {failed}"
         finally:
             self._left_at = None
-        return f"It stands still now. Before the next move, {HOME_FIRST}"
+        with_alarm = f", with an alarm: {alarm}" if alarm is not None and alarm not in told else ""
+        return f"It stands still now{with_alarm}. Before the next move, {HOME_FIRST}"
 
     def _state(self, reading: Reading) -> StageState:
         angles = {"elevation": 0.0, "rotation": 0.0}

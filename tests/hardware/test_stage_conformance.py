@@ -119,6 +119,9 @@ def test_out_of_range(homed: World) -> None:
     for posture in (Posture(-45.01, 0.0), Posture(0.0, 360.1), Posture(90.0, 999.0)):
         with pytest.raises(InputError, match="outside the rig's range"):
             homed.stage.move_to(posture)
+    with pytest.raises(InputError) as failed:
+        homed.stage.move_to(Posture(90.0, 999.0))
+    assert len(failed.value.messages) == 2
     assert homed.real() == before
 
 

@@ -277,6 +277,22 @@ def test_grbl_asks_no_more_after_a_soft_limit_alarm(monkeypatch: pytest.MonkeyPa
     assert script.ended()
 
 
+def test_grbl_meets_a_switch_while_it_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The alarm has stopped it; it is not reset."""
+    script = play(
+        monkeypatch,
+        [
+            (b"?", report("Run", -3, -5)),
+            (b"!", b""),
+            (b"?", b"ALARM:1\r\n[MSG:Reset to continue]\r\n"),
+        ],
+    )
+    grbl = stage("grbl", degrees())
+    grbl.stop()
+    assert "ALARM:1 (hard limit" in (grbl.state().alarm or "")
+    assert script.ended()
+
+
 def test_grbl_homes_where_homing_is_enabled(monkeypatch: pytest.MonkeyPatch) -> None:
     script = play(
         monkeypatch,
