@@ -61,7 +61,7 @@ def table(rows: dict[str, Row]) -> str:
     lines = [
         (
             "| fault | runs | finished, same images | stopped, same after `--resume` "
-            "| lights that may burn, named | commands sent again | wrong |"
+            "| lights that may burn, named | commands sent again in finished runs | wrong |"
         ),
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
