@@ -5,6 +5,8 @@ import sys
 
 import typer
 
+from lightopt.cli._bench import bench
+from lightopt.cli._capture import capture
 from lightopt.cli._check import check
 from lightopt.cli._compare import compare
 from lightopt.cli._fit import fit_diffuse, fit_specular
@@ -48,11 +50,13 @@ def _common(
 app.command(short_help="Write a commented rig, part and mesh to start from.")(init)
 app.command(short_help="Say what is wrong with the files, and what they amount to.")(check)
 app.command(short_help="Render what the camera would see.")(render)
+app.command(short_help="Capture images on the rig, or on the virtual bench.")(capture)
 app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.")(fit_diffuse)
 app.command("fit-specular", short_help="Fit the specular coefficients to images.")(fit_specular)
 app.command(short_help="Find where the lights go, exactly.")(optimize)
 app.command(short_help="Say where the highlights of several images overlap.")(overlap)
 app.command(short_help="Compare images or image sets, golden against new.")(compare)
+app.add_typer(bench, name="bench", short_help="Try the devices of a rig one by one.")
 app.command(short_help="Print the JSON schema of rig or part files.")(schema)
 
 

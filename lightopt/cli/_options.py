@@ -65,15 +65,15 @@ def parse_posture(text: str) -> Posture:
     return Posture(elevation, rotation)
 
 
-def parse_exposure(text: str) -> float:
-    """Read a number or a fraction such as 1/16."""
+def parse_exposure(text: str, *, option: str = "--exposure") -> float:
+    """Read a number or a fraction such as 1/16, given with an option."""
     try:
         value = float(Fraction(text))
     except (ValueError, ZeroDivisionError, OverflowError):
         value = math.nan
     if not LEAST_EXPOSURE <= value <= MOST_EXPOSURE:
         raise InputError(
-            f"--exposure: expected a number from {LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g} or a fraction such as 1/16, "
+            f"{option}: expected a number from {LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g} or a fraction such as 1/16, "
             f'found "{text}"'
         )
     return value

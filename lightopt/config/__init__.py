@@ -6,16 +6,32 @@ into physics.
 
 from lightopt.config._camera import CameraConfig, DistortionConfig, SensorConfig
 from lightopt.config._edit import with_values
+from lightopt.config._hardware import (
+    AxisConfig,
+    CameraDeviceConfig,
+    ChannelConfig,
+    ControllerConfig,
+    HardwareConfig,
+    StageDeviceConfig,
+    TemplateConfig,
+    TimingConfig,
+)
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, PostureConfig, ReflectanceConfig
+from lightopt.config._relocate import relocated
 from lightopt.config._rig import RigConfig, StageConfig
 from lightopt.config._schema import json_schema
 from lightopt.config._source import Source
 
 __all__ = [
+    "AxisConfig",
     "CameraConfig",
+    "CameraDeviceConfig",
+    "ChannelConfig",
+    "ControllerConfig",
     "DistortionConfig",
+    "HardwareConfig",
     "LightConfig",
     "LightSourceConfig",
     "MeshConfig",
@@ -27,8 +43,12 @@ __all__ = [
     "SensorConfig",
     "Source",
     "StageConfig",
+    "StageDeviceConfig",
+    "TemplateConfig",
+    "TimingConfig",
     "json_schema",
     "load_part",
     "load_rig",
+    "relocated",
     "with_values",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
@@ -60,6 +60,8 @@ def model_problems(
     problems: list[Problem] = []
     for error in errors:
         keys, kind = tuple(error["loc"]), error["type"]
+        if keys and keys[-1] == "[key]":  # so pydantic calls what is wrong with the key of a mapping
+            keys = keys[:-1]
         if error["input"] is INVALID:
             continue
         if kind == "expected" and any(path[: len(keys)] == keys for path in document.invalid):
@@ -145,13 +147,21 @@ def _suggestions(model: type[BaseModel], errors: Sequence[ErrorDetails]) -> dict
 
 
 def _model_at(model: type[BaseModel], keys: Keys) -> type[BaseModel] | None:
-    """Model that describes the mapping at a path of keys."""
+    """Model that describes the mapping at a path of keys; None where the keys are names that the user gives."""
     here: Any = model
+    named: Any = None  # model of the values of a mapping from names
     for key in keys:
-        if isinstance(key, str):
-            if here is None or key not in here.model_fields:
-                return None
-            here = _inner_model(here.model_fields[key].annotation)
+        if isinstance(key, int):
+            continue
+        if named is not None:
+            here, named = named, None
+        elif here is None or key not in here.model_fields:
+            return None
+        else:
+            annotation = here.model_fields[key].annotation
+            here = _inner_model(annotation)
+            if get_origin(annotation) is dict:
+                here, named = None, here
     return here
 
 

@@ -17,8 +17,10 @@ from lightopt.config._fields import (
     expecting,
     with_complaints,
 )
+from lightopt.config._hardware import HardwareConfig
 from lightopt.config._lights import LightConfig, LightSourceConfig, auto_sums, same_names
 from lightopt.config._source import Source
+from lightopt.config._wiring import misfits
 
 __all__ = ["RigConfig", "StageConfig"]
 
@@ -52,7 +54,7 @@ class RigConfig(Frozen):
     stage: StageConfig = Field(
         default=StageConfig(), description="The stage; unlimited about the origin if absent."
     )
-    hardware: Annotated[dict[str, Any], expecting("keys and values")] | None = Field(
+    hardware: HardwareConfig | None = Field(
         default=None, description="The devices behind camera, lights and stage; absent is the virtual bench."
     )
     _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
@@ -69,3 +71,10 @@ class RigConfig(Frozen):
             return handler(value)
         shared = info.data.get("light_source")
         return with_complaints(value, handler, [*same_names(value), *auto_sums(value, shared)])
+
+    @field_validator("hardware", mode="wrap")
+    @classmethod
+    def _wired(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+        lights: tuple[LightConfig, ...] | None = info.data.get("lights")
+        names = None if lights is None else tuple(light.name for light in lights)
+        return with_complaints(value, handler, misfits(value, names, info.data.get("camera")))

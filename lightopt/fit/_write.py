@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
@@ -12,7 +11,7 @@ from typing import Any
 
 from lightopt import __version__
 from lightopt.align import PlacementInFile
-from lightopt.config import PartConfig, RigConfig, Source, with_values
+from lightopt.config import PartConfig, RigConfig, Source, relocated, with_values
 from lightopt.errors import InputError
 from lightopt.fit._result import FitResult
 from lightopt.images import ImageSet, file_sha256, write_text_atomic
@@ -101,7 +100,7 @@ class FitFolder:
         """
         texts = {PART_NAME: _part_text(self.folder, result, part)}
         if result.gains is not None or result.dark is not None:
-            texts[RIG_NAME] = _rig_text(result, rig)
+            texts[RIG_NAME] = _rig_text(self.folder, result, rig)
         for name, text in texts.items():
             write_text_atomic(self.place(name), text)
         content = {
@@ -121,9 +120,9 @@ class FitFolder:
         with suppress(FileNotFoundError):
             (self.folder / FIT_NAME).unlink()
         for name in {*names, PART_NAME, RIG_NAME}:
-            path = (self.folder / name).resolve()
-            if path.is_relative_to(self.folder.resolve()):
-                with suppress(OSError):
+            with suppress(OSError, ValueError):  # a name that no file can have
+                path = (self.folder / name).resolve()
+                if path.is_relative_to(self.folder.resolve()):
                     path.unlink()
 
 
@@ -142,11 +141,7 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     }
     if result.in_file is not None:
         values |= _placement_values(part, result.in_file)
-    mesh = part.source.resolve(part.mesh.file).resolve()
-    if mesh != (folder / part.mesh.file).resolve():
-        # the mesh is named relative to the file, which now lies elsewhere
-        values["mesh", "file"] = json.dumps(_path_from(folder.resolve(), mesh), ensure_ascii=False)
-    return with_values(_text(part.source), values)
+    return with_values(_text(part.source), values | relocated(part, folder))
 
 
 def _placement_values(part: PartConfig, found: PlacementInFile) -> dict[tuple[str | int, ...], str]:
@@ -167,8 +162,8 @@ def _placement_values(part: PartConfig, found: PlacementInFile) -> dict[tuple[st
     return values
 
 
-def _rig_text(result: FitResult, rig: RigConfig) -> str:
-    values: dict[tuple[str | int, ...], str] = {}
+def _rig_text(folder: Path, result: FitResult, rig: RigConfig) -> str:
+    values = relocated(rig, folder)
     for index, light in enumerate(rig.lights):
         gain = None if result.gains is None else result.gains.get(light.name)
         if gain is not None and gain.interval is not None:  # the one that is held keeps its line in the file
@@ -180,13 +175,6 @@ def _rig_text(result: FitResult, rig: RigConfig) -> str:
 
 def _text(source: Source) -> str:
     return source.path.read_bytes().decode("utf-8-sig")
-
-
-def _path_from(folder: Path, target: Path) -> str:
-    try:
-        return Path(os.path.relpath(target, folder)).as_posix()
-    except ValueError:  # another drive
-        return target.as_posix()
 
 
 def _hashes(image_set: ImageSet, *names: str | None) -> dict[str, str]:

@@ -15,7 +15,7 @@ from lightopt.images._manifest import (
     Manifest,
     SourceFile,
 )
-from lightopt.images._names import exr_name, geometry_name, png_name, posture_folder, sheet_name
+from lightopt.images._names import dark_name, exr_name, geometry_name, png_name, posture_folder, sheet_name
 from lightopt.images._parse import parse_manifest, read_manifest
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, LoadedImage, read_image_set
@@ -32,6 +32,7 @@ __all__ = [
     "Manifest",
     "Posture",
     "SourceFile",
+    "dark_name",
     "exr_name",
     "file_sha256",
     "geometry_name",

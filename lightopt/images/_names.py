@@ -12,7 +12,16 @@ from lightopt.errors import InputError
 from lightopt.images._manifest import MANIFEST_NAME
 from lightopt.transforms import Posture
 
-__all__ = ["Names", "exr_name", "geometry_name", "inside_problem", "png_name", "posture_folder", "sheet_name"]
+__all__ = [
+    "Names",
+    "dark_name",
+    "exr_name",
+    "geometry_name",
+    "inside_problem",
+    "png_name",
+    "posture_folder",
+    "sheet_name",
+]
 
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
@@ -33,6 +42,11 @@ def posture_folder(posture: Posture) -> str:
 def png_name(light: str, posture: Posture, exposure: float) -> str:
     """File of a camera image, relative to the set's folder."""
     return f"{posture_folder(posture)}/{light}{_exposure_suffix(exposure)}.png"
+
+
+def dark_name(posture: Posture, exposure: float) -> str:
+    """File of a frame without light, relative to the set's folder."""
+    return f"{posture_folder(posture)}/dark{_exposure_suffix(exposure)}.png"
 
 
 def sheet_name(exposure: float) -> str:

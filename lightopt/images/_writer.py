@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +30,7 @@ class ImageSetWriter:
 
     The manifest is on disk from the start and is rewritten after each file that it names, so whenever the run
     stops the folder holds a valid set of what was finished. Opened again with the same header, it resumes:
-    `done` tells what need not be made again.
+    `done` tells what need not be made again. Threads may add files of their own at the same time.
 
     Parameters
     ----------
@@ -56,6 +57,7 @@ class ImageSetWriter:
         self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[ImageKey] = ()
     ) -> None:
         self._folder = Path(folder)
+        self._lock = threading.Lock()
         self._names = Names()
         self._verified: dict[str, str] = {}
         plan = tuple(plan)
@@ -100,6 +102,11 @@ class ImageSetWriter:
             for kind, name in (("png", entry.png), ("exr", entry.exr))
             if name is not None
         )
+
+    def linear_done(self, light: str, posture: Posture) -> bool:
+        """Whether the linear image of a light and posture is listed and its file is there with the hash listed."""
+        entry = next((e for e in self._manifest.images if e.key[:2] == (light, posture) and e.exr), None)
+        return entry is not None and self._intact(entry.exr or "", entry.sha256.get("exr"))
 
     def geometry_done(self, posture: Posture) -> bool:
         """Whether the geometry of a posture is listed and its file is there with the hash listed."""
@@ -163,9 +170,69 @@ class ImageSetWriter:
         listed = replace(
             entry, png=files.get("png"), exr=files.get("exr"), sha256=dict(sorted(hashes.items()))
         )
-        entries = {e.key: _with_exr(e, listed) for e in self._manifest.images}
-        self._save(images=tuple({**entries, listed.key: listed}.values()))
+        with self._lock:
+            entries = {e.key: _with_exr(e, listed) for e in self._manifest.images}
+            self._save(images=tuple({**entries, listed.key: listed}.values()))
         return listed
+
+    def add_linear(self, light: str, posture: Posture, channels: Mapping[str, NDArray[np.float32]]) -> None:
+        """Write the linear image that listed exposures of a light and posture share, then list it with each of them.
+
+        Parameters
+        ----------
+        light, posture
+            Of images that are listed.
+        channels
+            Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
+
+        Raises
+        ------
+        InputError
+            When no image of them is listed, a file of others is in the way, or the disk refuses.
+        """
+        of_it = [e for e in self._manifest.images if e.key[:2] == (light, posture)]
+        if not of_it:
+            raise InputError(f"light {light!r} at {posture}: a linear image needs an image that is listed")
+        name = exr_name(light, posture)
+        digest = write_exr(self._place(name), channels, metadata=self._metadata(of_it[0], linear=True))
+        self._verified[name] = digest
+        with self._lock:
+            self._save(
+                images=tuple(
+                    replace(e, exr=name, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
+                    if e.key[:2] == (light, posture)
+                    else e
+                    for e in self._manifest.images
+                )
+            )
+
+    def add_levels(
+        self, name: str, levels: NDArray[np.uint8] | NDArray[np.uint16], *, metadata: Mapping[str, Any]
+    ) -> None:
+        """Write camera levels that are no image of a light (a dark frame) as a further file, then list it.
+
+        Parameters
+        ----------
+        name
+            Path relative to the set's folder, POSIX style.
+        levels
+            Camera levels (H, W), as :func:`write_png` takes them.
+        metadata
+            What the file says of itself, JSON-able.
+
+        Raises
+        ------
+        InputError
+            When the path leaves the folder, a file of others is in the way or the disk refuses.
+        """
+        if problem := inside_problem(name):
+            raise InputError(f"{name!r}: {problem}")
+        self._names.claim(name, f"the file {name}")
+        facts = {**self._origin(), "bit_depth": self._manifest.bit_depth, **metadata}
+        digest = write_png(self._place(name), levels, metadata=facts)
+        self._verified[name] = digest
+        with self._lock:
+            self._save(files={**self._manifest.files, name: digest})
 
     def add_geometry(
         self,
@@ -197,8 +264,9 @@ class ImageSetWriter:
         digest = write_exr(self._place(name), channels, metadata=facts)
         self._verified[name] = digest
         listed = GeometryEntry(posture=posture, exr=name, sha256={"exr": digest})
-        entries = {e.posture: e for e in self._manifest.geometry}
-        self._save(geometry=tuple({**entries, posture: listed}.values()))
+        with self._lock:
+            entries = {e.posture: e for e in self._manifest.geometry}
+            self._save(geometry=tuple({**entries, posture: listed}.values()))
         return listed
 
     def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -212,7 +280,8 @@ class ImageSetWriter:
         self._names.claim(_PATCHES_NAME, "the patch table")
         digest = write_npz_atomic(self._place(_PATCHES_NAME), arrays)
         self._verified[_PATCHES_NAME] = digest
-        self._save(patches=_PATCHES_NAME, files={**self._manifest.files, _PATCHES_NAME: digest})
+        with self._lock:
+            self._save(patches=_PATCHES_NAME, files={**self._manifest.files, _PATCHES_NAME: digest})
 
     def add_file(self, name: str, data: bytes | str) -> None:
         """Write a further file of the set (a report, a contact sheet), then list it.
@@ -236,7 +305,8 @@ class ImageSetWriter:
             self._place(name), data.encode("utf-8") if isinstance(data, str) else data
         )
         self._verified[name] = digest
-        self._save(files={**self._manifest.files, name: digest})
+        with self._lock:
+            self._save(files={**self._manifest.files, name: digest})
 
     def add_warnings(self, warnings: Iterable[str]) -> None:
         """List warnings that are not listed yet.
@@ -246,9 +316,10 @@ class ImageSetWriter:
         InputError
             When the disk refuses.
         """
-        merged = tuple(dict.fromkeys((*self._manifest.warnings, *warnings)))
-        if merged != self._manifest.warnings:
-            self._save(warnings=merged)
+        with self._lock:
+            merged = tuple(dict.fromkeys((*self._manifest.warnings, *warnings)))
+            if merged != self._manifest.warnings:
+                self._save(warnings=merged)
 
     def _refuse_stranger(self, name: str) -> None:
         path = self._folder / name

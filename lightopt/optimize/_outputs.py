@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lightopt.config import PartConfig, RigConfig, load_rig, with_values
+from lightopt.config import PartConfig, RigConfig, load_rig, relocated, with_values
 from lightopt.errors import InputError
 from lightopt.images import posture_folder, read_image_set, write_text_atomic
 from lightopt.optimize._candidates import Candidates
@@ -150,7 +150,7 @@ def _write_rigs(
     written: list[tuple[Path, tuple[Posture, ...]]] = []
     text = _rig_text(rig) if sets else ""
     for angles, postures, home in sets:
-        values: dict[tuple[str | int, ...], str] = {}
+        values = relocated(rig, home)
         for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
             if light.elevation_range_deg is not None:
                 values["lights", index, "elevation_deg"] = _degrees(elevation)

@@ -136,7 +136,7 @@ def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
         command.measure([sys.executable, "-c", "import sys; print('sorry', file=sys.stderr); sys.exit(3)"])
 
 
-@pytest.mark.parametrize("name", ["bare", "peers", "auto", "command", "search", "fit"])
+@pytest.mark.parametrize("name", ["bare", "peers", "auto", "command", "search", "fit", "capture"])
 def test_each_benchmark_runs_and_writes_its_numbers(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -156,3 +156,35 @@ def test_unknown_benchmark_is_refused(capsys: pytest.CaptureFixture[str]) -> Non
         main(["bear"])
     assert refused.value.code == 2
     assert "no benchmark bear" in capsys.readouterr().err
+
+
+def test_the_overhead_of_a_capture_is_what_its_times_leave() -> None:
+    from benchmarks import capture
+
+    numbers = capture.run(TOY).numbers
+    for case in capture.CASES:
+        found = numbers[case]
+        assert isinstance(found, dict)
+        needed = sum(found[name] for name in ("moving_s", "settling_s", "exposing_s", "transfer_s"))
+        assert found["settling_s"] >= 4 * 0.1 * 0.99  # four lights
+        assert found["overhead"] == pytest.approx(
+            (found["whole_s"] - found["opening_s"] - needed) / needed, rel=1e-6
+        )
+
+
+def test_the_table_of_faults_counts_every_run() -> None:
+    from benchmarks._fault_cases import Case
+    from benchmarks._fault_runs import Outcome
+    from benchmarks.faults import rows_of, table
+
+    outcomes = [
+        Outcome(Case("a"), True, True, 2, "", "off", ()),
+        Outcome(Case("a"), True, False, 0, "while", "told", ()),
+        Outcome(Case("b"), True, False, 1, "while", "LIT", ("a light burns",)),
+    ]
+    lines = table(rows_of(outcomes)).splitlines()
+    assert lines[2:] == [
+        "| a | 2 | 1 | 1 | 1 | 2 | 0 |",
+        "| b | 1 | 0 | 1 | 0 | 1 | 1 |",
+        "| **all** | 3 | 1 | 2 | 1 | 3 | 1 |",
+    ]

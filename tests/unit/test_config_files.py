@@ -168,7 +168,6 @@ def test_optional_keys_of_the_rig(tmp_path: Path) -> None:
         "azimuth_deg: 45,", "azimuth_deg: 45, gain: 1.2, size_mm: [20, 30], falloff: inverse_square,"
     )
     text = text.replace("  sensor:", "  exposure_us: 5e3\n  sensor:")
-    text = text.replace("stage:", "hardware: {light1: {port: COM3, 1: on}}\nstage:")
     rig = load_rig(write(tmp_path, text))
     assert (rig.camera.focal_length_mm, rig.camera.image_distance_mm, rig.camera.exposure_us) == (
         50,
@@ -178,7 +177,7 @@ def test_optional_keys_of_the_rig(tmp_path: Path) -> None:
     assert rig.light_source.points == "auto"
     light = rig.lights[0]
     assert (light.gain, light.size_mm, light.falloff, light.points) == (1.2, (20, 30), "inverse_square", None)
-    assert rig.hardware == {"light1": {"port": "COM3", "1": "on"}}
+    assert rig.hardware is None
 
 
 def test_step_may_repeat_its_own_unit(folder: Path) -> None:

@@ -576,7 +576,7 @@ def test_missing_and_changed_files_are_told_all_at_once(whole: Path, tmp_path: P
 
 
 def test_folder_without_a_set_is_told(tmp_path: Path):
-    with pytest.raises(InputError, match="no manifest.json, which says what each picture shows"):
+    with pytest.raises(InputError, match=r"no manifest\.json, which says what each picture shows"):
         read_image_set(tmp_path)
     with pytest.raises(InputError, match="nowhere"):
         read_image_set(tmp_path / "nowhere")

@@ -1,0 +1,198 @@
+"""One capture that suffers one fault: how it ends, whether the lights are off, and what resuming makes of it."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks._fault_cases import Case
+from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
+from lightopt.config import load_part, load_rig
+from lightopt.errors import HardwareError
+from lightopt.images import read_exr, read_image_set, read_png
+from lightopt.virtualbench import BenchProcess
+
+__all__ = ["OPTIONS", "Outcome", "differences", "kill_sometime", "suffer", "undisturbed"]
+
+OPTIONS = CaptureOptions(exposures=(1.0, 1 / 16), dark=True)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run with a fault ended.
+
+    Attributes
+    ----------
+    case
+        The fault.
+    struck
+        Whether the fault came to bear, as far as the run shows: retries or an error.
+    finished
+        Whether the run took all images.
+    retries
+        Commands sent again.
+    message
+        The error otherwise.
+    lights
+        ``off``, ``told`` (may be lit, and the message says so) or ``LIT``.
+    wrong
+        What is not as it must be; empty for a run that ended well.
+    """
+
+    case: Case
+    struck: bool
+    finished: bool
+    retries: int
+    message: str
+    lights: str
+    wrong: tuple[str, ...]
+
+
+class _Steps:
+    """Counts the steps that devices are at, and kills the bench at one of them."""
+
+    def __init__(self, bench: BenchProcess, kill_at: int | None) -> None:
+        self.count = 0
+        self._bench = bench
+        self._kill_at = kill_at
+
+    def watch(self, devices: Devices) -> None:
+        steps = self
+
+        class Watched(type(devices)):
+            @property
+            def step(self) -> str:
+                return self.__dict__["_step"]
+
+            @step.setter
+            def step(self, text: str) -> None:
+                self.__dict__["_step"] = text
+                if steps.count == steps._kill_at:
+                    steps._bench.kill()
+                steps.count += 1
+
+        text = devices.__dict__.pop("step")
+        devices.__class__ = Watched
+        devices.step = text
+
+
+def undisturbed(rig: Path, part: Path, folder: Path) -> tuple[dict[str, int], int]:
+    """Capture without a fault; returns messages by device and the number of steps."""
+    loaded_rig, loaded_part = load_rig(rig), load_part(part)
+    found: dict[str, int] = {}
+    counted: list[_Steps] = []
+
+    def connect(plan: Plan) -> Devices:
+        bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
+        devices = connect_devices(loaded_rig, plan.wiring, part=loaded_part, plan=plan, bench=bench)
+        counted.append(_Steps(bench, None))
+        counted[0].watch(devices)
+
+        def close() -> None:
+            found.update(bench.state()["deliveries"])
+            bench.close()
+
+        devices._closing = (close,)
+        return devices
+
+    capture(loaded_rig, loaded_part, folder, options=OPTIONS, connect=connect)
+    return found, counted[0].count
+
+
+def suffer(case: Case, rig: Path, part: Path, folder: Path, truth: Path) -> Outcome:
+    """Capture with a fault, resume without, and compare with an undisturbed set."""
+    loaded_rig, loaded_part = load_rig(rig), load_part(part)
+    benches: list[BenchProcess] = []
+
+    def connect(plan: Plan) -> Devices:
+        bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
+        benches.append(bench)
+        bench.request("camera")  # the scene is built, so that steps take the same time in every run
+        devices = connect_devices(loaded_rig, plan.wiring, part=loaded_part, plan=plan, bench=bench)
+        if case.device is not None:
+            bench.set_fault(case.device, case.fault, **case.options)
+        else:
+            _Steps(bench, case.step).watch(devices)
+        return devices
+
+    message, retries, finished = "", 0, False
+    wrong: list[str] = []
+    try:
+        done = capture(loaded_rig, loaded_part, folder, options=OPTIONS, connect=connect)
+        retries, finished = done.retries, True
+    except HardwareError as error:
+        message = str(error)
+    lights = _lights(benches[0], case, message)
+    benches[0].close()
+    if lights == "LIT":
+        wrong.append("a light burns and nobody says so")
+    if not finished and "while " not in message:
+        wrong.append("the message names no step")
+    if (folder / "manifest.json").exists():
+        read_image_set(folder)  # raises where the set is not valid
+    if finished:
+        wrong += [f"finished, but {difference}" for difference in differences(folder, truth)]
+    else:
+        capture(loaded_rig, loaded_part, folder, options=OPTIONS, resume=True)
+        wrong += [f"resumed, but {difference}" for difference in differences(folder, truth)]
+    return Outcome(case, bool(retries or message), finished, retries, message, lights, tuple(wrong))
+
+
+def kill_sometime(command: list[str], out: Path, moments: random.Random) -> bool:
+    """Start a command and kill -9 it at a random moment: while it starts, or once it has written so many PNG files.
+
+    Returns
+    -------
+    bool
+        Whether it was still running.
+    """
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    files = moments.randrange(-2, 13)
+    end = time.monotonic() + (moments.uniform(0.0, 2.0) if files < 0 else 60.0)
+    while time.monotonic() < end and process.poll() is None:
+        if files >= 0 and (out / "manifest.json").exists() and len(list(out.rglob("*.png"))) >= files:
+            time.sleep(moments.uniform(0.0, 0.05))
+            break
+        time.sleep(0.001)
+    running = process.poll() is None
+    process.kill()
+    process.wait()
+    return running
+
+
+def _lights(bench: BenchProcess, case: Case, message: str) -> str:
+    told = "may still be lit" in message
+    try:
+        levels = bench.levels("lights")
+    except HardwareError:
+        return "told" if told else "off"  # nothing burns on a bench that is not there
+    # a lamp that burns whatever its controller says can only be found, not helped
+    burning = [channel for channel, level in levels.items() if level and case.fault != "lit"]
+    if not burning:
+        return "off"
+    return "told" if told else "LIT"
+
+
+def differences(folder: Path, truth: Path) -> list[str]:
+    """Say where the images of two sets differ; times and devices may."""
+    new, old = read_image_set(folder), read_image_set(truth)
+    if [entry.key for entry in new.images] != [entry.key for entry in old.images]:
+        return [f"the images are {[str(e.key) for e in new.images]}"]
+    found: list[str] = []
+    for a, b in zip(new.images, old.images, strict=True):
+        if not np.array_equal(read_png(new.path(a.png or "")), read_png(old.path(b.png or ""))):
+            found.append(f"{a.png} differs")
+        one, other = read_exr(new.path(a.exr or "")), read_exr(old.path(b.exr or ""))
+        if any(not np.array_equal(one[name], other[name]) for name in ("Y", "valid", "exposure")):
+            found.append(f"{a.exr} differs")
+    dark = (name for name in old.manifest.files if name.endswith(".png"))
+    return found + [
+        f"{name} differs"
+        for name in dark
+        if not np.array_equal(read_png(new.path(name)), read_png(old.path(name)))
+    ]

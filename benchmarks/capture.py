@@ -1,0 +1,87 @@
+"""What a capture adds to moving, settling, exposing and getting frames over: its overhead, on a warm virtual bench."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import yaml
+
+from benchmarks._case import CONFIGS, RIG, Size
+from benchmarks._report import Report, Table
+from lightopt.capture import (
+    CaptureOptions,
+    Devices,
+    Plan,
+    Timing,
+    capture,
+    connect_devices,
+    start_bench,
+    wiring_of,
+)
+from lightopt.config import PartConfig, RigConfig, load_part, load_rig
+from lightopt.transforms import Posture
+from lightopt.virtualbench import BenchProcess
+
+__all__ = ["TARGET", "run"]
+
+TARGET = 0.15
+"""Of settling, exposing and transfer; the stage stands still, so that long moves hide nothing."""
+
+CASES = {
+    "one exposure": CaptureOptions(postures=(Posture(0.0, 0.0),)),
+    "two exposures": CaptureOptions(postures=(Posture(0.0, 0.0),), exposures=(1.0, 1 / 16)),
+    "two exposures of 4 frames, dark": CaptureOptions(
+        postures=(Posture(0.0, 0.0),), exposures=(1.0, 1 / 16), average=4, dark=True
+    ),
+}
+
+
+def run(size: Size) -> Report:
+    """Capture the cover knob under the four panels, at default times, on a bench that has rendered it already."""
+    rows: list[list[str]] = []
+    numbers: dict[str, object] = {}
+    with tempfile.TemporaryDirectory(prefix="lightopt-bench-") as name:
+        rig, part = _files(Path(name), size)
+        with start_bench(rig, wiring_of(rig), part=part) as bench:
+            _take(rig, part, Path(name) / "warm", CASES["one exposure"], bench)
+            for case, options in CASES.items():
+                best = min(
+                    (
+                        _take(rig, part, Path(name) / f"{case}-{i}", options, bench)
+                        for i in range(min(3, size.repeats))
+                    ),
+                    key=lambda timing: timing.overhead,
+                )
+                numbers[case] = {**best.parts(), "whole_s": best.whole_s, "overhead": best.overhead}
+                rows.append([case, *_cells(best)])
+    header = ("", "settle [s]", "expose [s]", "transfer [s]", "lights [s]", "wait for disk [s]", "overhead")
+    notes = (f"target: overhead ≤ {TARGET:.0%} of settle + expose + transfer; least of the rounds",)
+    return Report("capture", [Table(f"capture, {size.width} px wide", header, rows)], numbers, notes)
+
+
+def _files(folder: Path, size: Size) -> tuple[RigConfig, PartConfig]:
+    document = yaml.safe_load(RIG.read_text(encoding="utf-8"))
+    scale = document["camera"]["resolution_px"][0] / size.width
+    document["camera"]["resolution_px"] = [size.width, size.width * 3 // 4]
+    document["camera"]["pixel_size_um"] *= scale
+    path = folder / "rig.yaml"
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    for name in ("cover-knob.yaml", "cover-knob.step"):
+        shutil.copyfile(CONFIGS / "parts" / name, folder / name)
+    return load_rig(path), load_part(folder / "cover-knob.yaml")
+
+
+def _take(
+    rig: RigConfig, part: PartConfig, folder: Path, options: CaptureOptions, bench: BenchProcess
+) -> Timing:
+    def connect(plan: Plan) -> Devices:
+        return connect_devices(rig, plan.wiring, part=part, plan=plan, bench=bench)
+
+    return capture(rig, part, folder, options=options, connect=connect).timing
+
+
+def _cells(timing: Timing) -> list[str]:
+    seconds = (timing.settling_s, timing.exposing_s, timing.transfer_s, timing.lights_s, timing.writing_s)
+    return [*(f"{value:.2f}" for value in seconds), f"{timing.overhead:.1%}"]

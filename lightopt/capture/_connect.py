@@ -1,0 +1,200 @@
+"""Opening what a plan needs. Only here is chosen between the virtual bench and real devices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from lightopt.capture._devices import Devices
+from lightopt.capture._folder_camera import FolderCamera
+from lightopt.capture._plan import Plan
+from lightopt.capture._signals import EndSignals
+from lightopt.capture._virtual import STAGE, start_bench
+from lightopt.capture._wiring import VIRTUAL, Wiring
+from lightopt.config import (
+    ControllerConfig,
+    PartConfig,
+    RigConfig,
+)
+from lightopt.errors import InputError
+from lightopt.hardware import (
+    Axis,
+    Camera,
+    Event,
+    LightController,
+    LightSettings,
+    SerialLog,
+    Stage,
+    light_drivers,
+    open_stage,
+    serial_ports,
+)
+from lightopt.virtualbench import BenchProcess, BenchTruth, VirtualCamera
+
+__all__ = ["connect_devices"]
+
+
+def connect_devices(
+    rig: RigConfig,
+    wiring: Wiring,
+    *,
+    part: PartConfig | None = None,
+    plan: Plan | None = None,
+    camera: bool = True,
+    serial_log: Path | None = None,
+    truth: BenchTruth | None = None,
+    bench: BenchProcess | None = None,
+    touch_lights: bool = True,
+) -> Devices:
+    """Open lights, stage and camera; nothing is lit or moved.
+
+    Parameters
+    ----------
+    rig, wiring
+        The rig and its devices.
+    part
+        What lies on the virtual bench; needed for its camera.
+    plan
+        What a folder camera must have.
+    camera
+        Whether the camera is needed.
+    serial_log
+        File that gets every byte on the wires.
+    truth
+        How the virtual bench differs from the files.
+    bench
+        A virtual bench that runs already; it is left running.
+    touch_lights
+        False for a mere look at the devices: nothing is switched.
+
+    Raises
+    ------
+    InputError
+        When a port is not there or in use, or a folder lacks images of the plan.
+    HardwareError
+        When a device does not answer.
+    """
+    replay = _folder_camera(rig, wiring, plan) if camera else None
+    _check_ports(rig, wiring)
+    signals = EndSignals()
+    signals.install()
+    with ExitStack() as stack:
+        stack.callback(signals.restore)
+        log = None if serial_log is None else SerialLog(serial_log)
+        closing: list[Callable[[], None]] = []
+        if log is not None:
+            stack.callback(log.close)
+            closing.append(log.close)
+        if bench is None and wiring.needs_bench:
+            bench = start_bench(rig, wiring, part=part if camera else None, truth=truth)
+            stack.callback(bench.close)
+            closing.append(bench.close)
+        ports: Mapping[str, str] = {} if bench is None else bench.ports
+        controllers: dict[str, LightController] = {}
+        for name, config in wiring.hardware.controllers.items():
+            port = ports[name] if config.port == VIRTUAL else config.port
+            controllers[name] = _controller(name, config, port, log)
+            stack.callback(controllers[name].close)
+        stage = _stage(rig, wiring, ports, log)
+        if stage is not None:
+            stack.callback(stage.close)
+        seen: Camera | None = replay
+        if camera and replay is None:
+            assert bench is not None
+            seen = VirtualCamera(bench)
+        devices = Devices(
+            wiring=wiring,
+            controllers=controllers,
+            stage=stage,
+            camera=seen,
+            events=lambda: _events([*controllers.values(), *([stage] if stage else [])]),
+            closing=closing,
+            signals=signals,
+            touch_lights=touch_lights,
+        )
+        stack.pop_all()  # from here on the devices close themselves
+    return devices
+
+
+def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderCamera | None:
+    config = wiring.hardware.camera
+    if config.driver != "folder":
+        return None
+    camera = FolderCamera(
+        rig.source.resolve(config.folder or ""),
+        resolution_px=rig.camera.resolution_px,
+        exposure_us=wiring.exposure_us,
+    )
+    if plan is not None:
+        keys = [*plan.keys]
+        keys += [(None, task.posture, e) for task in plan.tasks for e in task.dark_exposures]
+        if problems := [problem for key in keys if (problem := camera.missing(*key)) is not None]:
+            raise InputError(*problems)
+    return camera
+
+
+def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
+    """Refuse ports that are not there before any other is opened; a URL is only known when it is opened."""
+    hardware = wiring.hardware
+    named = [
+        (rig.source.at("hardware", "controllers", name, "port"), config.port)
+        for name, config in hardware.controllers.items()
+    ]
+    if hardware.stage is not None:
+        named.append((rig.source.at("hardware", "stage", "port"), hardware.stage.port))
+    there = [port.name for port in serial_ports()]
+    problems = [
+        f"{where}: no port {port} on this computer; there {'is' if len(there) == 1 else 'are'} "
+        f"{', '.join(there) or 'none'}"
+        for where, port in named
+        if port != VIRTUAL and "://" not in port and port not in there and not Path(port).exists()
+    ]
+    if problems:
+        raise InputError(*problems)
+
+
+def _controller(name: str, config: ControllerConfig, port: str, log: SerialLog | None) -> LightController:
+    settings = LightSettings(
+        name=name,
+        port=port,
+        baud=config.baud,
+        channels=config.channels,
+        top_level=config.top_level,
+        dialect=config.dialect,
+        template=None if config.template is None else config.template.model_dump(),
+        timeout_s=config.timeout_s,
+    )
+    return light_drivers()[config.driver](settings, log)
+
+
+def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog | None) -> Stage | None:
+    config = wiring.hardware.stage
+    if config is None:
+        return None
+    ranges = {"elevation": rig.stage.elevation_range_deg, "rotation": rig.stage.rotation_range_deg}
+    axes = [
+        Axis(
+            name=name,
+            device=axis.axis,
+            range_deg=ranges[name],
+            steps_per_deg=axis.steps_per_deg,
+            zero=axis.zero,
+            speed_deg_per_s=axis.speed_deg_per_s,
+        )
+        for name, axis in (("elevation", config.elevation), ("rotation", config.rotation))
+        if axis is not None
+    ]
+    return open_stage(
+        config.driver,
+        port=ports[STAGE] if config.port == VIRTUAL else config.port,
+        axes=axes,
+        baud=config.baud,
+        timeout_s=config.timeout_s,
+        log=log,
+    )
+
+
+def _events(drivers: list[Any]) -> list[Event]:
+    return [event for driver in drivers for event in getattr(driver, "events", ())]

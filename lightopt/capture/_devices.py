@@ -1,0 +1,221 @@
+"""The opened devices of a rig, safe on every way out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any
+
+from lightopt.capture._signals import EndSignals
+from lightopt.capture._wiring import Wiring
+from lightopt.errors import HardwareError, InputError, LightoptError
+from lightopt.hardware import Camera, Event, LightController, Stage, StageState, all_off
+from lightopt.transforms import Posture
+
+__all__ = ["Devices"]
+
+
+class Devices:
+    """Lights, stage and camera of a rig, opened.
+
+    Entering switches every channel off, because nobody knows what an earlier run left. On every way out, whatever
+    the reason, every channel is switched off, each tried even if another fails; a stage that may move is stopped;
+    then all is closed. Meanwhile the signals that end a program wait.
+
+    Parameters
+    ----------
+    wiring
+        What is plugged in where.
+    controllers
+        By name.
+    stage, camera
+        None where the rig has none, or none is needed.
+    events
+        What was out of the ordinary on the links so far.
+    closing
+        Called last, in order: the links' log, the virtual bench.
+    signals
+        Installed already where devices were opened under their protection.
+    touch_lights
+        False for a mere look at the devices: what burns then burns on.
+    """
+
+    def __init__(
+        self,
+        *,
+        wiring: Wiring,
+        controllers: Mapping[str, LightController],
+        stage: Stage | None = None,
+        camera: Camera | None = None,
+        events: Callable[[], Sequence[Event]] = tuple,
+        closing: Sequence[Callable[[], None]] = (),
+        signals: EndSignals | None = None,
+        touch_lights: bool = True,
+    ) -> None:
+        self.wiring = wiring
+        self.controllers = dict(controllers)
+        self.stage = stage
+        self._camera = camera
+        self.events = events
+        self.step = "switching all lights off"
+        self._closing = tuple(closing)
+        self._signals = signals
+        self._stage_may_move = False
+        self._touch_lights = touch_lights
+
+    @property
+    def camera(self) -> Camera:
+        """The camera; opened only where images are taken."""
+        assert self._camera is not None
+        return self._camera
+
+    @property
+    def retries(self) -> int:
+        """Number of commands sent again so far."""
+        return sum(event.retry for event in self.events())
+
+    def __enter__(self) -> Devices:
+        if self._signals is None:
+            self._signals = EndSignals()
+            self._signals.install()
+        try:
+            if self._touch_lights and (failures := self.all_off()):
+                raise HardwareError(*failures)
+        except BaseException as error:
+            self.__exit__(type(error), error, error.__traceback__)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        del kind, trace
+        assert self._signals is not None
+        try:
+            with self._signals.shielded():
+                state = self._make_safe(failed=error is not None)
+                self._close()
+        finally:
+            self._signals.restore()
+        lights_are_off = not state[0]
+        if isinstance(error, HardwareError) or (error is not None and not lights_are_off):
+            raise self._told(error, state) from error
+        if error is None and not lights_are_off:
+            raise HardwareError(f"while switching all lights off at the end: {state[0][0]}", *state[0][1:])
+        if error is None and self._signals.pending is not None:
+            raise KeyboardInterrupt(self._signals.pending)
+
+    def light_on(self, name: str, level: int | None = None) -> int | None:
+        """Light a panel, at its level unless another is given; returns what is read back, None where nothing can be."""
+        channel = self.wiring.light(name)
+        controller = self.controllers[channel.controller]
+        asked = channel.level if level is None else level
+        controller.set_level(channel.channel, asked)
+        held = controller.read_level(channel.channel)
+        if held is not None and held != asked:
+            raise HardwareError(
+                f"{name} ({channel.controller}, channel {channel.channel}): set to level {asked}, but it holds {held}"
+            )
+        return held
+
+    def light_off(self, name: str) -> None:
+        """Darken a panel."""
+        channel = self.wiring.light(name)
+        self.controllers[channel.controller].set_level(channel.channel, 0)
+
+    def all_off(self) -> list[str]:
+        """Switch every channel off, each tried even if another fails; returns what failed, in words."""
+        try:
+            all_off(self.controllers)
+        except HardwareError as error:
+            return list(error.messages)
+        return []
+
+    def home(self) -> None:
+        """Let the stage seek its origin."""
+        assert self.stage is not None
+        with self._moving():
+            self.stage.home()
+
+    def move_to(self, posture: Posture) -> StageState:
+        """Move the stage and verify where it stands."""
+        assert self.stage is not None
+        with self._moving():
+            return self.stage.move_to(posture)
+
+    @contextmanager
+    def _moving(self) -> Generator[None]:
+        """Remember that the stage may move; a driver that fails has stopped it and says so."""
+        self._stage_may_move = True
+        try:
+            yield
+        except LightoptError:
+            self._stage_may_move = False
+            raise
+        self._stage_may_move = False
+
+    def identities(self) -> dict[str, Any]:
+        """Who the devices say they are, in JSON form."""
+        return {
+            "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
+            "stage": self.stage.identify().as_dict() if self.stage is not None else None,
+            "camera": self._camera.identify().as_dict() if self._camera is not None else None,
+        }
+
+    def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:
+        """Lights first, then the stage; returns lights that may burn and how the stage is."""
+        burning = self.all_off() if self._touch_lights else []
+        if self.stage is None or not failed:
+            return burning, None
+        if not self._stage_may_move:
+            return burning, None
+        try:
+            self.stage.stop()
+            stopped = "the stage was stopped"
+        except LightoptError as error:
+            return burning, f"the stage MAY STILL MOVE, stopping it failed: {error}"
+        try:
+            state = self.stage.state()
+        except LightoptError as error:
+            return burning, f"{stopped}; where it stands is unknown: {error}"
+        alarm = f", alarm: {state.alarm}" if state.alarm else ""
+        return burning, f"{stopped} and stands at {state.posture}{alarm}"
+
+    def _close(self) -> None:
+        if self._camera is not None:
+            self._camera.close()
+        if self.stage is not None:
+            self.stage.close()
+        for controller in self.controllers.values():
+            controller.close()
+        for close in self._closing:
+            close()
+
+    def _told(self, error: BaseException, state: tuple[list[str], str | None]) -> HardwareError:
+        burning, stage = state
+        cause = error.messages if isinstance(error, LightoptError) else (f"ended by {type(error).__name__}",)
+        # what all_off said at the start and again at the end is said once
+        lights = [line for line in burning if line not in cause]
+        if self._touch_lights and not burning:
+            lights = ["all lights are off"]
+        return HardwareError(
+            f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else [])
+        )
+
+
+def check_camera(devices: Devices, *, resolution_px: tuple[int, int], bit_depth: int, where: str) -> None:
+    """Refuse a camera that is not the rig's, before anything is lit or moved.
+
+    Raises
+    ------
+    InputError
+        When resolution or bit depth differ.
+    """
+    camera = devices.camera
+    if camera.resolution_px != tuple(resolution_px) or camera.bit_depth != bit_depth:
+        raise InputError(
+            f"{where}: the rig has {resolution_px[0]} × {resolution_px[1]} pixels of {bit_depth} bits, the camera "
+            f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
+            "camera or the rig"
+        )

@@ -1,0 +1,59 @@
+"""The order of postures in which the stage travels least."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import permutations
+
+from lightopt.transforms import Posture
+
+__all__ = ["travel_order"]
+
+_EXACT_UP_TO = 7
+
+Time = Callable[[Posture, Posture], float]
+
+
+def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> tuple[Posture, ...]:
+    """Postures in an order that takes the stage little time: the least for up to 7, else a good one.
+
+    Parameters
+    ----------
+    postures
+        In the order that counts where times are equal.
+    start
+        Where the stage stands.
+    time
+        Of the move between two postures [s].
+    """
+    if len(postures) <= _EXACT_UP_TO:
+        # ties go to the first permutation, the one nearest to the order given; rounding must not break them
+        return min(permutations(postures), key=lambda order: round(_total(order, start, time), 6))
+    return _improved(_nearest_next(postures, start, time), start, time)
+
+
+def _total(order: Sequence[Posture], start: Posture, time: Time) -> float:
+    return sum(time(a, b) for a, b in zip((start, *order), order, strict=False))
+
+
+def _nearest_next(postures: Sequence[Posture], start: Posture, time: Time) -> list[Posture]:
+    left, order, here = list(postures), [], start
+    while left:
+        here = min(left, key=lambda posture: time(here, posture))
+        left.remove(here)
+        order.append(here)
+    return order
+
+
+def _improved(order: list[Posture], start: Posture, time: Time) -> tuple[Posture, ...]:
+    """Turn pieces round while that shortens the way (2-opt)."""
+    best, better = _total(order, start, time), True
+    while better:
+        better = False
+        for i in range(len(order) - 1):
+            for j in range(i + 2, len(order) + 1):
+                turned = order[:i] + order[i:j][::-1] + order[j:]
+                total = _total(turned, start, time)
+                if total < best - 1e-9:
+                    order, best, better = turned, total, True
+    return tuple(order)

@@ -1,0 +1,346 @@
+"""The plan of a capture, as data: every move, every light and every exposure, checked before anything is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lightopt.capture._options import CaptureOptions
+from lightopt.capture._order import travel_order
+from lightopt.capture._wiring import VIRTUAL, Wiring, wiring_of
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import InputError
+from lightopt.transforms import Posture
+from lightopt.virtualbench import EXPOSURE_RANGE_US
+
+__all__ = ["Plan", "PostureTask", "Step", "make_plan"]
+
+StepKind = Literal["home", "move", "settle", "light on", "expose", "light off"]
+
+_COMMAND_S = 0.02
+"""Setting a light and reading it back: four short dialogues."""
+
+_TRANSFER_S_PER_PIXEL = {"virtual": 80e-9, "folder": 10e-9}
+"""From the end of an exposure to the frame being here; the virtual camera's noise is what takes time."""
+
+_HOME = Posture(0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One step of a plan.
+
+    Attributes
+    ----------
+    kind
+        What is done.
+    what
+        To what: a posture, a light, an exposure.
+    seconds
+        How long it should take [s].
+    posture, light, exposure
+        Where the stage stands, which light burns (None: none does), at which relative exposure.
+    """
+
+    kind: StepKind
+    what: str
+    seconds: float
+    posture: Posture | None = None
+    light: str | None = None
+    exposure: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.what}".rstrip()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureTask:
+    """What is taken in one posture.
+
+    Attributes
+    ----------
+    posture
+        Where the stage stands.
+    lights
+        The lights, one after the other.
+    dark_exposures
+        Exposures of the frames without light that belong to the set.
+    """
+
+    posture: Posture
+    lights: tuple[str, ...]
+    dark_exposures: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What a capture will do.
+
+    Attributes
+    ----------
+    wiring
+        The devices.
+    options
+        What was asked for.
+    tasks
+        Posture by posture, in the order of travel.
+    exposures
+        Relative, the longest first.
+    home
+        Whether the stage seeks its origin first.
+    """
+
+    wiring: Wiring
+    options: CaptureOptions
+    tasks: tuple[PostureTask, ...]
+    exposures: tuple[float, ...]
+    home: bool
+    pixels: int
+
+    def exposure_us(self, exposure: float) -> float:
+        """Exposure time [µs] of a relative exposure."""
+        return exposure * self.wiring.exposure_us
+
+    @property
+    def keys(self) -> tuple[tuple[str, Posture, float], ...]:
+        """Light, posture and exposure of every image, in the order of taking."""
+        return tuple(
+            (light, task.posture, exposure)
+            for task in self.tasks
+            for light in task.lights
+            for exposure in self.exposures
+        )
+
+    @property
+    def reference(self) -> bool:
+        """Whether one frame without light is taken first, only to check the others against."""
+        return self.options.check and not self.options.dark
+
+    @property
+    def total_s(self) -> float:
+        """How long all of it should take [s]."""
+        return sum(step.seconds for step in self.steps())
+
+    def burning_s(self) -> float:
+        """How long a light burns at a stretch [s]: settling and all its exposures."""
+        return self.wiring.hardware.timing.light_ms / 1e3 + sum(
+            self._frames_s(exposure) for exposure in self.exposures
+        )
+
+    def travel_s(self, start: Posture, end: Posture) -> float:
+        """How long the stage should take from one posture to another [s]: both axes move at once."""
+        return _travel_s(self.wiring, start, end)
+
+    def steps(self) -> Iterator[Step]:
+        """All steps in order, as if nothing had been taken yet."""
+        yield from self._start()
+        here, first = _HOME, True
+        for task in self.tasks:
+            yield from self._arrive(here, task.posture)
+            if self.reference and first:
+                yield self._expose(task.posture, None, self.exposures[0])
+            for exposure in task.dark_exposures:
+                yield self._expose(task.posture, None, exposure)
+            for light in task.lights:
+                yield from self._light(task.posture, light)
+            here, first = task.posture, False
+
+    def _start(self) -> Iterator[Step]:
+        for light in self.wiring.hardware.lights:
+            yield Step(kind="light off", what=light, seconds=_COMMAND_S, light=light)
+        if self.home:
+            stage = self.wiring.hardware.stage
+            axes = [
+                axis for axis in (stage and stage.elevation, stage and stage.rotation) if axis is not None
+            ]
+            # how far the origin is, nobody knows: at most once round
+            slowest = min((axis.speed_deg_per_s for axis in axes), default=1.0)
+            yield Step(kind="home", what="the stage, at most", seconds=360.0 / slowest)
+
+    def _arrive(self, here: Posture, posture: Posture) -> Iterator[Step]:
+        if self.wiring.hardware.stage is None:
+            return
+        yield Step(kind="move", what=f"to {posture}", seconds=self.travel_s(here, posture), posture=posture)
+        yield Step(
+            kind="settle",
+            what="stage",
+            seconds=self.wiring.hardware.timing.stage_ms / 1e3,
+            posture=posture,
+        )
+
+    def _light(self, posture: Posture, light: str) -> Iterator[Step]:
+        channel = self.wiring.light(light)
+        yield Step(
+            kind="light on",
+            what=f"{light} at level {channel.level} ({channel.controller}, channel {channel.channel})",
+            seconds=_COMMAND_S,
+            posture=posture,
+            light=light,
+        )
+        yield Step(
+            kind="settle",
+            what="light",
+            seconds=self.wiring.hardware.timing.light_ms / 1e3,
+            posture=posture,
+            light=light,
+        )
+        for exposure in self.exposures:
+            yield self._expose(posture, light, exposure)
+        yield Step(kind="light off", what=light, seconds=_COMMAND_S, posture=posture, light=light)
+
+    def _expose(self, posture: Posture, light: str | None, exposure: float) -> Step:
+        frames = f"{self.options.average} × " if self.options.average > 1 else ""
+        return Step(
+            kind="expose",
+            what=f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})",
+            seconds=self._frames_s(exposure),
+            posture=posture,
+            light=light,
+            exposure=exposure,
+        )
+
+    def _frames_s(self, exposure: float) -> float:
+        transfer = self.pixels * _TRANSFER_S_PER_PIXEL[self.wiring.hardware.camera.driver]
+        return self.options.average * (self.exposure_us(exposure) / 1e6 + transfer)
+
+    def as_dict(self) -> dict[str, Any]:
+        """What tells this plan from another when a capture is resumed, in JSON form."""
+        hardware = self.wiring.hardware
+        levels = {name: channel.level for name, channel in hardware.lights.items()}
+        return {
+            **self.options.as_dict(),
+            "lights": [light for light in hardware.lights if light in self.tasks[0].lights],
+            "postures": sorted((task.posture.as_dict() for task in self.tasks), key=str),
+            "levels": levels,
+            "exposure_us": self.wiring.exposure_us,
+        }
+
+
+def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None = None) -> Plan:
+    """Plan a capture and check it against what stage, lights and camera can do.
+
+    Nothing is opened.
+
+    Parameters
+    ----------
+    rig, part
+        What is captured.
+    options
+        Which images.
+
+    Raises
+    ------
+    InputError
+        With one message per posture, light or exposure that cannot be.
+    """
+    options = options or CaptureOptions()
+    wiring = wiring_of(rig)
+    postures = options.postures or tuple(
+        Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg) for p in part.postures
+    )
+    known = [light.name for light in rig.lights]
+    lights = options.lights or tuple(known)
+    problems = [
+        f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}'
+        for name in lights
+        if name not in known
+    ]
+    problems += _posture_problems(rig, part, wiring, options)
+    exposures = tuple(sorted(options.exposures, reverse=True))
+    problems += _exposure_problems(rig, wiring, exposures)
+    if problems:
+        raise InputError(*problems)
+    ordered = travel_order(postures, start=_HOME, time=lambda a, b: _travel_s(wiring, a, b))
+    plan = Plan(
+        wiring=wiring,
+        options=options,
+        tasks=tuple(
+            PostureTask(
+                posture=posture,
+                lights=tuple(name for name in known if name in lights),
+                dark_exposures=exposures if options.dark else (),
+            )
+            for posture in ordered
+        ),
+        exposures=exposures,
+        home=wiring.hardware.stage is not None and (options.home or wiring.stage_is_virtual),
+        pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
+    )
+    if problems := list(_light_problems(rig, plan)):
+        raise InputError(*problems)
+    return plan
+
+
+def _travel_s(wiring: Wiring, start: Posture, end: Posture) -> float:
+    stage = wiring.hardware.stage
+    if stage is None:
+        return 0.0
+    ways = (
+        (stage.elevation, end.elevation_deg - start.elevation_deg),
+        (stage.rotation, end.rotation_deg - start.rotation_deg),
+    )
+    return max((abs(way) / axis.speed_deg_per_s for axis, way in ways if axis is not None), default=0.0)
+
+
+def _posture_problems(
+    rig: RigConfig, part: PartConfig, wiring: Wiring, options: CaptureOptions
+) -> Iterator[str]:
+    if options.postures is not None:
+        named = [(posture, "--posture") for posture in options.postures]
+    else:
+        named = [
+            (Posture(p.elevation_deg, p.rotation_deg), part.source.at("postures", i))
+            for i, p in enumerate(part.postures)
+        ]
+    stage = wiring.hardware.stage
+    if stage is None and len(named) > 1:
+        yield (
+            f"{rig.source.at('hardware')}: this rig has no stage, so that one run takes one posture; place the part by "
+            f"hand and name it with --posture; found {len(named)} postures"
+        )
+    for posture, where in named:
+        for name, (low, high) in (
+            ("elevation", rig.stage.elevation_range_deg),
+            ("rotation", rig.stage.rotation_range_deg),
+        ):
+            angle = getattr(posture, f"{name}_deg")
+            if not low <= angle <= high:
+                yield (
+                    f"{where}: {name} {angle:g}° is outside the stage's range {low:g}° to {high:g}° "
+                    f"({rig.source.at('stage', f'{name}_range_deg')})"
+                )
+            elif stage is not None and getattr(stage, name) is None and angle != 0.0:
+                yield (
+                    f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which stands at 0° "
+                    f"({rig.source.at('hardware', 'stage')})"
+                )
+
+
+def _exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
+    if wiring.hardware.camera.driver != VIRTUAL:
+        return  # a folder has the exposures that it has, which is looked up before anything is opened
+    low, high = EXPOSURE_RANGE_US
+    for exposure in exposures:
+        time_us = exposure * wiring.exposure_us
+        if not low <= time_us <= high:
+            yield (
+                f"exposure {exposure:g} is {time_us:g} µs ({rig.source.at('camera', 'exposure_us')}), outside the "
+                f"camera's {low:g} to {high:g} µs"
+            )
+
+
+def _light_problems(rig: RigConfig, plan: Plan) -> Iterator[str]:
+    burning = plan.burning_s()
+    for name in plan.tasks[0].lights:
+        channel, controller = plan.wiring.light(name), plan.wiring.controller(name)
+        where = rig.source.at("hardware", "lights", name)
+        top = min(controller.top_level, channel.max_level or controller.top_level)
+        if channel.level > top:
+            yield f"{where}: level {channel.level} is above the highest allowed, {top}"
+        if channel.max_on_s is not None and burning > channel.max_on_s:
+            yield (
+                f"{where}: would burn {burning:.3g} s at a stretch (settling and {len(plan.exposures)} exposures of "
+                f"{plan.options.average} frames), longer than max_on_s {channel.max_on_s:g}; take fewer or shorter "
+                "exposures"
+            )

@@ -1,0 +1,166 @@
+"""The set on disk while it is being captured: what is there, what is missing, and what is written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt import __version__
+from lightopt.capture._frames import Exposed, mean_of_frames
+from lightopt.capture._merge import merge_bracket
+from lightopt.capture._plan import Plan, PostureTask
+from lightopt.capture._shoot import Shot
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import InputError
+from lightopt.images import (
+    MANIFEST_NAME,
+    ImageEntry,
+    ImageSetWriter,
+    Manifest,
+    SourceFile,
+    dark_name,
+    file_sha256,
+    read_png,
+    read_png_metadata,
+)
+from lightopt.scene import Scene
+from lightopt.transforms import Posture
+
+__all__ = ["CapturedSet", "open_set"]
+
+Float32 = NDArray[np.float32]
+
+
+def open_set(
+    folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan, *, resume: bool, force: bool
+) -> CapturedSet:
+    """Begin a captured set, or continue one.
+
+    Raises
+    ------
+    InputError
+        When the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan; the
+        message says what differs.
+    """
+    if (folder / MANIFEST_NAME).exists() and not (resume or force):
+        raise InputError(
+            f"{folder}: holds an image set; use --resume to take what is missing of it, --force to replace it, "
+            "or choose another output folder"
+        )
+    header = Manifest(
+        kind="captured",
+        bit_depth=scene.sensor.bit_depth,
+        full_scale=scene.reflectance.full_scale,
+        saturation_level=scene.sensor.saturation_level,
+        black_level=scene.sensor.black_level,
+        lightopt=__version__,
+        rig=SourceFile(rig.source.path.name, rig.source.sha256),
+        part=SourceFile(part.source.path.name, part.source.sha256),
+        options={
+            "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+            **plan.as_dict(),
+            "versions": {name: version(name) for name in ("numpy", "OpenImageIO")},
+        },
+    )
+    return CapturedSet(ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
+
+
+class CapturedSet:
+    """What of a plan is on disk, and the way for the rest to get there.
+
+    Parameters
+    ----------
+    writer
+        Of the set's folder.
+    scene, plan
+        What is captured.
+    """
+
+    def __init__(self, writer: ImageSetWriter, scene: Scene, plan: Plan) -> None:
+        self.writer = writer
+        self._scene = scene
+        self._plan = plan
+        self._angles = {
+            light.name: (
+                round(float(np.degrees(light.elevation)), 9),
+                round(float(np.degrees(light.azimuth)), 9),
+            )
+            for light in scene.lights
+        }
+
+    def missing(self, light: str, posture: Posture) -> tuple[float, ...]:
+        """Exposures to take; all of them where means of frames would be mixed with those of another run."""
+        exposures = self._plan.exposures
+        lacking = tuple(e for e in exposures if not self.writer.done(light, posture, e))
+        incomplete = bool(lacking) or not self.writer.linear_done(light, posture)
+        return exposures if incomplete and self._plan.options.average > 1 else lacking
+
+    def complete(self, light: str, posture: Posture) -> bool:
+        """Whether all exposures and the linear image are there."""
+        return not self.missing(light, posture) and self.writer.linear_done(light, posture)
+
+    def todo(self, task: PostureTask) -> tuple[str, ...]:
+        """Lights of a posture that are not complete."""
+        return tuple(light for light in task.lights if not self.complete(light, task.posture))
+
+    def dark_kept(self, posture: Posture, exposure: float) -> bool:
+        """Whether a dark frame is on disk."""
+        return self.writer.file_done(dark_name(posture, exposure))
+
+    def dark_missing(self, posture: Posture, exposure: float) -> bool:
+        """Whether a dark frame must be taken: it is not there, or only its rounded mean is."""
+        return not self.dark_kept(posture, exposure) or self._plan.options.average > 1
+
+    def dark_there(self, posture: Posture, exposure: float) -> Float32:
+        """A dark frame that is on disk [sensor level]."""
+        return read_png(self.writer.folder / dark_name(posture, exposure)).astype(np.float32)
+
+    def add_dark(self, posture: Posture, exposure: float, shot: Shot) -> None:
+        """Put a dark frame on disk and into the manifest."""
+        facts = {"light": None, "posture": posture.as_dict(), "exposure": exposure, "capture": shot.facts}
+        self.writer.add_levels(dark_name(posture, exposure), shot.image.png, metadata=facts)
+
+    def add(self, light: str, posture: Posture, exposure: float, shot: Shot) -> None:
+        """Put an image on disk and into the manifest."""
+        elevation, azimuth = self._angles[light]
+        entry = ImageEntry(
+            light=light,
+            light_elevation_deg=elevation,
+            light_azimuth_deg=azimuth,
+            posture=posture,
+            exposure=exposure,
+            extra={"capture": shot.facts},
+        )
+        self.writer.add_image(entry, png=shot.image.png)
+
+    def add_linear(
+        self,
+        light: str,
+        posture: Posture,
+        taken: Mapping[float, Exposed],
+        dark: Mapping[float, Float32],
+    ) -> None:
+        """Merge the exposures of a light, those taken now and those on disk, and put the linear image on disk."""
+        images = [
+            taken[exposure] if exposure in taken else self._there(light, posture, exposure)
+            for exposure in self._plan.exposures
+        ]
+        frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures] if dark else None
+        channels = merge_bracket(
+            images, sensor=self._scene.sensor, full_scale=self._scene.reflectance.full_scale, dark=frames
+        )
+        self.writer.add_linear(light, posture, channels)
+
+    def _there(self, light: str, posture: Posture, exposure: float) -> Exposed:
+        entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
+        path = self.writer.folder / (entry.png or "")
+        facts: dict[str, Any] = read_png_metadata(path).get("capture", {})
+        held = facts.get("exposure_us", {}).get("read", self._plan.exposure_us(exposure))
+        return mean_of_frames(
+            [read_png(path)], sensor=self._scene.sensor, exposure=held / self._plan.wiring.exposure_us
+        )

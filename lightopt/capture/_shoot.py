@@ -1,0 +1,221 @@
+"""Exposing: lights on and off, settling, frames that began when they should, and what is known of each."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from lightopt.capture._devices import Devices
+from lightopt.capture._folder_camera import FolderCamera
+from lightopt.capture._frames import Exposed, mean_of_frames
+from lightopt.capture._plan import Plan
+from lightopt.capture._timing import Timing, utc
+from lightopt.errors import HardwareError
+from lightopt.hardware import Frame
+from lightopt.sensor import Sensor
+from lightopt.transforms import Posture
+
+__all__ = ["Shooter", "Shot"]
+
+EXPOSURE_TOLERANCE = 0.005
+"""A camera that holds another exposure time than asked, by more than this share, is refused."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """An image as it came from the camera.
+
+    Attributes
+    ----------
+    image
+        Of the frames.
+    facts
+        How it was taken, JSON-able, for the manifest.
+    """
+
+    image: Exposed
+    facts: dict[str, Any]
+
+
+class Shooter:
+    """Takes the images of a plan with opened devices.
+
+    Parameters
+    ----------
+    devices, plan, sensor
+        What takes them, which, and how levels count.
+    identities
+        Who the devices are, for the manifest.
+    timing
+        Where the time that is spent is counted.
+    """
+
+    def __init__(
+        self, devices: Devices, plan: Plan, *, sensor: Sensor, identities: dict[str, Any], timing: Timing
+    ) -> None:
+        self._devices = devices
+        self._plan = plan
+        self._sensor = sensor
+        self._identities = identities
+        self._timing = timing
+        self._stage: dict[str, Any] | None = None
+        self._stage_settled = 0.0
+        self._lit: tuple[str, dict[str, Any], float] | None = None
+        self._light_settled = 0.0
+        self._held_us: float | None = None
+        self._changed = True
+        self._retries = 0
+
+    def home(self) -> None:
+        """Let the stage seek its origin."""
+        self._devices.step = "homing the stage"
+        with self._timing.spent("moving_s"):
+            self._devices.home()
+
+    def move(self, posture: Posture) -> None:
+        """Move the stage and verify where it stands."""
+        if self._devices.stage is None:
+            return
+        self._devices.step = f"moving the stage to {posture}"
+        with self._timing.spent("moving_s"):
+            state = self._devices.move_to(posture)
+        self._stage_settled = time.monotonic() + self._plan.wiring.hardware.timing.stage_ms / 1e3
+        self._stage = {"asked": posture.as_dict(), "read": state.posture.as_dict()}
+        self._changed = True
+
+    def light_on(self, name: str) -> None:
+        """Light a panel, once the stage needs no longer to settle than the light."""
+        self._devices.step = f"lighting {name}"
+        light_s = self._plan.wiring.hardware.timing.light_ms / 1e3
+        self._wait_until(self._stage_settled - light_s)
+        channel = self._plan.wiring.light(name)
+        with self._timing.spent("lights_s"):
+            begun = time.monotonic()
+            held = self._devices.light_on(name)
+        self._light_settled = time.monotonic() + light_s
+        facts = {
+            "controller": channel.controller,
+            "channel": channel.channel,
+            "level": {"asked": channel.level, "read": held},
+        }
+        self._lit = (name, facts, begun)
+        self._changed = True
+
+    def light_off(self) -> None:
+        """Darken the panel that burns."""
+        assert self._lit is not None
+        self._devices.step = f"switching {self._lit[0]} off"
+        with self._timing.spent("lights_s"):
+            self._devices.light_off(self._lit[0])
+        self._lit = None
+        self._changed = True
+
+    def set_exposure(self, exposure: float) -> None:
+        """Set the camera's exposure time, which takes while stage and light settle."""
+        asked = self._plan.exposure_us(exposure)
+        self._devices.step = f"setting the exposure to {asked:g} µs"
+        held = self._devices.camera.set_exposure(asked)
+        if abs(held - asked) > EXPOSURE_TOLERANCE * asked:
+            raise HardwareError(
+                f"the camera holds an exposure of {held:g} µs instead of {asked:g} µs; choose exposures that it "
+                "can hold"
+            )
+        self._changed = self._changed or held != self._held_us
+        self._held_us = held
+
+    def settle(self) -> None:
+        """Wait until stage and light have settled."""
+        self._devices.step = "letting stage and light settle"
+        self._wait_until(max(self._stage_settled, self._light_settled))
+
+    def expose(self, posture: Posture, exposure: float) -> Shot:
+        """Take an image under the light that burns, or in the dark."""
+        light = self._lit[0] if self._lit else None
+        self._devices.step = f"exposing {light or 'dark'} {posture} at exposure {exposure:g}"
+        camera = self._devices.camera
+        if isinstance(camera, FolderCamera):
+            camera.show(light, posture, exposure)
+        if self._changed and not camera.triggered:
+            for _ in range(self._plan.wiring.hardware.timing.discard_frames):
+                self._grab()  # it may have begun before the change
+        self._changed = False
+        begun = time.time()
+        frames = [self._grab() for _ in range(self._plan.options.average)]
+        held = frames[0].exposure_us
+        image = mean_of_frames(
+            [frame.levels for frame in frames],
+            sensor=self._sensor,
+            exposure=held / self._plan.wiring.exposure_us,
+        )
+        facts: dict[str, Any] = {
+            "time": utc(begun),
+            "exposure_us": {"asked": self._plan.exposure_us(exposure), "read": held},
+            "frames": len(frames),
+            "frame_numbers": [frames[0].number, frames[-1].number],
+            "light": None if self._lit is None else self._lit[1],
+            "stage": self._stage,
+            "saturated_share": float(image.saturated.mean()),
+            "retries": self._retries_since(),
+            "devices": self._identities,
+        }
+        if frames[0].timestamp_ns is not None:
+            facts["camera_time_ns"] = frames[0].timestamp_ns
+        if frames[0].says:
+            facts["camera"] = frames[0].says
+        return Shot(image=image, facts=facts)
+
+    def _retries_since(self) -> int:
+        """Commands that were sent again since the image before."""
+        before, self._retries = self._retries, self._devices.retries
+        return self._retries - before
+
+    def _grab(self) -> Frame:
+        timing = self._plan.wiring.hardware.timing
+        assert self._held_us is not None
+        exposure_s = self._held_us / 1e6
+        limit_s = exposure_s + timing.frame_timeout_s
+        if (left_s := self._may_burn_s()) is not None:
+            if left_s <= exposure_s:
+                self._burns_too_long(left_s)
+            limit_s = min(limit_s, left_s)
+        begun = time.monotonic()
+        frame = self._devices.camera.grab(timeout_s=limit_s)
+        taken_s = time.monotonic() - begun
+        self._timing.exposing_s += min(exposure_s, taken_s)
+        self._timing.transfer_s += max(0.0, taken_s - exposure_s)
+        self._check_frame(frame)
+        return frame
+
+    def _check_frame(self, frame: Frame) -> None:
+        width, height = self._devices.camera.resolution_px
+        if frame.levels.shape != (height, width) or int(frame.levels.max()) > self._sensor.max_level:
+            raise HardwareError(
+                f"the camera delivered a frame of {frame.levels.shape[1]} × {frame.levels.shape[0]} pixels with levels "
+                f"up to {frame.levels.max()}; expected {width} × {height} and at most {self._sensor.max_level}"
+            )
+        if self._held_us is not None and abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
+            raise HardwareError(
+                f"the camera took frame {frame.number} at {frame.exposure_us:g} µs, although it held "
+                f"{self._held_us:g} µs"
+            )
+
+    def _may_burn_s(self) -> float | None:
+        """How long the light may burn on [s]; None where nothing limits it."""
+        if self._lit is None:
+            return None
+        name, _, begun = self._lit
+        most = self._plan.wiring.light(name).max_on_s
+        return None if most is None else begun + most - time.monotonic()
+
+    def _burns_too_long(self, left_s: float) -> None:
+        assert self._lit is not None
+        raise HardwareError(
+            f"{self._lit[0]} may burn {max(0.0, left_s):.3g} s more (max_on_s) and the exposure takes longer: frames "
+            "came later than planned; take fewer or shorter exposures"
+        )
+
+    def _wait_until(self, moment: float) -> None:
+        with self._timing.spent("settling_s"):
+            while (left := moment - time.monotonic()) > 0:
+                time.sleep(left)

@@ -1,0 +1,229 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lightopt.cli._capture import SerialLog
+from lightopt.cli._inputs import load_inputs
+from lightopt.cli._options import Force, RigFile, parse_exposure
+from lightopt.cli._terminal import say, show_table
+from lightopt.errors import HardwareError, InputError
+
+if TYPE_CHECKING:
+    from lightopt.capture import Devices
+    from lightopt.config import RigConfig
+
+__all__ = ["bench"]
+
+bench = typer.Typer(
+    help="Try the devices of a rig one by one: ask, light, home, move, take a frame.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@bench.command()
+def status(rig: RigFile, serial_log: SerialLog = None) -> None:
+    """Ask every device how it is; nothing is switched or moved."""
+    from lightopt.capture import device_rows
+
+    loaded, devices = _open(rig, serial_log, touch_lights=False)
+    with devices:
+        rows = list(device_rows(devices, loaded))
+    show_table(("device", "says"), [(row.name, row.says) for row in rows], numbers_from=2)
+    if failed := [row for row in rows if row.failed]:
+        raise HardwareError(*(f"{row.name}: {row.says}" for row in failed))
+
+
+@bench.command()
+def light(
+    rig: RigFile,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Light of the rig.")],
+    level: Annotated[
+        int | None, typer.Argument(metavar="[LEVEL]", help="Intensity; the rig's level if left out.")
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="S", min=0.0, help="Burn this long; otherwise until Enter is pressed."),
+    ] = None,
+    serial_log: SerialLog = None,
+) -> None:
+    """Light one panel until Enter is pressed, or for some seconds; never longer than its max_on_s."""
+    from lightopt.capture import burn, check_level, wiring_of
+
+    if seconds is None and not sys.stdin.isatty():
+        raise InputError(
+            "--seconds: expected how long the light should burn, because nobody can press Enter here"
+        )
+    loaded, _ = load_inputs(rig, None)
+    asked = check_level(wiring_of(loaded), loaded, name, level)
+    loaded, devices = _open(rig, serial_log)
+    with devices:
+        say(
+            f"{name} burns at level {asked}"
+            + (" until Enter is pressed" if seconds is None else f" for {seconds:g} s")
+        )
+        held = burn(devices, name, asked, seconds=seconds, wait=_wait)
+    say(
+        f"{name} is off; "
+        + ("its level cannot be read back" if held is None else f"the controller held level {held}")
+    )
+
+
+@bench.command()
+def off(rig: RigFile, serial_log: SerialLog = None) -> None:
+    """Switch every channel of every controller off."""
+    loaded, devices = _open(rig, serial_log)
+    with devices:
+        pass
+    say(f"all lights of {loaded.name} are off")
+
+
+@bench.command()
+def home(rig: RigFile, serial_log: SerialLog = None) -> None:
+    """Let the stage seek its origin."""
+    _, devices = _open(rig, serial_log, needs_stage=True)
+    with devices:
+        devices.step = "homing the stage"
+        devices.home()
+        assert devices.stage is not None
+        state = devices.stage.state()
+    say(f"the stage stands at {state.posture}")
+
+
+@bench.command()
+def move(
+    rig: RigFile,
+    elevation: Annotated[
+        float | None, typer.Option(metavar="θ", help="Tilt [deg]; as it is if left out.")
+    ] = None,
+    rotation: Annotated[
+        float | None, typer.Option(metavar="φ", help="Rotation [deg]; as it is if left out.")
+    ] = None,
+    home: Annotated[bool, typer.Option("--home", help="Seek the origin first.")] = False,
+    serial_log: SerialLog = None,
+) -> None:
+    """Move the stage and verify where it stands. The virtual bench is always homed first: it was just switched on."""
+    from lightopt.capture import check_angles
+    from lightopt.transforms import Posture
+
+    if elevation is None and rotation is None:
+        raise InputError("expected --elevation, --rotation or both")
+    loaded, _ = load_inputs(rig, None)
+    check_angles(loaded, elevation=elevation, rotation=rotation)
+    loaded, devices = _open(rig, serial_log, needs_stage=True)
+    with devices:
+        assert devices.stage is not None
+        if home or devices.wiring.stage_is_virtual:
+            devices.step = "homing the stage"
+            devices.home()
+        devices.step = "moving the stage"
+        here = devices.stage.state().posture
+        state = devices.move_to(
+            Posture(
+                here.elevation_deg if elevation is None else elevation,
+                here.rotation_deg if rotation is None else rotation,
+            )
+        )
+    say(f"the stage stands at {state.posture}")
+
+
+@bench.command()
+def snap(
+    rig: RigFile,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG to write.")],
+    light: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Light this panel for the frame; none otherwise.")
+    ] = None,
+    exposure: Annotated[str, typer.Option(metavar="X", help="Exposure, such as 1 or 1/16.")] = "1",
+    part: Annotated[
+        Path | None,
+        typer.Option(metavar="PART", help="What lies on the virtual bench; needed for its camera only."),
+    ] = None,
+    serial_log: SerialLog = None,
+    force: Force = False,
+) -> None:
+    """Take one frame where the stage stands."""
+    from lightopt.capture import check_level, connect_devices, wiring_of
+    from lightopt.capture import snap as take
+
+    relative = parse_exposure(exposure)
+    loaded, loaded_part = load_inputs(rig, part)
+    wiring = wiring_of(loaded)
+    if wiring.hardware.camera.driver == "virtual" and loaded_part is None:
+        raise InputError("--part: the virtual camera needs to know which part lies on the bench")
+    if light is not None:
+        check_level(wiring, loaded, light, None)
+    devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log)
+    with devices:
+        low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
+    say(f"levels {low} to {high}, mean {mean:.1f}")
+    say(f"{file}")
+
+
+@bench.command("devices")
+def list_devices(
+    rig: Annotated[
+        Path | None, typer.Argument(metavar="[RIG]", help="Also say what this rig expects.")
+    ] = None,
+) -> None:
+    """List the serial ports of this computer; nothing is opened or sent."""
+    from lightopt.hardware import serial_ports
+
+    ports = serial_ports()
+    if ports:
+        show_table(
+            ("port", "is"),
+            [(port.name, " ".join(filter(None, (port.description, port.usb)))) for port in ports],
+            numbers_from=2,
+        )
+    else:
+        say("no serial ports on this computer")
+    if rig is None:
+        return
+    from lightopt.capture import wiring_of
+
+    loaded, _ = load_inputs(rig, None)
+    hardware = wiring_of(loaded).hardware
+    rows = [
+        (f"controller {name}", config.driver, config.port) for name, config in hardware.controllers.items()
+    ]
+    if hardware.stage is not None:
+        rows.append(("stage", hardware.stage.driver, hardware.stage.port))
+    rows.append(("camera", hardware.camera.driver, hardware.camera.folder or ""))
+    say("")
+    show_table(("device", "driver", "port"), rows, numbers_from=3)
+
+
+def _open(
+    rig: Path, serial_log: Path | None, *, needs_stage: bool = False, touch_lights: bool = True
+) -> tuple[RigConfig, Devices]:
+    from lightopt.capture import connect_devices, wiring_of
+
+    loaded, _ = load_inputs(rig, None)
+    wiring = wiring_of(loaded)
+    if needs_stage and wiring.hardware.stage is None:
+        raise InputError(f"{loaded.source.at('hardware')}: this rig has no stage")
+    return loaded, connect_devices(
+        loaded, wiring, camera=False, serial_log=serial_log, touch_lights=touch_lights
+    )
+
+
+def _wait(seconds: float | None) -> None:
+    """Wait for Enter, or for some seconds where there is a limit."""
+    import threading
+    import time
+
+    if not sys.stdin.isatty():
+        time.sleep(seconds or 0.0)
+        return
+    pressed = threading.Event()
+    # a thread, because no platform can wait for Enter and the clock alike
+    threading.Thread(target=lambda: (sys.stdin.readline(), pressed.set()), daemon=True).start()
+    end = None if seconds is None else time.monotonic() + seconds
+    while not pressed.wait(0.1):  # short, so that Ctrl-C is heard on Windows, too
+        if end is not None and time.monotonic() >= end:
+            return

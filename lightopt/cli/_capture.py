@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lightopt.cli._inputs import load_inputs
+from lightopt.cli._options import Force, PartFile, Quiet, RigFile, parse_exposure, parse_posture
+from lightopt.cli._terminal import say, say_warning, show_share, show_table
+from lightopt.errors import InputError, counted
+
+if TYPE_CHECKING:
+    from lightopt.capture import Captured, Plan
+
+__all__ = ["SerialLog", "capture"]
+
+SerialLog = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Append every byte on the wires, with its time, to this file."),
+]
+
+
+def capture(
+    rig: RigFile,
+    part: PartFile,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")
+    ] = None,
+    light: Annotated[
+        list[str] | None, typer.Option("--light", metavar="NAME", help="Only this light; repeatable.")
+    ] = None,
+    posture: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
+        ),
+    ] = None,
+    exposures: Annotated[
+        str, typer.Option(metavar="X,…", help="Exposures of each image, such as 1,1/16.")
+    ] = "1",
+    average: Annotated[int, typer.Option(metavar="N", help="Each image is the mean of N frames.")] = 1,
+    dark: Annotated[
+        bool, typer.Option("--dark", help="Also frames without light, subtracted in the EXR.")
+    ] = False,
+    home: Annotated[bool, typer.Option("--home", help="Let the stage seek its origin first.")] = False,
+    no_check: Annotated[
+        bool, typer.Option("--no-check", help="Do not check that each image is lit by its light.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print every step with its time; open and move nothing.")
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Take only what is missing of the set that is there.")
+    ] = False,
+    serial_log: SerialLog = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Capture PART on RIG: every light, every posture, every exposure, one image each.
+
+    Writes the camera's PNGs, a linear EXR per light and posture, and manifest.json; other commands take the folder as
+    they take renders. Without a hardware section in RIG the virtual bench is captured: simulated devices and a camera
+    that renders. Lights are off at the start, at the end, after an error and after Ctrl-C.
+
+    Example: lightopt capture rig.yaml part.yaml -o captured --exposures 1,1/16
+    """
+    chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
+    chosen_exposures = tuple(parse_exposure(text, option="--exposures") for text in exposures.split(","))
+    if out is None and not dry_run:
+        raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
+
+    from lightopt.capture import CaptureOptions, make_plan
+    from lightopt.capture import capture as run
+
+    loaded_rig, loaded_part = load_inputs(rig, part)
+    assert loaded_part is not None
+    options = CaptureOptions(
+        lights=tuple(light) if light else None,
+        postures=chosen_postures,
+        exposures=chosen_exposures,
+        average=average,
+        dark=dark,
+        home=home,
+        check=not no_check,
+    )
+    if dry_run:
+        _show_plan(make_plan(loaded_rig, loaded_part, options))
+        return
+    assert out is not None
+    with show_share(quiet=quiet) as report:
+        done = run(
+            loaded_rig,
+            loaded_part,
+            out,
+            options=options,
+            resume=resume,
+            force=force,
+            serial_log=serial_log,
+            warn=say_warning,
+            report=report,
+        )
+    if not quiet:
+        _show_result(done)
+
+
+def _show_plan(plan: Plan) -> None:
+    if not plan.wiring.given:
+        say("no hardware section in the rig: the virtual bench")
+    rows: list[tuple[str, str, str]] = []
+    at = 0.0
+    for step in plan.steps():
+        rows.append((f"{at:.2f}", f"{step.seconds:.2f}", str(step)))
+        at += step.seconds
+    show_table(("at [s]", "takes [s]", "step"), rows, numbers_from=3)
+    say(f"{counted(len(plan.keys), 'image')} in {at:.0f} s; nothing was opened or moved")
+
+
+def _show_result(done: Captured) -> None:
+    if done.replaced:
+        say(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
+    there = done.images - done.taken
+    were_there = f" ({there} of them were there already)" if there else ""
+    say(f"{counted(done.images, 'image')}{were_there} in {done.timing.whole_s:.0f} s")
+    if done.retries:
+        say(f"{counted(done.retries, 'command')} had to be sent again; the manifest says at which images")
+    say(f"{done.folder / 'manifest.json'}")

@@ -1,0 +1,35 @@
+"""Devices of a rig behind three small roles, one module per protocol. The one home of pyserial."""
+
+from lightopt.hardware._axes import Axis
+from lightopt.hardware._drivers import light_drivers
+from lightopt.hardware._errors import LinkLostError, RefusedError, ReplyError
+from lightopt.hardware._lights import LightSettings, all_off
+from lightopt.hardware._link import SerialLink
+from lightopt.hardware._log import Event, SerialLog
+from lightopt.hardware._ports import Port, serial_ports
+from lightopt.hardware._roles import Camera, Frame, Identity, LightController, Stage, StageState
+from lightopt.hardware._stages import StageDriver, open_stage, stage_drivers
+
+__all__ = [
+    "Axis",
+    "Camera",
+    "Event",
+    "Frame",
+    "Identity",
+    "LightController",
+    "LightSettings",
+    "LinkLostError",
+    "Port",
+    "RefusedError",
+    "ReplyError",
+    "SerialLink",
+    "SerialLog",
+    "Stage",
+    "StageDriver",
+    "StageState",
+    "all_off",
+    "light_drivers",
+    "open_stage",
+    "serial_ports",
+    "stage_drivers",
+]

@@ -1,0 +1,198 @@
+"""Driver of light controllers that speak CCS ``@`` frames (CCS PD2, PD3, PSB; VS Technology VLP).
+
+A frame is ``@``, the channel from 00, an instruction with its data, in the serial dialect the unit number 00, a
+checksum (sum of all bytes before it, modulo 256, two upper-case hexadecimal digits), CR, LF. A reply is ``@``, the
+channel, ``O`` with data or ``N`` with the number of an error, and a checksum.
+"""
+
+from __future__ import annotations
+
+import re
+
+from lightopt.hardware._errors import RefusedError, ReplyError, printable
+from lightopt.hardware._lights import LightSettings, check_light
+from lightopt.hardware._link import SerialLink
+from lightopt.hardware._log import Event, SerialLog
+from lightopt.hardware._retry import Persistence
+from lightopt.hardware._roles import Identity
+
+__all__ = ["CcsController", "open_ccs"]
+
+_BAUD = 38400
+_GAP_S = 0.006  # the controllers ask for 5 ms between commands
+_DAMAGED = "02"
+_REFUSALS = {
+    "01": "it does not know the command (NG 01)",
+    _DAMAGED: "the command reached it damaged: checksum error (NG 02)",
+    "03": "the value or channel is out of its range (NG 03)",
+}
+
+
+class CcsController:
+    """A light controller with CCS ``@`` frames, as a :class:`~lightopt.hardware.LightController`.
+
+    The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a
+    connection on which nothing was said. No light changes.
+
+    Parameters
+    ----------
+    link
+        The wire.
+    channels
+        Number of channels.
+    top_level
+        Highest intensity.
+    dialect
+        ``lan``: frames without unit number; ``serial``: with it.
+
+    Raises
+    ------
+    lightopt.errors.HardwareError
+        When the controller does not answer.
+    """
+
+    def __init__(
+        self, link: SerialLink, *, channels: int = 4, top_level: int = 255, dialect: str = "lan"
+    ) -> None:
+        self._link = link
+        self._channels = channels
+        self._top_level = top_level
+        self._unit = "00" if dialect == "serial" else ""
+        self._digits = max(3, len(str(top_level)))
+        self._persistence = Persistence(link)
+        self._status()
+        self._reads = self._can_read()
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return self._channels
+
+    @property
+    def top_level(self) -> int:
+        """Highest intensity."""
+        return self._top_level
+
+    @property
+    def events(self) -> list[Event]:
+        """What was out of the ordinary on the wire."""
+        return self._link.events
+
+    def identify(self) -> Identity:
+        """Ask for the unit's status."""
+        says = {"status": self._status(), "read_back": "yes" if self._reads else "no"}
+        return Identity("ccs", self._link.port, says)
+
+    def set_level(self, channel: int, level: int) -> None:
+        """Set the intensity, then switch: a light comes on at its level, and goes dark twice over."""
+        check_light(self._link.device, channel, level, channels=self._channels, top_level=self._top_level)
+        on = int(level > 0)
+        with self._link.lock:
+            try:
+                self._ask(channel, f"F{level:0{self._digits}d}")
+            finally:
+                if not on:  # even if the intensity was not accepted
+                    self._ask(channel, "L0")
+            if on:
+                self._ask(channel, "L1")
+            if self._reads:
+                self._verify(channel, level)
+
+    def read_level(self, channel: int) -> int | None:
+        """Intensity that the controller holds, 0 where it is switched off; None where it does not answer M."""
+        check_light(self._link.device, channel, 0, channels=self._channels, top_level=self._top_level)
+        if not self._reads:
+            return None
+        level, _, on = self._settings(channel)
+        return level if on else 0
+
+    def close(self) -> None:
+        """Give up the link; lights stay as they are."""
+        self._link.close()
+
+    def _status(self) -> str:
+        return self._ask(1, "C")
+
+    def _can_read(self) -> bool:
+        try:
+            self._settings(1)
+        except (RefusedError, ReplyError) as error:
+            self._link.note(f"lights cannot be read back: {error}")
+            return False
+        return True
+
+    def _verify(self, channel: int, level: int) -> None:
+        held, mode, on = self._settings(channel)
+        if mode != 0 and level > 0:
+            frame = printable(self._frame(channel, "S00"))
+            raise self._link.failure(
+                f"channel {channel} is in strobe mode S{mode:02d}, in which it waits for triggers; if no machine needs "
+                f"that, set it to S00 (on/off) with the maker's tool, or by sending {frame}"
+            )
+        if held != level or on != (level > 0):
+            state = f"{held} and is switched {'on' if on else 'off'}"
+            raise self._link.failure(f"channel {channel} was set to {level} but holds {state}")
+
+    def _settings(self, channel: int) -> tuple[int, int, bool]:
+        """Intensity, mode, and whether it is switched on."""
+        data = self._ask(channel, "M", r"F(\d{3,4})\.S(\d\d)\.L([01])(?:00)?")
+        level, mode, on = data.split(".")
+        return int(level[1:]), int(mode[1:]), on[1] == "1"
+
+    def _ask(self, channel: int, instruction: str, expected: str = r"\d{0,4}") -> str:
+        """Say an instruction that may be repeated; the data of the reply."""
+        return self._persistence.ask(lambda: self._ask_once(channel, instruction, expected))
+
+    def _frame(self, channel: int, instruction: str) -> bytes:
+        body = f"@{channel - 1:02d}{instruction}{self._unit}".encode("ascii")
+        return body + _checksum(body) + b"\r\n"
+
+    def _ask_once(self, channel: int, instruction: str, expected: str) -> str:
+        frame = self._frame(channel, instruction)
+        reply = self._link.query(frame, end=b"\r\n")
+        match = re.fullmatch(rb"(@(\d\d)([ON])([ -~]*))([0-9A-F]{2})\r\n", reply)
+        if match is None:
+            raise ReplyError(self._link.words("the reply is not a frame", sent=frame, reply=reply))
+        if match[5] != _checksum(match[1]):
+            raise ReplyError(self._link.words("the reply has a wrong checksum", sent=frame, reply=reply))
+        data = match[4].decode("ascii")
+        if int(match[2]) != channel - 1:
+            raise ReplyError(self._link.words("the reply is for another channel", sent=frame, reply=reply))
+        if match[3] == b"N":
+            code = data[:2]
+            words = self._link.words(_REFUSALS.get(code, f"it refuses (NG {data})"), sent=frame, reply=reply)
+            raise ReplyError(words) if code == _DAMAGED else RefusedError(words)
+        if re.fullmatch(expected, data) is None:
+            raise ReplyError(self._link.words("the reply is to another command", sent=frame, reply=reply))
+        return data
+
+
+def open_ccs(settings: LightSettings, log: SerialLog | None = None) -> CcsController:
+    """Open a controller with CCS ``@`` frames.
+
+    Raises
+    ------
+    lightopt.errors.InputError
+        When the port cannot be opened.
+    lightopt.errors.HardwareError
+        When the controller does not answer.
+    """
+    link = SerialLink(
+        settings.port,
+        device=f"light controller {settings.name} (ccs)",
+        baud=settings.baud or _BAUD,
+        timeout_s=settings.timeout_s,
+        gap_s=_GAP_S,
+        log=log,
+    )
+    try:
+        return CcsController(
+            link, channels=settings.channels, top_level=settings.top_level, dialect=settings.dialect
+        )
+    except BaseException:
+        link.close()
+        raise
+
+
+def _checksum(body: bytes) -> bytes:
+    return f"{sum(body) % 256:02X}".encode("ascii")

@@ -1,0 +1,99 @@
+"""Light controllers whatever their protocol: how they are opened, what they refuse, and all lights off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lightopt.errors import HardwareError, InputError, LightoptError
+from lightopt.hardware._roles import LightController
+
+__all__ = ["LightSettings", "all_off", "check_light"]
+
+
+@dataclass(frozen=True)
+class LightSettings:
+    """What a driver must know to open a light controller.
+
+    Attributes
+    ----------
+    name
+        Name of the controller in the rig file.
+    port
+        Serial port or pyserial URL.
+    baud
+        Baud rate; None is the protocol's usual one.
+    channels
+        Number of channels.
+    top_level
+        Highest intensity.
+    dialect
+        ccs: ``lan`` or ``serial``.
+    template
+        template: commands and patterns of replies, by the words of the rig file.
+    timeout_s
+        Longest wait for a reply [s].
+    """
+
+    name: str
+    port: str
+    baud: int | None = None
+    channels: int = 4
+    top_level: int = 255
+    dialect: str = "lan"
+    template: Mapping[str, str | None] | None = None
+    timeout_s: float = 1.0
+
+
+def check_light(device: str, channel: int, level: int, *, channels: int, top_level: int) -> None:
+    """Refuse a channel or an intensity that a controller does not have, before anything is sent.
+
+    Raises
+    ------
+    lightopt.errors.InputError
+        When either is out of range.
+    """
+    if not 1 <= channel <= channels:
+        raise InputError(f"{device}: expected a channel from 1 to {channels}, found {channel}")
+    if not 0 <= level <= top_level:
+        raise InputError(f"{device}: expected an intensity from 0 to {top_level}, found {level}")
+
+
+def all_off(controllers: Mapping[str, LightController]) -> None:
+    """Darken every channel of every controller, each of them even if others fail.
+
+    Parameters
+    ----------
+    controllers
+        By their names in the rig file.
+
+    Raises
+    ------
+    lightopt.errors.HardwareError
+        Once all were tried, with a message per controller and reason that names the channels that may still be lit.
+    """
+    reasons: dict[tuple[str, str], list[int]] = {}
+    for name, controller in controllers.items():
+        for channel in range(1, controller.channels + 1):
+            reason = _darken(controller, channel)
+            if reason is not None:
+                reasons.setdefault((name, reason), []).append(channel)
+    if reasons:
+        raise HardwareError(
+            *(
+                f"controller {name}, channel{'s' if len(channels) > 1 else ''} {', '.join(map(str, channels))}: "
+                f"not switched off, may still be lit: {reason}"
+                for (name, reason), channels in reasons.items()
+            )
+        )
+
+
+def _darken(controller: LightController, channel: int) -> str | None:
+    """Switch a channel off; why that failed, or None."""
+    try:
+        controller.set_level(channel, 0)
+    except LightoptError as error:
+        return str(error)
+    except Exception as error:  # noqa: BLE001  (whatever fails here, the other lights must go dark)
+        return f"{type(error).__name__}: {error}"
+    return None

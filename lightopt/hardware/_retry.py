@@ -1,0 +1,59 @@
+"""Commands sent again: only such as may be repeated, a bounded number of times, each told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from lightopt.hardware._errors import ReplyError
+from lightopt.hardware._link import SerialLink
+
+__all__ = ["Persistence"]
+
+ATTEMPTS = 3
+
+Value = TypeVar("Value")
+
+
+class Persistence:
+    """Asks again when a reply is lost or spoilt. Only for what may be repeated: queries, intensities, absolute targets.
+
+    A device that left all attempts unanswered gets one at a time until it answers: switching off the lights of a dead
+    controller must not take a minute.
+
+    Parameters
+    ----------
+    link
+        Where retries are told.
+    attempts
+        Times that a command is sent at most.
+    """
+
+    def __init__(self, link: SerialLink, attempts: int = ATTEMPTS) -> None:
+        self._link = link
+        self._most = attempts
+        self._attempts = attempts
+
+    def ask(self, question: Callable[[], Value]) -> Value:
+        """Call `question` until it returns, or raise its last :class:`ReplyError`; other errors are raised at once."""
+        attempt = 1
+        while (outcome := self._try(question, attempt)) is None:
+            attempt += 1
+        self._attempts = self._most
+        return outcome[0]
+
+    def _try(self, question: Callable[[], Value], attempt: int) -> tuple[Value] | None:
+        try:
+            return (question(),)
+        except ReplyError as error:
+            if attempt >= self._attempts:
+                self._attempts = 1
+                raise _exhausted(error, attempt) from None
+            # A late reply must not be taken for the reply to the repeated command.
+            self._link.drain()
+            self._link.note(f"sent again ({attempt} of {self._attempts - 1}) after: {error}", retry=True)
+            return None
+
+
+def _exhausted(error: ReplyError, attempts: int) -> ReplyError:
+    return ReplyError(f"{error} (sent {attempts} times)") if attempts > 1 else error

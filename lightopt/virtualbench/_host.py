@@ -1,0 +1,82 @@
+"""The process of a virtual bench: serves simulated devices on their wires until whoever started it is gone."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import select
+import socket
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from lightopt.virtualbench._camera import BenchCamera, CameraSetup
+from lightopt.virtualbench._control import ControlServer
+from lightopt.virtualbench._requests import handlers
+from lightopt.virtualbench._wires import have_ptys
+from lightopt.virtualbench._world import World
+
+__all__ = ["run"]
+
+_TICK_S = 0.005  # how late a device may be with what it says on its own
+
+
+def run(spec: Mapping[str, Any]) -> None:
+    """Serve a bench: print one JSON line with its ports, and return when standard input ends.
+
+    Parameters
+    ----------
+    spec
+        ``devices`` (see :class:`World`), ``tcp``, and ``camera`` (see :class:`CameraSetup`).
+
+    Raises
+    ------
+    ValueError
+        For devices that cannot be built; nothing is served then.
+    """
+    world = World(spec["devices"], tcp=bool(spec.get("tcp", not have_ptys)))
+    requests = handlers(world)
+    if "camera" in spec:
+        requests |= _camera(world, spec["camera"]).requests()
+    token = secrets.token_hex(16)
+    control = ControlServer(requests, token)
+    hello = {"control": control.port, "token": token, "ports": world.ports()}
+    print(json.dumps(hello), flush=True)  # noqa: T201  (how the ports are handed over)
+    ours, theirs = socket.socketpair()
+    threading.Thread(target=_await_end, args=(theirs,), daemon=True).start()
+    try:
+        _serve(world, ours)
+    finally:
+        control.close()
+        world.close()
+
+
+def _camera(world: World, setup: Mapping[str, Any]) -> BenchCamera:
+    return BenchCamera(
+        CameraSetup.of(setup),
+        lambda device: world.levels()[device],
+        lambda device: world.positions(time.monotonic())[device],
+    )
+
+
+def _await_end(bell: socket.socket) -> None:
+    """Ring when standard input ends: whoever held its other end has closed it, or is dead."""
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    bell.close()
+
+
+def _serve(world: World, bell: socket.socket) -> None:
+    while True:
+        # Which wires there are changes with every client; select alone keeps no memory of closed ones.
+        watched = [bell.fileno(), *world.waiting()]
+        try:
+            ready, _, _ = select.select(watched, [], [], _TICK_S)
+        except OSError:  # a cable was pulled meanwhile
+            continue
+        if bell.fileno() in ready:
+            return
+        world.serve(time.monotonic())

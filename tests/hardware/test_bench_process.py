@@ -1,0 +1,242 @@
+"""The process of the virtual bench: its wires, its life and death, and what it tells."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lightopt.errors import HardwareError, InputError
+from lightopt.hardware import LightSettings, LinkLostError, ReplyError, SerialLink, light_drivers
+from lightopt.virtualbench import BenchProcess
+
+CCS = {"kind": "ccs", "options": {"levels": {"1": 255}}}
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except OSError:
+        return False
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] != "Z"
+    return True
+
+
+def eventually(condition: Callable[[], bool], within_s: float = 5.0) -> bool:
+    until = time.monotonic() + within_s
+    while time.monotonic() < until:
+        if condition():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def test_world_and_trace() -> None:
+    with BenchProcess({"top": CCS, "side": {"kind": "sa", "tcp": True}}) as bench:
+        assert bench.ports["side"].startswith("socket://127.0.0.1:")
+        state = bench.state()
+        assert (state["pid"], set(state["levels"]), state["positions"]) == (bench.pid, {"top", "side"}, {})
+        controller = light_drivers()["ccs"](LightSettings("top", bench.ports["top"]), None)
+        controller.set_level(2, 51)
+        controller.set_level(2, 0)
+        controller.close()
+        changes = bench.trace()
+        assert [change[1:] for change in changes] == [("top", 1, 1.0), ("top", 2, 0.2), ("top", 2, 0.0)]
+        assert state["time"] <= changes[1][0] <= changes[2][0] <= bench.state()["time"]
+
+
+def test_a_description_that_cannot_be_served() -> None:
+    for devices, words in (
+        ({"a": {"kind": "ccz"}}, 'no firmware called "ccz"; there is ccs, sa, template'),
+        ({"a": {"kind": "ccs", "options": {"chanels": 3}}}, "chanels"),
+        ({"a": {"kind": "ccs", "options": {"levels": {"9": 3}}}}, "no level 3 on channel 9"),
+        ({"a": {"kind": "sa", "options": {"ack": "x"}}}, "ack is one of"),
+        ({"a": {}}, "lacks 'kind'"),
+        (
+            {"a": {"kind": "template", "options": {"template": {"set": "{level}", "set_reply": "(?=x)"}}}},
+            "make up",
+        ),
+    ):
+        with pytest.raises(InputError, match="virtual bench: cannot be as described; it said: .*" + words):
+            BenchProcess(devices)
+
+
+def test_requests_that_are_none() -> None:
+    with BenchProcess({"a": CCS}) as bench:
+        for do, arguments, words in (
+            ("nothing", {}, "there is state, trace, fault, unplug"),
+            ("fault", {"device": "b", "fault": "drop"}, 'no device called "b"; there is a'),
+            ("fault", {"device": "a", "fault": "drip"}, 'no fault called "drip"; there are dark, lit, deaf'),
+            ("fault", {"device": "a", "fault": "drop", "options": {"cuont": 1}}, "cuont"),
+            ("fault", {"device": "a", "fault": "drop", "options": {"count": 0}}, "drop: .*count from 1"),
+            ("fault", {"device": "a", "fault": "dark", "options": {"channel": 7}}, "a channel from 1 to 4"),
+            ("fault", {"device": "a", "fault": "ng", "options": {"code": 9}}, "code 1, 2 or 3"),
+            ("unplug", {}, "device"),
+        ):
+            with pytest.raises(ValueError, match=words):
+                bench.request(do, **arguments)
+        assert bench.levels("a")[1] == 1
+
+
+def test_control_socket_wants_its_token() -> None:
+    """Other users of the computer reach the loopback too."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lightopt.virtualbench", json.dumps({"devices": {"a": CCS}})],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    with process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        hello = json.loads(process.stdout.readline())
+        for token in (b"guess\n", hello["token"].encode() + b"x\n"):
+            with socket.create_connection(("127.0.0.1", hello["control"]), timeout=5) as stranger:
+                stranger.sendall(token + b'{"do": "state"}\n')
+                with contextlib.suppress(ConnectionResetError):
+                    assert stranger.recv(100) == b""
+        process.stdin.close()
+        assert process.wait(5) == 0
+
+
+def test_killed_bench_is_a_pulled_cable() -> None:
+    bench = BenchProcess({"a": CCS})
+    controller = light_drivers()["ccs"](LightSettings("a", bench.ports["a"]), None)
+    bench.kill()
+    with pytest.raises(LinkLostError):
+        controller.set_level(1, 0)
+    with pytest.raises(HardwareError, match=r"virtual bench: .*asked for state"):
+        bench.state()
+    controller.close()
+    bench.close()
+    bench.close()
+
+
+def test_closing_ends_the_process_and_removes_its_ports() -> None:
+    bench = BenchProcess({"a": CCS})
+    bench.close()
+    assert not alive(bench.pid)
+    with pytest.raises(InputError):
+        SerialLink(bench.ports["a"], device="a", baud=9600)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_the_bench_dies_with_whoever_started_it() -> None:
+    """No orphan, even after kill -9."""
+    program = (
+        "import sys, time\nfrom lightopt.virtualbench import BenchProcess\n"
+        f"bench = BenchProcess({{'a': {CCS!r}}})\nprint(bench.pid, flush=True)\ntime.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        assert alive(pid)
+        parent.kill()
+        parent.wait()
+    assert eventually(lambda: not alive(pid))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_ctrl_c_is_for_the_client() -> None:
+    """All processes of a terminal get it, and lights can only be darkened by a bench that is still there."""
+    with BenchProcess({"a": CCS}) as bench:
+        assert os.getpgid(bench.pid) != os.getpgid(0)
+        assert os.getsid(bench.pid) != os.getsid(0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_ctrl_c_of_a_bench_started_by_hand() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lightopt.virtualbench", json.dumps({"devices": {"a": CCS}})],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    with process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(5) == 130
+        assert process.stderr.read() == b""
+
+
+def test_usage() -> None:
+    for arguments, words in (([], "usage: "), (["{"], "double quotes"), (["{}"], "lacks 'devices'")):
+        ran = subprocess.run(
+            [sys.executable, "-m", "lightopt.virtualbench", *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert ran.returncode == (2 if arguments else 1)
+        assert words in ran.stderr
+        assert "Traceback" not in ran.stderr
+
+
+def test_clients_come_and_go() -> None:
+    with BenchProcess({"a": CCS | {"wedges": True}}, tcp=True) as bench:
+        for level in (1, 2, 3):
+            controller = light_drivers()["ccs"](LightSettings("a", bench.ports["a"]), None)
+            controller.set_level(2, level)
+            with pytest.raises(InputError, match="its one connection"):
+                SerialLink(bench.ports["a"], device="b", baud=9600)
+            controller.close()
+
+
+def test_an_empty_connection_wedges_the_device_that_is_said_to() -> None:
+    with BenchProcess({"a": CCS | {"wedges": True}}, tcp=True) as bench:
+        with socket.create_connection(("127.0.0.1", int(bench.ports["a"].rpartition(":")[2]))):
+            pass
+        time.sleep(0.1)
+        with pytest.raises(ReplyError, match="no reply"):
+            light_drivers()["ccs"](LightSettings("a", bench.ports["a"], timeout_s=0.05), None)
+        assert bench.levels("a")[1] == 1
+
+
+def silent(link: SerialLink) -> bool:
+    try:
+        link.query(b"SA#", end=b"a0000")
+    except ReplyError:
+        return True
+    return False
+
+
+def test_faults_by_count_and_chance() -> None:
+    with BenchProcess({"a": {"kind": "sa"}}) as bench:
+
+        def lost(asked: int) -> list[int]:
+            link = SerialLink(bench.ports["a"], device="a", baud=19200, timeout_s=0.05)
+            missing = [i for i in range(asked) if silent(link)]
+            link.close()
+            return missing
+
+        bench.set_fault("a", "drop", after=2, count=3)
+        assert lost(7) == [2, 3, 4]
+        bench.set_fault("a", "drop", count=None, probability=0.5, seed=3)
+        first = lost(12)
+        bench.set_fault("a", "clear")
+        assert lost(3) == []
+        bench.set_fault("a", "drop", count=None, probability=0.5, seed=3)
+        assert lost(12) == first
+        assert 0 < len(first) < 12
+
+
+def test_a_late_reply_does_not_hold_up_those_after_it() -> None:
+    with BenchProcess({"a": {"kind": "sa"}}) as bench:
+        bench.set_fault("a", "delay", delay_s=0.3)
+        link = SerialLink(bench.ports["a"], device="a", baud=19200)
+        link.send(b"SB0001#")
+        assert eventually(lambda: bench.state()["deliveries"]["a"] == 1)
+        assert link.query(b"SA#", end=b"a0000") == b"a0000"
+        assert link.read(end=b"b") == b"b"
+        link.close()

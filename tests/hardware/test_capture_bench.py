@@ -1,0 +1,282 @@
+"""A capture on the virtual bench, through real drivers on real wires: faults, cables, signals, replay."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.capture import CaptureOptions, capture, connect_devices, make_plan, start_bench, wiring_of
+from lightopt.config import load_part, load_rig
+from lightopt.errors import InputError
+from lightopt.images import read_image_set, read_png
+from lightopt.virtualbench import BenchProcess, BenchTruth
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from benchmarks._fault_cases import Case, line_cases, make_rig, other_cases, pulled_cases
+from benchmarks._fault_runs import OPTIONS, differences, suffer, undisturbed
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and pseudo-terminals are those of POSIX")
+
+
+@pytest.fixture(scope="module")
+def bed(tmp_path_factory):
+    """The small rig with each stage, what an undisturbed run leaves, and how many messages and steps it has."""
+    folder = tmp_path_factory.mktemp("bed")
+    rigs = {stage: make_rig(folder / stage, stage) for stage in ("shot", "grbl")}
+    counts = {stage: undisturbed(*files, folder / f"truth-{stage}") for stage, files in rigs.items()}
+    return folder, rigs, counts
+
+
+def every(cases, count):
+    """About so many cases, evenly over all."""
+    cases = list(cases)
+    return cases[:: max(1, len(cases) // count)]
+
+
+def check(bed, tmp_path, cases):
+    folder, rigs, _ = bed
+    wrong = []
+    for number, case in enumerate(cases):
+        outcome = suffer(case, *rigs[case.stage], tmp_path / str(number), folder / f"truth-{case.stage}")
+        if outcome.wrong:
+            wrong.append((case, outcome))
+    assert not wrong
+
+
+def test_an_undisturbed_run_has_no_retries(bed):
+    _, _, counts = bed
+    devices, steps = counts["shot"]
+    assert set(devices) == {"lights", "stage"}
+    assert steps > 30
+
+
+def test_spoilt_replies_are_asked_for_again_or_end_safely(bed, tmp_path):
+    check(bed, tmp_path, every(line_cases(bed[2]["shot"][0]), 8))
+
+
+def test_a_pulled_cable_ends_safely_at_some_steps(bed, tmp_path):
+    check(bed, tmp_path, every(pulled_cases(*bed[2]["shot"]), 6))
+
+
+def test_lights_and_stages_that_do_not_obey_end_safely(bed, tmp_path):
+    check(bed, tmp_path, every(other_cases(), 6))
+
+
+@pytest.mark.slow
+def test_a_pulled_cable_ends_safely_at_every_step(bed, tmp_path):
+    check(bed, tmp_path, pulled_cases(*bed[2]["shot"]))
+
+
+@pytest.mark.slow
+def test_all_that_does_not_obey_ends_safely(bed, tmp_path):
+    check(bed, tmp_path, other_cases())
+
+
+def test_one_lost_reply_is_one_retry_and_the_manifest_says_at_which_image(bed, tmp_path):
+    folder, rigs, _ = bed
+    case = Case("reply dropped", "lights", "drop", {"after": 15})
+    outcome = suffer(case, *rigs["shot"], tmp_path / "out", folder / "truth-shot")
+    assert (outcome.finished, outcome.retries, outcome.wrong) == (True, 1, ())
+    counts = [entry.extra["capture"]["retries"] for entry in read_image_set(tmp_path / "out").images]
+    assert counts == [0, 0, 1, 0, 0, 0, 0, 0]  # it was lit for the third
+
+
+def test_the_campaign_would_notice_a_light_left_on(bed, tmp_path, monkeypatch):
+    """The judge of the campaign judged: where nothing is switched off after an error, it must complain."""
+    from lightopt.capture import Devices
+
+    folder, rigs, _ = bed
+    all_off, calls = Devices.all_off, []
+
+    def only_at_the_start(self):
+        calls.append(self)
+        return all_off(self) if calls.count(self) == 1 else []
+
+    monkeypatch.setattr(Devices, "all_off", only_at_the_start)
+    case = Case("NG 03, value", "lights", "ng", {"code": 3, "after": 17, "count": None})
+    outcome = suffer(case, *rigs["shot"], tmp_path / "out", folder / "truth-shot")
+    assert outcome.wrong == ("a light burns and nobody says so",)
+
+
+# --- the truth behind the devices
+
+
+def take(bed, folder, truth=None, **options):
+    rig, part = (load(path) for load, path in zip((load_rig, load_part), bed[1]["shot"], strict=True))
+    return capture(
+        rig,
+        part,
+        folder,
+        options=CaptureOptions(**options),
+        connect=lambda plan: connect_devices(rig, plan.wiring, part=part, plan=plan, truth=truth),
+    )
+
+
+def test_a_part_that_lies_elsewhere_is_seen_there(bed, tmp_path):
+    take(bed, tmp_path / "shifted", truth=BenchTruth(part_offset_mm=(3.0, 0.0, 0.0)))
+    shifted, straight = (read_image_set(path) for path in (tmp_path / "shifted", bed[0] / "truth-shot"))
+    a, b = (read_png(s.path(s.images[0].png)).astype(float) for s in (shifted, straight))
+    columns = np.arange(160)
+    moved = (a.sum(0) @ columns) / a.sum() - (b.sum(0) @ columns) / b.sum()
+    assert moved == pytest.approx(3.0 / 0.44, abs=1.5)  # 0.44 mm a pixel
+
+
+def test_gains_of_the_bench_show_in_the_brightness_that_is_noted(bed, tmp_path):
+    take(bed, tmp_path / "out", truth=BenchTruth(gains={"light3": 0.5}))
+    lit = {e.light: e.extra["capture"]["lit"]["brightness"] for e in read_image_set(tmp_path / "out").images}
+    assert lit["light1"] == pytest.approx(1.0, abs=0.05)
+    assert lit["light3"] < 0.75  # the highlight is saturated either way
+
+
+def test_a_folder_is_replayed_as_it_was_captured(bed, tmp_path):
+    folder, rigs, _ = bed
+    text = rigs["shot"][0].read_text(encoding="utf-8")
+    replay = rigs["shot"][0].with_name("replay.yaml")
+    camera = f"camera: {{driver: folder, folder: {(folder / 'truth-shot').as_posix()}}}"
+    replay.write_text(text.replace("camera: {driver: virtual}", camera), encoding="utf-8", newline="\n")
+    rig, part = load_rig(replay), load_part(rigs["shot"][1])
+    capture(rig, part, tmp_path / "again", options=OPTIONS)
+    assert differences(tmp_path / "again", folder / "truth-shot") == []
+    plan = make_plan(rig, part, CaptureOptions(exposures=(0.5,)))
+    with pytest.raises(InputError, match=r"no PNG of light1 .* at exposure 0.5 to replay"):
+        connect_devices(rig, plan.wiring, plan=plan)
+
+
+# --- a process of its own, whose lights are looked at from outside
+
+
+@pytest.fixture
+def outside(bed, tmp_path):
+    """A bench that outlives the command, and a rig whose ports are its wires."""
+    folder, rigs, _ = bed
+    rig, part = rigs["shot"]
+    loaded = load_rig(rig)
+    with start_bench(loaded, wiring_of(loaded)) as bench:
+        text = rig.read_text(encoding="utf-8")
+        text = text.replace("driver: ccs, port: virtual", f"driver: ccs, port: {bench.ports['lights']}")
+        text = text.replace("port: virtual", f"port: {bench.ports['stage']}")
+        camera = f"camera: {{driver: folder, folder: {(folder / 'truth-shot').as_posix()}}}"
+        text = text.replace("camera: {driver: virtual}", camera).replace("light_ms: 5", "light_ms: 1200")
+        real = rig.with_name("real.yaml")
+        real.write_text(text, encoding="utf-8", newline="\n")
+        yield bench, real, part
+
+
+def start(rig, part, out, *options):
+    command = [sys.executable, "-m", "lightopt", "capture", rig, part, "-o", out, "--home", *options]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # an ignored one would be inherited
+    try:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def until_lit(bench: BenchProcess, process):
+    end = time.monotonic() + 60
+    while not any(bench.levels("lights").values()):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@posix
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_lights_go_off_when_the_command_is_told_to_end(outside, tmp_path, name):
+    bench, rig, part = outside
+    process = start(rig, part, tmp_path / "out")
+    until_lit(bench, process)
+    process.send_signal(getattr(signal, name))
+    _, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (130, "interrupted; what was finished is complete on disk\n")
+    assert not any(bench.levels("lights").values())
+    read_image_set(tmp_path / "out")
+
+
+@posix
+def test_lights_left_on_by_a_killed_command_are_off_before_the_next_moves(outside, tmp_path):
+    bench, rig, part = outside
+    process = start(rig, part, tmp_path / "out")
+    until_lit(bench, process)
+    process.kill()
+    process.communicate()
+    assert any(bench.levels("lights").values())  # nothing helps against kill -9 but the next command
+    process = start(rig, part, tmp_path / "out", "--resume")
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    assert not any(bench.levels("lights").values())
+
+
+@posix
+def test_a_cable_pulled_is_exit_3_and_says_in_which_step(outside, tmp_path):
+    bench, rig, part = outside
+    process = start(rig, part, tmp_path / "out")
+    until_lit(bench, process)
+    bench.unplug("lights")
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert errors.startswith("error: while ")
+    assert "may still be lit" in errors
+    assert "Traceback" not in errors
+
+
+@posix
+def test_a_port_in_use_is_exit_2_and_nothing_moves(outside, tmp_path):
+    bench, rig, part = outside
+    process = start(rig, part, tmp_path / "out")
+    until_lit(bench, process)
+    second = start(rig, part, tmp_path / "second")
+    _, errors = second.communicate(timeout=60)
+    assert second.returncode == 2, errors
+    assert "in use by another program" in errors
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)
+    assert not any(bench.levels("lights").values())
+
+
+@posix
+def test_the_serial_log_has_every_byte_up_to_a_kill(outside, tmp_path):
+    bench, rig, part = outside
+    log = tmp_path / "bytes.log"
+    process = start(rig, part, tmp_path / "out", "--serial-log", log)
+    until_lit(bench, process)
+    process.kill()
+    process.communicate()
+    lines = log.read_text(encoding="utf-8").splitlines()
+    assert any("@00F200" in line and " out " in line for line in lines)
+    assert all(line[:4] == str(time.gmtime().tm_year) for line in lines)
+
+
+def test_no_bench_outlives_the_command(bed, tmp_path):
+    rig, part = bed[1]["shot"]
+    process = start(rig, part, tmp_path / "out")
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "out" / "manifest.json").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    time.sleep(0.3)
+    process.kill()
+    process.communicate()
+    if sys.platform == "linux":
+        end = time.monotonic() + 20
+        while _children_of_the_dead(str(rig)):
+            assert time.monotonic() < end, "the bench's process still runs"
+            time.sleep(0.1)
+
+
+def _children_of_the_dead(mark):
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            text = (entry / "cmdline").read_bytes() if entry.name.isdigit() else b""
+        except OSError:
+            continue
+        if b"lightopt.virtualbench" in text and mark.encode() in text:
+            found.append(entry.name)
+    return found

@@ -1,0 +1,119 @@
+"""Through the commands: capture on the virtual bench, fit, and find the truth within the intervals; kill and resume."""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from benchmarks._fault_cases import make_rig
+from benchmarks._fault_runs import differences, kill_sometime
+from lightopt.config import load_part
+from lightopt.images import read_image_set
+
+EXPOSURES = ("--exposures", "1,1/16", "--dark")
+
+
+def lightopt(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "lightopt", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def captured(tmp_path_factory):
+    """A rig, a part, and the set that an undisturbed command captured."""
+    folder = tmp_path_factory.mktemp("loop")
+    rig, part = make_rig(folder)
+    said = lightopt("capture", rig, part, "-o", folder / "set", *EXPOSURES)
+    return rig, part, folder / "set", said
+
+
+def test_the_command_says_what_it_did(captured):
+    _, _, folder, said = captured
+    assert said.stderr == ""
+    first, last = said.stdout.splitlines()
+    assert first.startswith("8 images in ")
+    assert last == str(folder / "manifest.json")
+
+
+@pytest.mark.parametrize(
+    ("guess", "command", "fitted"),
+    [
+        ("R_d: 30, R_s: 12500, sigma_rad: 0.0475", ("fit-diffuse",), {"R_d"}),
+        ("R_d: 30, R_s: 4000, sigma_rad: 0.06", ("fit-specular", "--joint"), {"R_d", "R_s", "sigma_rad"}),
+    ],
+)
+def test_what_is_fitted_to_a_capture_holds_the_truth(captured, tmp_path, guess, command, fitted):
+    rig, part, folder, _ = captured
+    text = part.read_text(encoding="utf-8")
+    truth = load_part(part).reflectance
+    wrong = part.with_name(f"guess-{command[0]}.yaml")
+    old = "R_d: 45.0, R_s: 12500, sigma_rad: 0.0475"
+    assert old in text
+    wrong.write_text(text.replace(old, guess), encoding="utf-8", newline="\n")
+    name, *options = command
+    lightopt(name, rig, wrong, folder, "-o", tmp_path, *options)
+    found = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
+    assert set(found["fitted"]) == fitted
+    for parameter in fitted:
+        low, high = found["values"][parameter]["interval_95"]
+        assert low <= getattr(truth, parameter) <= high, parameter
+
+
+def test_overlap_and_compare_take_a_capture(captured):
+    _, _, folder, _ = captured
+    lightopt("overlap", folder)
+    lightopt("compare", folder, folder)
+
+
+def test_a_changed_file_is_noticed_by_compare_and_fit(captured, tmp_path):
+    import shutil
+
+    rig, part, folder, _ = captured
+    shutil.copytree(folder, tmp_path / "set")
+    entry = read_image_set(folder).images[0]
+    path = tmp_path / "set" / entry.png
+    path.write_bytes(path.read_bytes() + b"\0")
+    for status, arguments in (
+        (2, ("fit-diffuse", rig, part, tmp_path / "set", "-o", tmp_path / "fit")),
+        (1, ("compare", folder, tmp_path / "set")),
+    ):
+        command = [sys.executable, "-m", "lightopt", *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == status
+        assert "changed since" in done.stdout + done.stderr
+
+
+def kill_and_resume(captured, tmp_path, kills, seed):
+    rig, part, truth, _ = captured
+    moments = random.Random(seed)
+    begun = unfinished = 0
+    for number in range(kills):
+        out = tmp_path / str(number)
+        command = [sys.executable, "-m", "lightopt", "capture", rig, part, "-o", out, *EXPOSURES]
+        kill_sometime(list(map(str, command)), out, moments)
+        if (out / "manifest.json").exists():
+            begun += 1
+            unfinished += len(read_image_set(out).images) < 8  # valid, whatever was going on
+        lightopt("capture", rig, part, "-o", out, "--resume", "-q", *EXPOSURES)
+        assert differences(out, truth) == [], f"kill {number}"
+        assert not list(out.rglob("*.partial"))
+    assert begun >= kills / 2
+    assert unfinished >= kills / 3
+
+
+def test_killed_and_resumed_it_is_the_same_set(captured, tmp_path):
+    kill_and_resume(captured, tmp_path, 3, seed=3)
+
+
+@pytest.mark.slow
+def test_killed_at_50_moments_and_resumed_it_is_the_same_set(captured, tmp_path):
+    kill_and_resume(captured, tmp_path, 50, seed=2026)

@@ -1,0 +1,412 @@
+"""The serial link: deadlines, lost devices, exclusive ports, and the log of every byte."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from lightopt.errors import InputError
+from lightopt.hardware import LinkLostError, ReplyError, SerialLink, SerialLog, serial_ports
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+
+
+class Far:
+    """The far end of a wire: a pseudo-terminal or a TCP connection."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        if kind == "pty":
+            import pty
+            import tty
+
+            self.ours, self.theirs = pty.openpty()
+            tty.setraw(self.theirs)
+            self.port = os.ttyname(self.theirs)
+        else:
+            self.listener = socket.create_server(("127.0.0.1", 0))
+            self.port = f"socket://127.0.0.1:{self.listener.getsockname()[1]}"
+        self.open = True
+
+    def link(self, **options: object) -> SerialLink:
+        settings = {"device": "stage", "baud": 9600, "timeout_s": 0.3} | options
+        link = SerialLink(self.port, **settings)  # type: ignore[arg-type]
+        if self.kind == "tcp":
+            self.connection, _ = self.listener.accept()
+        return link
+
+    def say(self, data: bytes) -> None:
+        if self.kind == "pty":
+            os.write(self.ours, data)
+        else:
+            self.connection.sendall(data)
+
+    def hear(self) -> bytes:
+        return os.read(self.ours, 100) if self.kind == "pty" else self.connection.recv(100)
+
+    def answer(self, *replies: bytes, pause_s: float = 0.0) -> threading.Thread:
+        """Wait for a command, then say the replies one after the other."""
+
+        def run() -> None:
+            self.hear()
+            for reply in replies:
+                self.say(reply)
+                time.sleep(pause_s)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        return thread
+
+    def vanish(self) -> None:
+        if not self.open:
+            return
+        self.open = False
+        if self.kind == "pty":
+            os.close(self.theirs)
+            os.close(self.ours)
+        else:
+            self.listener.close()
+            if hasattr(self, "connection"):
+                self.connection.close()
+
+
+@pytest.fixture(params=["tcp", pytest.param("pty", marks=needs_pty)])
+def far(request: pytest.FixtureRequest) -> Iterator[Far]:
+    end = Far(request.param)
+    yield end
+    end.vanish()
+
+
+def test_reply_up_to_its_end(far: Far) -> None:
+    link = far.link()
+    thread = far.answer(b"OK\r", b"\nmore")
+    assert link.query(b"Q:\r\n", end=b"\r\n") == b"OK\r\n"
+    thread.join()
+    assert link.read(end=re.compile(rb"m.r")) == b"mor"
+    assert link.read(end=None) == b"e"
+    link.close()
+
+
+def test_a_device_that_dribbles_does_not_stretch_the_deadline(far: Far) -> None:
+    """pyserial's readline starts its time anew with every byte."""
+    link = far.link()
+    thread = far.answer(*[b"x"] * 20, pause_s=0.05)
+    started = time.monotonic()
+    with pytest.raises(
+        ReplyError, match=r'stage on .*: the reply is incomplete after 0.3 s; sent "Q:", got "xxx+"'
+    ):
+        link.query(b"Q:", end=b"\n")
+    assert time.monotonic() - started < 0.6
+    thread.join()
+    link.close()
+
+
+def test_silence(far: Far) -> None:
+    link = far.link()
+    started = time.monotonic()
+    with pytest.raises(ReplyError, match=r'no reply after 0.1 s; sent "\?\\x18", got nothing'):
+        link.query(b"?\x18", end=b"\n", deadline_s=0.1)
+    assert 0.1 <= time.monotonic() - started < 0.4
+    link.close()
+
+
+def test_what_lies_in_the_input_is_no_reply(far: Far) -> None:
+    """It is thrown away before a command, logged and told."""
+    link = far.link()
+    far.say(b"OK\r\n")
+    time.sleep(0.05)
+    thread = far.answer(b"NG\r\n")
+    assert link.query(b"Q:", end=b"\r\n") == b"NG\r\n"
+    thread.join()
+    assert [e.what for e in link.events] == ["threw away 4 bytes that nothing had asked for"]
+    link.close()
+
+
+def test_the_reply_to_a_query_that_was_interrupted_answers_no_other(
+    far: Far, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C comes between a command and its reply; then the lights are switched off."""
+    link = far.link(timeout_s=1)
+    first = far.answer(b"", b"OK for the first\r\n", pause_s=0.05)
+    with monkeypatch.context() as patch:
+
+        def interrupted(_: int) -> bytes:
+            raise KeyboardInterrupt
+
+        patch.setattr(link._serial, "read", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            link.query(b"first", end=b"\r\n")
+    second = threading.Thread(target=lambda: (first.join(), far.answer(b"OK for the second\r\n").join()))
+    second.start()
+    assert link.query(b"second", end=b"\r\n") == b"OK for the second\r\n"
+    second.join()
+    assert "threw away 18 bytes" in link.events[-1].what
+    link.close()
+
+
+def test_draining_waits_for_what_comes_late(far: Far) -> None:
+    link = far.link()
+    link.send(b"Q:")
+    thread = far.answer(b"O", b"K", b"\r\n", pause_s=0.03)
+    link.drain(quiet_s=0.1)
+    thread.join()
+    with pytest.raises(ReplyError, match="no reply"):
+        link.read(end=b"\n", deadline_s=0.05)
+    assert "threw away 4 bytes" in link.events[-1].what
+    link.close()
+
+
+def test_draining_ends_although_the_device_babbles(far: Far) -> None:
+    link = far.link()
+    link.write(b"Q:")
+    thread = far.answer(*[b"x"] * 12, pause_s=0.03)
+    started = time.monotonic()
+    link.drain(quiet_s=0.1, deadline_s=0.2)
+    assert time.monotonic() - started < 0.35
+    thread.join()
+    link.close()
+
+
+def test_a_device_that_vanishes_is_told_whatever_is_done(far: Far) -> None:
+    link = far.link(log=None)
+    far.vanish()
+    with pytest.raises(LinkLostError, match=r"stage on .*: the device is gone .*unknown"):
+        link.read(end=b"\n")
+    for action in (
+        link.discard,
+        link.drain,
+        lambda: link.query(b"x", end=b"\n"),
+        lambda: link.read(end=None),
+    ):
+        with pytest.raises(LinkLostError):
+            action()
+    assert sum("device lost" in e.what for e in link.events) == 1
+    link.close()
+    link.close()
+
+
+def test_a_device_that_vanishes_during_a_reply(far: Far) -> None:
+    link = far.link(timeout_s=5)
+    timer = threading.Timer(0.1, far.vanish)
+    timer.start()
+    started = time.monotonic()
+    with pytest.raises(LinkLostError, match='sent "Q:"'):
+        link.query(b"Q:", end=b"\n")
+    assert time.monotonic() - started < 2
+    timer.join()
+    link.close()
+
+
+def test_least_time_between_commands(far: Far) -> None:
+    link = far.link(gap_s=0.05)
+    link.send(b"a")
+    started = time.monotonic()
+    link.send(b"b")
+    assert time.monotonic() - started >= 0.049
+    link.close()
+
+
+def test_dialogues_of_threads_do_not_mix(far: Far) -> None:
+    link = far.link(timeout_s=2)
+    stop = threading.Event()
+
+    def echo() -> None:
+        while not stop.is_set():
+            data = far.hear()
+            time.sleep(0.002)
+            far.say(data + b"\n")
+
+    echoing = threading.Thread(target=echo)
+    echoing.start()
+    wrong: list[bytes] = []
+
+    def ask(word: bytes) -> None:
+        for _ in range(10):
+            reply = link.query(word, end=b"\n")
+            if reply != word + b"\n":
+                wrong.append(reply)
+
+    askers = [threading.Thread(target=ask, args=(word,)) for word in (b"first", b"second")]
+    for thread in askers:
+        thread.start()
+    for thread in askers:
+        thread.join()
+    stop.set()
+    link.query(b"last", end=b"\n")
+    echoing.join()
+    assert wrong == []
+    assert link.events == []
+    link.close()
+
+
+@needs_pty
+def test_one_process_per_port() -> None:
+    far = Far("pty")
+    link = far.link()
+    with pytest.raises(InputError, match=rf"laser: port {far.port} is in use by another program"):
+        SerialLink(far.port, device="laser", baud=9600)
+    program = (
+        "from lightopt.hardware import SerialLink\n"
+        f"try: SerialLink({far.port!r}, device='x', baud=9600)\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert said.startswith("InputError x: port")
+    assert "in use" in said
+    link.close()
+    far.link().close()
+    far.vanish()
+
+
+def test_write_that_nobody_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyserial's own default would wait for ever."""
+    import serial
+    from scripted import scripted_link
+
+    link, port = scripted_link(monkeypatch, [])
+
+    def refuse(_: bytes) -> int:
+        raise serial.SerialTimeoutException("Write timeout")
+
+    port.write = refuse  # type: ignore[method-assign]
+    with pytest.raises(LinkLostError, match=r"does not take what is sent within 0.02 s; check flow control"):
+        link.send(b"x")
+    assert port.opened_with["write_timeout"] == 0.02
+
+
+@pytest.mark.parametrize("failure", [OSError(5, "EIO"), ValueError])
+def test_only_failures_of_the_device_are_failures_of_the_device(
+    monkeypatch: pytest.MonkeyPatch, failure: BaseException | type[BaseException]
+) -> None:
+    from scripted import scripted_link
+
+    link, port = scripted_link(monkeypatch, [])
+
+    def fail(_: int) -> bytes:
+        raise failure
+
+    port.read = fail  # type: ignore[method-assign]
+    with pytest.raises(LinkLostError if isinstance(failure, OSError) else ValueError):
+        link.read(end=b"\n")
+
+
+# ---- ports that cannot be opened: the user's to mend, before anything is sent
+
+
+def test_missing_port_lists_those_that_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = "COM99" if sys.platform == "win32" else str(tmp_path / "ttyUSB0")
+    with pytest.raises(
+        InputError, match=rf"lamp: port {re.escape(port)} cannot be opened.*ports on this computer: "
+    ) as e:
+        SerialLink(port, device="lamp", baud=9600)
+    listed = e.value.messages[0].partition("ports on this computer: ")[2]
+    assert listed == "none" or all(p.name in listed for p in serial_ports())
+
+
+def test_ports_are_listed_with_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    from serial.tools import list_ports
+    from serial.tools.list_ports_common import ListPortInfo
+
+    led, stage = ListPortInfo("/dev/ttyUSB1"), ListPortInfo("/dev/ttyS0")
+    led.description, led.vid, led.pid, led.serial_number = "FT232R", 0x0403, 0x6001, "A50285BI"
+
+    def comports(include_links: bool = False) -> list[ListPortInfo]:
+        assert include_links
+        return [led, stage]
+
+    monkeypatch.setattr(list_ports, "comports", comports)
+    first, second = serial_ports()
+    assert (first.name, first.description, first.usb) == ("/dev/ttyS0", "", "")
+    assert (second.name, second.description, second.usb) == ("/dev/ttyUSB1", "FT232R", "0403:6001 A50285BI")
+    with pytest.raises(InputError, match=r"ports on this computer: /dev/ttyS0, /dev/ttyUSB1 \(FT232R\)"):
+        SerialLink("/no/such/port", device="lamp", baud=9600)
+
+
+@pytest.mark.parametrize("port", ["bogus://x", "/no/such/port", "hwgrep://no:thing"])
+def test_ports_that_are_none(port: str) -> None:
+    with pytest.raises(InputError, match=r"lamp: port .*(cannot be|is not a port)"):
+        SerialLink(port, device="lamp", baud=9600)
+
+
+@pytest.mark.parametrize("port", ["socket://", "socket://nowhere", "socket://:4000", "rfc2217://nowhere"])
+def test_addresses_without_host_or_number(port: str) -> None:
+    with pytest.raises(
+        InputError, match=r"names no host and number; expected (socket|rfc2217)://host:number"
+    ):
+        SerialLink(port, device="lamp", baud=9600)
+
+
+def test_nobody_listens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        number = server.getsockname()[1]
+    with pytest.raises(
+        InputError, match=r"cannot be reached.*check address and network, that the device is on"
+    ):
+        SerialLink(f"socket://127.0.0.1:{number}", device="lamp", baud=9600)
+
+
+# ---- the log
+
+
+def entries(path: Path) -> list[tuple[str, str, str]]:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    pattern = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{6}Z (\S+) (in|out|note) +(.*)"
+    found = [re.fullmatch(pattern, line) for line in lines]
+    assert all(found)
+    return [(m[1], m[2], m[3]) for m in found if m]
+
+
+def test_every_byte_is_logged(far: Far, tmp_path: Path) -> None:
+    path = tmp_path / "serial.log"
+    log = SerialLog(path)
+    link = far.link(log=log)
+    thread = far.answer(b"\x00\xffOK\r\n")
+    link.query(b"a\r\n", end=b"\r\n")
+    thread.join()
+    far.say(b"stale")
+    time.sleep(0.05)
+    link.send(b"b'\\")
+    link.note("sent again", retry=True)
+    assert (link.retries, len(link.events)) == (1, 2)  # readable before anything is closed
+    found = [(way, ast.literal_eval(what) if way != "note" else what) for _, way, what in entries(path)]
+    assert found[1:] == [
+        ("out", b"a\r\n"),
+        ("in", b"\x00\xffOK\r\n"),
+        ("in", b"stale"),
+        ("note", "threw away 5 bytes that nothing had asked for"),
+        ("out", b"b'\\"),
+        ("note", "sent again"),
+    ]
+    link.close()
+    assert entries(path)[-1] == (far.port, "note", "closed")
+    log.close()
+    log.write("p", "note", "after the end")
+    assert len(entries(path)) == 8
+
+
+def test_log_survives_a_kill(tmp_path: Path) -> None:
+    path = tmp_path / "serial.log"
+    program = (
+        "import os\nfrom lightopt.hardware import SerialLog\n"
+        f"log = SerialLog({str(path)!r})\nlog.write('COM1', 'out', b'SA#')\nos.kill(os.getpid(), 9)\n"
+        if sys.platform != "win32"
+        else "import os\nfrom lightopt.hardware import SerialLog\n"
+        f"log = SerialLog({str(path)!r})\nlog.write('COM1', 'out', b'SA#')\nos._exit(9)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=False)
+    assert entries(path) == [("COM1", "out", "b'SA#'")]
+
+
+def test_log_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="the serial log cannot be written"):
+        SerialLog(tmp_path / "nowhere" / "serial.log")

@@ -1,0 +1,154 @@
+"""Lights, stage and camera of a rig in memory, which notes down what happens, in which order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from lightopt.capture import Devices, Plan
+from lightopt.errors import HardwareError
+from lightopt.hardware import Frame, Identity, StageState
+from lightopt.transforms import Posture
+from lightopt.virtualbench._optics import BenchOptics
+from lightopt.virtualbench._truth import BenchTruth
+
+
+@dataclass
+class World:
+    """What the devices do; `log` holds it in order, and `trouble` is called before each, to raise from."""
+
+    levels: dict[tuple[str, int], int] = field(default_factory=dict)
+    posture: Posture = field(default_factory=lambda: Posture(0.0, 0.0))
+    log: list[tuple] = field(default_factory=list)
+    trouble: Callable[[tuple], None] = lambda event: None
+    plugs: dict[tuple[str, int], tuple[str, int]] = field(default_factory=dict)
+
+    def note(self, *event):
+        self.log.append(event)
+        self.trouble(event)
+
+    @property
+    def burning(self):
+        return {key for key, level in self.levels.items() if level}
+
+    def did(self, kind):
+        return [event for event in self.log if event[0] == kind]
+
+
+class Lights:
+    top_level = 255
+
+    def __init__(self, world, name, channels):
+        self.world, self.name, self.channels = world, name, channels
+
+    def identify(self):
+        return Identity(driver="double", port=self.name)
+
+    def set_level(self, channel, level):
+        self.world.note("level", self.name, channel, level)
+        self.world.levels[self.name, channel] = level
+
+    def read_level(self, channel):
+        return self.world.levels.get((self.name, channel), 0)
+
+    def close(self):
+        self.world.log.append(("close", self.name))
+
+
+class Stage:
+    def __init__(self, world):
+        self.world = world
+
+    def identify(self):
+        return Identity(driver="double", port="stage")
+
+    def state(self):
+        return StageState(posture=self.world.posture, moving=False, referenced=True)
+
+    def home(self):
+        self.world.note("home")
+        self.world.posture = Posture(0.0, 0.0)
+
+    def move_to(self, posture):
+        self.world.note("move", posture)
+        self.world.posture = posture
+        return self.state()
+
+    def travel_s(self, start, end):
+        return 0.0
+
+    def stop(self):
+        self.world.note("stop")
+
+    def close(self):
+        self.world.log.append(("close", "stage"))
+
+
+class Camera:
+    exposure_range_us = (10.0, 1e7)
+
+    def __init__(self, world, wiring, scene, truth):
+        self.world, self.wiring = world, wiring
+        self.optics = BenchOptics(scene, truth)
+        self.triggered = truth.triggered
+        self.resolution_px = (scene.camera.width, scene.camera.height)
+        self.bit_depth = scene.sensor.bit_depth
+        self.number, self.held, self.seen = 0, 0.0, None
+
+    def identify(self):
+        return Identity(driver="double", port="camera")
+
+    def set_exposure(self, exposure_us):
+        self.held = float(round(exposure_us))
+        return self.held
+
+    def grab(self, *, timeout_s):
+        self.world.note("grab", self.held)
+        now = self.state()
+        shares, posture = now if self.triggered or self.seen is None else self.seen
+        levels = self.optics.frame(shares, posture, exposure=self.held / self.wiring.exposure_us)
+        self.seen = now
+        self.number += 1
+        return Frame(levels=levels, exposure_us=self.held, number=self.number, timestamp_ns=time.time_ns())
+
+    def state(self):
+        shares = {}
+        for name, channel in self.wiring.hardware.lights.items():
+            plug = (channel.controller, channel.channel)
+            plug = self.world.plugs.get(plug, plug)
+            shares[name] = self.world.levels.get(plug, 0) / channel.level
+        return shares, self.world.posture
+
+    def close(self):
+        self.world.log.append(("close", "camera"))
+
+
+def connecting(world: World, scene, truth: BenchTruth | None = None) -> Callable[[Plan], Devices]:
+    """Open the doubles of a rig."""
+
+    def connect(plan: Plan) -> Devices:
+        world.log.append(("open",))
+        hardware = plan.wiring.hardware
+        return Devices(
+            wiring=plan.wiring,
+            controllers={name: Lights(world, name, c.channels) for name, c in hardware.controllers.items()},
+            stage=Stage(world),
+            camera=Camera(world, plan.wiring, scene, truth or BenchTruth()),
+        )
+
+    return connect
+
+
+def broken(kind, *, number=1, error=None):
+    """Trouble at the `number`-th event of a kind."""
+    count = 0
+
+    def trouble(event):
+        nonlocal count
+        if event[0] == kind:
+            count += 1
+            if count == number:
+                raise error or HardwareError(f"the double fails at {kind} {number}")
+
+    return trouble

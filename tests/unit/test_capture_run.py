@@ -1,0 +1,345 @@
+"""A capture on devices in memory: what it does in which order, what it writes, and how it ends."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from capture_doubles import World, broken, connecting
+
+from lightopt.capture import CaptureOptions, capture
+from lightopt.config import load_part, load_rig
+from lightopt.errors import HardwareError, InputError
+from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata
+from lightopt.scene import build_scene
+from lightopt.transforms import Posture
+from lightopt.virtualbench import BenchTruth
+
+
+@pytest.fixture
+def world():
+    return World()
+
+
+@pytest.fixture
+def take(bench, world, monkeypatch):
+    """Capture the small rig on doubles that settle at once."""
+    from lightopt.capture import _wiring
+    from lightopt.config._hardware import TimingConfig
+
+    plain = _wiring.HardwareConfig
+
+    def quick(**given):
+        return plain(**given, timing=TimingConfig(light_ms=2, stage_ms=3))
+
+    monkeypatch.setattr(_wiring, "HardwareConfig", quick)
+    rig, part = load_rig(bench.rig), load_part(bench.part)
+    scene = build_scene(rig, part)
+
+    def run(folder=bench.out, truth=None, rig=rig, part=part, **options):
+        control = {key: options.pop(key) for key in ("resume", "force", "warn", "report") if key in options}
+        return capture(
+            rig,
+            part,
+            folder,
+            options=CaptureOptions(**options),
+            connect=connecting(world, scene, truth),
+            **control,
+        )
+
+    return run
+
+
+def order(world):
+    return [event for event in world.log if event[0] in ("move", "level", "grab") and event[-1] != 0]
+
+
+def test_each_light_alone_in_each_posture(take, world, bench):
+    done = take()
+    assert (done.images, done.taken) == (4, 4)
+    assert world.log[0] == ("open",)
+    offs = [("level", "bench1", channel, 0) for channel in (1, 2, 3, 4)]
+    assert world.log[1:5] == offs  # before anything else
+    assert world.did("home") == [("home",)]
+    assert world.did("move") == [("move", Posture(0.0, 0.0)), ("move", Posture(-10.0, 170.0))]
+    assert world.log[-7:-3] == offs
+    assert {event[0] for event in world.log[-3:]} == {"close"}
+    lit = [event[1:] for event in world.log if event[0] == "level" and event[3]]
+    assert lit == [("bench1", 1, 200), ("bench1", 2, 200)] * 2
+    image_set = read_image_set(bench.out)
+    assert [(e.light, e.posture.rotation_deg) for e in image_set.images] == [
+        ("light1", 0.0),
+        ("light3", 0.0),
+        ("light1", 170.0),
+        ("light3", 170.0),
+    ]
+    assert image_set.manifest.kind == "captured"
+
+
+def test_no_two_lights_burn_at_once_and_none_while_the_stage_moves(take, world):
+    def watch(event):
+        if event[0] == "move":
+            assert not world.burning
+        if event[0] == "level" and event[3]:
+            assert not world.burning
+        if event[0] == "grab":
+            assert len(world.burning) <= 1
+
+    world.trouble = watch
+    take(exposures=(1.0, 1 / 16), dark=True)
+    assert len(world.did("grab")) == 2 * 2 * 2 + 2 * 2
+
+
+def test_what_is_known_of_each_image_is_in_the_manifest(take, bench):
+    take(exposures=(1.0, 1 / 16))
+    manifest = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))
+    facts = manifest["images"][1]["capture"]
+    assert facts["exposure_us"] == {"asked": 625.0, "read": 625.0}
+    assert facts["light"]["level"] == {"asked": 200, "read": 200}
+    assert (facts["light"]["controller"], facts["light"]["channel"]) == ("bench1", 1)
+    assert facts["stage"]["asked"] == facts["stage"]["read"] == {"elevation_deg": 0.0, "rotation_deg": 0.0}
+    assert facts["retries"] == 0
+    assert facts["frames"] == 1
+    assert set(facts["devices"]) == {"lights", "stage", "camera"}
+    assert facts["time"].endswith("Z")
+    entry = manifest["images"][0]
+    sensor = read_png(bench.out / entry["png"])
+    assert entry["capture"]["saturated_share"] == pytest.approx((sensor >= 255).mean())
+    assert entry["capture"]["lit"]["resemblance"] > 0.9
+    assert read_png_metadata(bench.out / entry["png"])["capture"] == entry["capture"]
+
+
+def test_the_linear_image_says_where_each_pixel_came_from(take, bench):
+    take(exposures=(1 / 16, 1.0))
+    entry = read_image_set(bench.out).images[0]
+    channels = read_exr(bench.out / entry.exr)
+    long, short = (
+        read_png(bench.out / e.png).astype(float)
+        for e in read_image_set(bench.out).images
+        if (e.light, e.posture) == (entry.light, entry.posture)
+    )
+    expected = np.where(long < 255, long, short * 16)
+    assert np.array_equal(channels["Y"], expected.astype(np.float32))
+    assert np.array_equal(channels["exposure"], np.where(long < 255, 1.0, 1 / 16).astype(np.float32))
+    assert np.array_equal(channels["valid"], ((long < 255) | (short < 255)).astype(np.float32))
+
+
+def test_dark_frames_are_subtracted_in_the_exr_only(take, bench):
+    truth = BenchTruth(dark_level=7.0, ambient_level=12.0)
+    take(dark=True, truth=truth)
+    image_set = read_image_set(bench.out)
+    assert sorted(image_set.manifest.files) == ["posture_-10_170/dark.png", "posture_0_0/dark.png"]
+    dark = read_png(bench.out / "posture_0_0/dark.png").astype(np.float32)
+    assert dark.mean() == pytest.approx(19, abs=0.3)
+    entry = image_set.images[0]
+    raw = read_png(bench.out / entry.png).astype(np.float32)
+    assert np.array_equal(read_exr(bench.out / entry.exr)["Y"], raw - dark)
+    facts = read_png_metadata(bench.out / "posture_0_0/dark.png")["capture"]
+    assert facts["light"] is None
+
+
+def test_the_mean_of_frames_is_less_noisy(take, bench, world):
+    take(average=16, exposures=(1 / 4,), lights=("light1",), postures=(Posture(0.0, 0.0),))
+    assert len(world.did("grab")) == 1 + 16 + 15  # the frame without light, too, is the mean of 16
+    entry = read_image_set(bench.out).images[0]
+    level = read_exr(bench.out / entry.exr)["Y"] / 4
+    png = read_png(bench.out / entry.png)
+    assert np.abs(level - png).max() <= 0.5 + 1e-3
+    corner = level[:20, :20]  # beside the part, where only read noise is
+    assert 0 < corner.std() < 0.2
+
+
+def test_an_exposure_waits_for_the_image_before_it(take, bench, world):
+    listed = []
+
+    def watch(event):
+        if event[0] == "grab":
+            path = bench.out / "manifest.json"
+            listed.append(len(json.loads(path.read_text(encoding="utf-8"))["images"]))
+            read_image_set(bench.out)  # valid at every moment
+
+    world.trouble = watch
+    take(exposures=(1.0, 1 / 16))
+    assert listed == [0, *range(8)]  # the first is the frame without light
+
+
+def test_a_camera_without_trigger_has_frames_discarded(take, bench, world):
+    take(truth=BenchTruth(triggered=False), folder=bench.folder / "free")
+    take(folder=bench.folder / "triggered")
+    free, triggered = (read_image_set(bench.folder / name) for name in ("free", "triggered"))
+    for a, b in zip(free.images, triggered.images, strict=True):
+        first, second = (read_png(s.path(e.png)).astype(float) for s, e in ((free, a), (triggered, b)))
+        assert np.abs(first - second).mean() < 2.0
+
+
+# --- resuming
+
+
+def test_only_what_is_missing_is_taken(take, bench, world, snapshot):
+    take(folder=bench.folder / "whole", exposures=(1.0, 1 / 16), dark=True)
+    world.trouble = broken("grab", number=6)
+    with pytest.raises(HardwareError):
+        take(exposures=(1.0, 1 / 16), dark=True)
+    before = len(read_image_set(bench.out).images)
+    assert before == 3
+    world.trouble = lambda event: None
+    world.log.clear()
+    done = take(exposures=(1.0, 1 / 16), dark=True, resume=True)
+    assert done.taken == 8 - before
+    assert len(world.did("grab")) == 5 + 2
+    whole, resumed = read_image_set(bench.folder / "whole"), read_image_set(bench.out)
+    assert [e.key for e in whole.images] == [e.key for e in resumed.images]
+    for a, b in zip(whole.images, resumed.images, strict=True):
+        assert np.array_equal(read_png(whole.path(a.png)), read_png(resumed.path(b.png)))
+        one, other = read_exr(whole.path(a.exr)), read_exr(resumed.path(b.exr))
+        assert all(np.array_equal(one[name], other[name]) for name in ("Y", "valid", "exposure"))
+
+
+def test_a_complete_set_opens_nothing(take, world, bench, snapshot):
+    take()
+    before = snapshot(bench.out)
+    world.log.clear()
+    assert take(resume=True).taken == 0
+    assert world.log == []
+    assert snapshot(bench.out) == before
+
+
+def test_means_are_not_mixed_with_those_of_another_run(take, bench, world):
+    world.trouble = broken("grab", number=2 + 2 + 1 + 1)  # dark, light1 at 1, light1 at 1/16
+    with pytest.raises(HardwareError):
+        take(exposures=(1.0, 1 / 16), average=2)
+    assert len(read_image_set(bench.out).images) == 1
+    world.trouble = lambda event: None
+    assert take(exposures=(1.0, 1 / 16), average=2, resume=True).taken == 8
+
+
+def test_a_set_is_not_captured_into_again_without_saying_so(take, world):
+    take()
+    world.log.clear()
+    with pytest.raises(InputError, match="use --resume"):
+        take()
+    assert world.log == []
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "says"),
+    [
+        ("rig.yaml", "azimuth_deg: 45", "azimuth_deg: 46", "rig.sha256"),
+        ("part.yaml", "R_d: 45.0", "R_d: 46.0", "part.sha256"),
+    ],
+)
+def test_resuming_refuses_another_rig_or_part(take, bench, world, file, old, new, says):
+    take()
+    bench.edit(file, old, new)
+    world.log.clear()
+    with pytest.raises(InputError, match=says):
+        take(resume=True, rig=load_rig(bench.rig), part=load_part(bench.part))
+    assert world.log == []
+
+
+def test_resuming_refuses_another_plan_and_says_what_differs(take, world):
+    take()
+    world.log.clear()
+    with pytest.raises(InputError, match=r"options.average: there 1, now 4"):
+        take(resume=True, average=4)
+    with pytest.raises(InputError, match=r"options.exposures"):
+        take(resume=True, exposures=(1.0, 0.5))
+    assert world.log == []
+
+
+# --- ways out
+
+
+@pytest.mark.parametrize("kind", ["home", "move", "grab"])
+def test_lights_are_off_after_an_error_at(take, world, kind):
+    world.trouble = broken(kind, number=1 if kind == "home" else 2)
+    with pytest.raises(HardwareError, match="all lights are off") as raised:
+        take()
+    assert raised.value.messages[0].startswith("while ")
+    assert not world.burning
+    assert {event[0] for event in world.log[-3:]} == {"close"}
+
+
+@pytest.mark.parametrize("kind", ["home", "move", "grab"])
+def test_lights_are_off_after_ctrl_c_at(take, world, kind):
+    world.trouble = broken(kind, number=1 if kind == "home" else 2, error=KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        take()
+    assert not world.burning
+    assert bool(world.did("stop")) == (kind != "grab")  # the stage was moving
+    assert {event[0] for event in world.log[-3:]} == {"close"}
+
+
+def test_every_channel_is_tried_even_if_one_fails(take, world):
+    def trouble(event):
+        if event[0] == "grab":
+            raise HardwareError("no frame")
+        if event[0] == "level" and event[2] in (1, 3) and world.did("grab"):
+            raise HardwareError("does not answer")
+
+    world.trouble = trouble
+    with pytest.raises(HardwareError) as raised:
+        take()
+    said = str(raised.value)
+    assert "no frame" in said
+    assert "controller bench1, channels 1, 3: not switched off, may still be lit: does not answer" in said
+    assert "all lights are off" not in said
+    assert [event[2] for event in world.log if event[0] == "level"][-4:] == [1, 2, 3, 4]
+
+
+def test_a_channel_that_cannot_be_switched_off_at_the_start_ends_the_run(take, world):
+    world.trouble = broken("level")
+    with pytest.raises(
+        HardwareError,
+        match=r"while switching all lights off: controller bench1, channel 1: .* may still be lit",
+    ):
+        take()
+    assert not world.did("home")
+
+
+def test_a_disk_that_refuses_ends_with_lights_off(take, world, monkeypatch):
+    from lightopt.images import _writer
+
+    def full(*arguments, **options):
+        raise InputError("disk full")
+
+    monkeypatch.setattr(_writer, "write_png", full)
+    with pytest.raises(InputError, match="disk full"):
+        take()
+    assert not world.burning
+
+
+# --- images that are not what they say
+
+
+def test_swapped_plugs_are_named(take, world, bench):
+    world.plugs = {("bench1", 1): ("bench1", 2), ("bench1", 2): ("bench1", 1)}
+    with pytest.raises(HardwareError, match="light1 was lit, but the image looks like light3") as raised:
+        take()
+    assert "all lights are off" in str(raised.value)
+    assert read_image_set(bench.out).images == ()
+
+
+def test_a_light_that_stays_dark_is_named(take, world):
+    world.plugs = {("bench1", 2): ("bench1", 4)}
+    with pytest.raises(HardwareError, match="light3 stays dark"):
+        take()
+
+
+def test_a_light_that_does_not_go_out_is_named(take, world):
+    world.plugs = {("bench1", 3): ("bench1", 2)}
+
+    class Stuck(dict):
+        def __setitem__(self, key, value):
+            super().__setitem__(key, value or self.get(key, 0))
+
+    world.levels = Stuck()
+    with pytest.raises(HardwareError, match="light1 burns together with light3"):
+        take()
+
+
+def test_without_the_check_anything_is_captured(take, world):
+    world.plugs = {("bench1", 1): ("bench1", 2), ("bench1", 2): ("bench1", 1)}
+    assert take(check=False).taken == 4
+    assert len(world.did("grab")) == 4  # and no frame without light is needed

@@ -1,0 +1,178 @@
+"""``lightopt capture`` and ``lightopt bench``: what they refuse before anything is opened, and what they say."""
+
+from __future__ import annotations
+
+import pytest
+
+HARDWARE = """\
+hardware:
+  controllers:
+    main: {driver: ccs, port: virtual, channels: 4}
+  lights:
+    light1: {controller: main, channel: 1, level: 200, max_level: 220, max_on_s: 5}
+    light3: {controller: main, channel: 3, level: 150}
+  stage:
+    driver: shot
+    port: virtual
+    elevation: {axis: "1", steps_per_deg: 100, speed_deg_per_s: 500}
+    rotation: {axis: "2", steps_per_deg: 100, speed_deg_per_s: 500}
+  camera: {driver: virtual}
+  timing: {light_ms: 5, stage_ms: 5}
+"""
+
+
+@pytest.fixture
+def wired(bench):
+    """The small rig with devices."""
+    text = bench.rig.read_text(encoding="utf-8")
+    bench.rig.write_text(text + HARDWARE, encoding="utf-8", newline="\n")
+    bench.edit("rig.yaml", "  pixel_size_um: 44\n", "  pixel_size_um: 44\n  exposure_us: 8000\n")
+    return bench
+
+
+@pytest.fixture
+def sealed(monkeypatch):
+    """No port, no process and no bench may be opened."""
+    import serial
+
+    from lightopt.virtualbench import BenchProcess
+
+    def refuse(*arguments, **options):
+        raise AssertionError("something was opened")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    monkeypatch.setattr(BenchProcess, "__init__", refuse)
+
+
+BAD = [
+    ("driver: ccs", "driver: cs", [], 'controllers.main.driver: expected ccs, sa or template, found "cs"'),
+    (
+        "port: virtual, channels",
+        "port: /dev/nowhere, channels",
+        [],
+        "no port /dev/nowhere on this computer; there",
+    ),
+    ("    light3: {controller: main, channel: 3, level: 150}\n", "", [], "light3"),
+    ("channel: 3", "channel: 1", [], "channel"),
+    ("level: 200, max_level: 220", "level: 230, max_level: 220", [], "220"),
+    ("", "", ["--posture", "0,400"], "rotation 400° is outside the stage's range 0° to 360°"),
+    ("", "", ["--posture", "50,0"], "elevation 50° is outside the stage's range -45° to 45°"),
+    ("", "", ["--light", "lamp"], 'no light "lamp"'),
+    ("", "", ["--exposures", "1,zero"], '--exposures: expected a number .* found "zero"'),
+    (
+        "",
+        "",
+        ["--exposures", "1/100000"],
+        r"exposure 1e-05 is 0.08 µs .* outside the camera's 10 to 1e\+07 µs",
+    ),
+    ("", "", ["--exposures", "1,1"], "exposures: the same one was given twice"),
+    ("", "", ["--exposures", "700"], "light1: would burn .* longer than max_on_s 5"),
+    ("", "", ["--average", "0"], "average: expected 1 to 1000 frames, found 0"),
+    ("camera: {driver: virtual}", "camera: {driver: folder, folder: nowhere}", [], "nowhere"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "options", "says"), BAD)
+def test_bad_input_is_exit_2_before_anything_is_opened(cli, wired, sealed, old, new, options, says):
+    import re
+
+    if old:
+        wired.edit("rig.yaml", old, new)
+    ran = cli("capture", wired.rig, wired.part, "-o", wired.out, *options)
+    assert ran.status == 2
+    assert ran.out == ""
+    assert all(line.startswith("error: ") for line in ran.err.splitlines())
+    assert re.search(says, ran.err)
+
+
+def test_a_dry_run_prints_every_step_and_opens_nothing(cli, wired, sealed):
+    ran = cli("capture", wired.rig, wired.part, "--dry-run", "--exposures", "1,1/4", "--dark")
+    assert (ran.status, ran.err) == (0, "")
+    lines = ran.out.splitlines()
+    assert lines[0].split() == ["at", "[s]", "takes", "[s]", "step"]
+    assert sum("expose light" in line for line in lines) == 8
+    assert sum("expose dark" in line for line in lines) == 4
+    assert lines[-1].startswith("8 images in ")
+    assert lines[-1].endswith("nothing was opened or moved")
+    assert not wired.out.exists()
+
+
+def test_a_folder_is_needed(cli, wired, sealed):
+    ran = cli("capture", wired.rig, wired.part)
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err.startswith("error: --out: expected a folder")
+
+
+def test_capture_says_where_the_set_is_and_takes_nothing_twice(cli, wired):
+    first = cli("capture", wired.rig, wired.part, "-o", wired.out, "--serial-log", wired.folder / "bytes.log")
+    assert (first.status, first.err) == (0, "")
+    assert first.out.splitlines()[-1] == str(wired.out / "manifest.json")
+    assert "@00F200" in (wired.folder / "bytes.log").read_text(encoding="utf-8")
+    again = cli("capture", wired.rig, wired.part, "-o", wired.out)
+    assert again.status == 2
+    assert "use --resume" in again.err
+    resumed = cli("capture", wired.rig, wired.part, "-o", wired.out, "--resume")
+    assert "4 images (4 of them were there already)" in resumed.out
+    render = cli("render", wired.rig, wired.part, "-o", wired.out, "--force", "--patches", "500")
+    assert render.status == 2
+    assert "captured images, which are not replaced" in render.err
+
+
+# --- bench
+
+
+def test_status_asks_every_device(cli, wired):
+    ran = cli("bench", "status", wired.rig)
+    assert (ran.status, ran.err) == (0, "")
+    names = [" ".join(line.split()[:2]) for line in ran.out.splitlines()[1:]]
+    assert names[:3] == ["controller main", "light light1", "light light3"]
+    assert names[3].startswith("stage")
+
+
+def test_a_light_burns_for_the_time_given(cli, wired):
+    ran = cli("bench", "light", wired.rig, "light1", "100", "--seconds", "0.05")
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out.splitlines() == [
+        "light1 burns at level 100 for 0.05 s",
+        "light1 is off; the controller held level 100",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("light", "RIG", "light1", "221", "--seconds", "1"), "expected a level from 1 to 220"),
+        (("light", "RIG", "lamp", "--seconds", "1"), 'no light "lamp"'),
+        (("light", "RIG", "light1"), "nobody can press Enter here"),
+        (("move", "RIG"), "expected --elevation, --rotation or both"),
+        (("move", "RIG", "--rotation", "400"), "rotation 400° is outside the stage's range"),
+        (("snap", "RIG", "frame.png"), "--part: the virtual camera needs to know"),
+    ],
+)
+def test_bench_refuses_before_anything_is_opened(cli, wired, sealed, arguments, says):
+    ran = cli("bench", *(wired.rig if argument == "RIG" else argument for argument in arguments))
+    assert (ran.status, ran.out) == (2, "")
+    assert says in ran.err
+
+
+def test_home_move_and_off(cli, wired):
+    assert cli("bench", "home", wired.rig).out == "the stage stands at (0°, 0°)\n"
+    assert cli("bench", "move", wired.rig, "--rotation", "82").out == "the stage stands at (0°, 82°)\n"
+    assert cli("bench", "off", wired.rig).out == "all lights of small are off\n"
+
+
+def test_snap_takes_a_frame(cli, wired):
+    from lightopt.images import read_png
+
+    path = wired.folder / "frame.png"
+    ran = cli("bench", "snap", wired.rig, path, "--light", "light3", "--part", wired.part)
+    assert (ran.status, ran.err) == (0, "")
+    frame = read_png(path)
+    assert frame.shape == (120, 160)
+    assert ran.out.startswith(f"levels {frame.min()} to {frame.max()}, mean ")
+
+
+def test_devices_lists_ports_without_opening_one(cli, wired, sealed):
+    ran = cli("bench", "devices", wired.rig)
+    assert (ran.status, ran.err) == (0, "")
+    assert "controller main  ccs" in ran.out
