@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,9 +14,12 @@ from lightopt.config import RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.optimize._angles import common_elevations, light_angles
 from lightopt.optimize._space import Rows, Space
+from lightopt.raycast import RayCaster
+from lightopt.rendering import panels_in_part
 from lightopt.scene import (
     PanelLight,
     PinholeCamera,
+    Scene,
     build_camera,
     build_lights,
     image_area,
@@ -80,12 +83,14 @@ def find_candidates(
     step_deg: float,
     common_elevation: bool = False,
     points: int | Literal["auto"] | None = None,
+    scene: Scene | None = None,
+    caster: RayCaster | None = None,
 ) -> Candidates:
     """The positions that a rig's lights can take.
 
-    Left out are panels that stand in the camera's view, reach below the table top, or collide with another light
-    wherever that one stands. Panels that collide in some of their positions only make combinations that are not
-    allowed.
+    Left out are panels that stand in the camera's view, reach below the table top, are inside the part in one of its
+    postures, or collide with another light wherever that one stands. Panels that collide in some of their positions
+    only make combinations that are not allowed.
 
     Parameters
     ----------
@@ -97,6 +102,8 @@ def find_candidates(
         Whether all lights that move in elevation stand at the same one.
     points
         Point lights per panel, instead of the rig's.
+    scene, caster
+        The part in its postures and its ray caster; without them the part is not in the way.
 
     Raises
     ------
@@ -112,7 +119,7 @@ def find_candidates(
         places: list[tuple[Angles, PanelLight]] = []
         angles = light_angles(rig, index, step_deg=step_deg, elevations=shared)
         for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
-            reason = _reason(panel, camera)
+            reason = _reason(panel, camera) or _part_in_the_way(panel, scene, caster)
             if reason is None:
                 places.append((at, panel))
             else:
@@ -191,6 +198,13 @@ def _reason(panel: PanelLight, camera: PinholeCamera) -> str | None:
     if lowest < 0.0:
         return f"reaches {-lowest:.3g} mm below the table top"
     return None
+
+
+def _part_in_the_way(panel: PanelLight, scene: Scene | None, caster: RayCaster | None) -> str | None:
+    if scene is None or caster is None:
+        return None
+    inside = panels_in_part(replace(scene, lights=(panel,)), caster)
+    return f"is inside the part in posture {inside[0].posture}" if inside else None
 
 
 def _clashes(

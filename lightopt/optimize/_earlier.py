@@ -45,11 +45,14 @@ def refuse_other_result(path: Path, provenance: Mapping[str, Any]) -> None:
 
 
 def remove_stale(path: Path, written: Iterable[Path]) -> None:
-    """Remove the rigs that an earlier result.json lists and the new run did not write."""
-    keep = {rig.resolve() for rig in written}
-    for rig in (_read(path) or {}).get("rigs", []):
+    """Remove the rigs and overlap maps that an earlier result.json lists and the new run did not write."""
+    keep = {file.resolve() for file in written}
+    earlier = _read(path) or {}
+    listed = [(entry, "file") for entry in earlier.get("rigs", [])]
+    listed += [(entry, "map") for entry in earlier.get("overlaps", [])]
+    for entry, key in listed:
         with suppress(OSError, TypeError, KeyError):
-            stale = (path.parent / str(rig["file"])).resolve()
+            stale = (path.parent / str(entry[key])).resolve()
             if stale not in keep and stale.is_relative_to(path.parent.resolve()):
                 stale.unlink()
 

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from lightopt.errors import InputError, counted
 from lightopt.mesh import face_normals
 from lightopt.optimize._matrix import Levels, LuminanceMatrix
-from lightopt.optimize._threads import run_all
 from lightopt.raycast import RayCaster
 from lightopt.rendering import (
     PatchTable,
     SurfacePoints,
     available_processors,
     converged_panel,
+    run_all,
     shade_converged,
     shade_points,
 )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 from lightopt.optimize._matrix import Levels
-from lightopt.optimize._threads import run_all
+from lightopt.rendering import run_all
 
 __all__ = ["minimum_sums"]
 

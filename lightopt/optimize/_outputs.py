@@ -101,10 +101,12 @@ def write_outputs(
     rigs = _write_rigs(folder, rig, results, candidates, force)
     images: list[Path] = []
     overlaps: list[Overlap] = []
+    maps: list[Path] = []
     if options.images:
         for path, postures in rigs:
             images.append(path.parent / IMAGES_NAME)
             overlaps += _render(path, part, images[-1], postures, options, force, warn)
+            maps += [images[-1] / overlap_map_name(overlap) for overlap in overlaps[len(maps) :]]
     document = {
         "format": "lightopt-optimum/1",
         **provenance,
@@ -119,11 +121,14 @@ def write_outputs(
             {"file": path.relative_to(folder).as_posix(), "postures": [p.as_dict() for p in postures]}
             for path, postures in rigs
         ],
-        "overlaps": [overlap.as_dict() for overlap in overlaps],
+        "overlaps": [
+            {"map": path.relative_to(folder).as_posix(), **overlap.as_dict()}
+            for path, overlap in zip(maps, overlaps, strict=True)
+        ],
     }
     result = folder / RESULT_NAME
     if force:
-        remove_stale(result, [path for path, _ in rigs])
+        remove_stale(result, [*(path for path, _ in rigs), *maps])
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
     write_text_atomic(result, text, overwrite=force)
     return Written(result=result, ranking=ranking, rigs=rigs, images=tuple(images), overlaps=tuple(overlaps))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -112,9 +113,14 @@ def optimize(
                 warn(text)
 
     objectives = _objectives(rig, options, say)
-    candidates = find_candidates(
-        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
+    find = partial(
+        find_candidates,
+        rig,
+        step_deg=options.step_deg,
+        common_elevation=options.common_elevation,
+        points=options.points,
     )
+    find()  # what is wrong with the rig alone is told before the part is loaded
     scene = build_scene(rig, part, postures=options.postures, points=options.points)
     thresholds = Thresholds.of_sensor(
         shade_share=options.shade_below,
@@ -126,6 +132,7 @@ def optimize(
         refuse_other_result(Path(folder) / RESULT_NAME, provenance)
     caster = cast_rays_at(scene)
     refuse_hopeless(scene, rig, part, caster)
+    candidates = find(scene=scene, caster=caster)
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
         say(text)
     makers = _Matrices(rig, part, scene, candidates, options, Path(folder), caster)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 from lightopt.optimize._matrix import Levels, Thresholds
-from lightopt.optimize._threads import run_all
+from lightopt.rendering import run_all
 
 __all__ = ["run_products", "run_scores"]
 

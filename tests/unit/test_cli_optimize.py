@@ -177,6 +177,18 @@ def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli
     assert {p.relative_to(three.out).as_posix() for p in three.out.rglob("rig.optimized.yaml")} == listed
 
 
+def test_force_leaves_no_map_of_the_run_before(three, cli):
+    command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "20", "-q")
+    assert cli(*command).status == 0
+    before = {three.out / one["map"] for one in result_of(three.out)["overlaps"]}
+    assert len(before) == 2
+    assert all(path.is_file() for path in before)
+    assert cli(*command, "--posture", "0,0", "--force").status == 0
+    now = {three.out / one["map"] for one in result_of(three.out)["overlaps"]}
+    assert set(three.out.rglob("overlap*.png")) == now
+    assert len(now) == 1
+
+
 def test_common_lights_and_common_elevation(three, cli):
     three.edit("rig.yaml", "elevation_range_deg: [45, 50]", "elevation_range_deg: [45, 60]")
     ran = cli(

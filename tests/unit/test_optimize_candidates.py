@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
+from lightopt import build_scene
 from lightopt.config import load_rig
 from lightopt.errors import InputError
 from lightopt.optimize import find_candidates
 from lightopt.optimize._angles import light_angles
+from lightopt.rendering import cast_rays_at
 
 RIG = """\
 format: lightopt-rig/1
@@ -136,3 +139,28 @@ def test_bad_input_says_where_and_what_to_do(tmp_path):
             find_candidates(rig, step_deg=step)
     with pytest.raises(InputError, match="at most 100,000 are accepted"):
         find_candidates(rig, step_deg=1e-7)
+
+
+def test_a_panel_inside_the_part_is_left_out_and_the_posture_named(tmp_path):
+    small = ", size_mm: [10, 10]"
+    rig = rig_of(
+        tmp_path,
+        light("a", 30, 45, ", azimuth_range_deg: [0, 90]" + small, distance=80),
+        light("b", 50, 270),
+    )
+    trimesh.creation.box((200, 20, 60)).export(tmp_path / "bar.stl")
+    (tmp_path / "part.yaml").write_text(
+        "format: lightopt-part/1\nname: bar\nmesh: {file: bar.stl, units: mm}\n"
+        "placement: {anchor: rest_on_table}\n"
+        "postures: [{elevation_deg: 0, rotation_deg: 0}, {elevation_deg: 0, rotation_deg: 90}]\n"
+        "reflectance: {R_d: 45, R_s: 100, sigma_rad: 0.05}\n",
+        encoding="utf-8",
+    )
+    scene = build_scene(rig, tmp_path / "part.yaml")
+    found = find_candidates(rig, step_deg=45.0, scene=scene, caster=cast_rays_at(scene))
+    assert found.angles[0] == ((30.0, 45.0),)
+    assert [(out.azimuth_deg, out.reason) for out in found.left_out] == [
+        (0.0, "is inside the part in posture (0°, 0°)"),
+        (90.0, "is inside the part in posture (0°, 90°)"),
+    ]
+    assert len(find_candidates(rig, step_deg=45.0).angles[0]) == 3
