@@ -44,7 +44,8 @@ def optimize(
     shade_below: Annotated[
         str,
         typer.Option(
-            metavar="SHARE", help="Levels below this share of full scale are shaded, such as 10/255."
+            metavar="SHARE",
+            help="Levels less than this share of full scale above black are shaded, such as 10/255.",
         ),
     ] = "10/255",
     posture: Annotated[

@@ -110,7 +110,11 @@ def write_outputs(
     document = {
         "format": "lightopt-optimum/1",
         **provenance,
-        "thresholds": {"shaded_below": thresholds.shade, "saturated_from": thresholds.saturation},
+        "thresholds": {
+            "black": thresholds.black,
+            "shaded_below": thresholds.shade,
+            "saturated_from": thresholds.saturation,
+        },
         "candidates": [
             {"light": name, "positions_deg": [list(at) for at in angles]}
             for name, angles in zip(candidates.names, candidates.angles, strict=True)

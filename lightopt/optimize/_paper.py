@@ -2,10 +2,10 @@
 
 Of each patch's levels under the n lights the highest and the lowest are dropped (step 3); of the n − 2 that remain,
 those below the shade threshold and those at saturation count as zero (step 4); the sum over all patches is the score
-(step 5).
+(step 5). What is summed is light: the part of a level above the sensor's black level (the paper's camera has none).
 
-All combinations at once, by algebra. Let ``x_1 ≤ … ≤ x_n`` be a patch's levels, h(x) the usable level (x, or 0 where it
-is not usable), and E_m the sum of h(min) over all sets of m lights. The least of a set of m is x_j in C(n − j, m − 1)
+All combinations at once, by algebra. Let ``x_1 ≤ … ≤ x_n`` be a patch's levels above black, h(x) the usable level (x, or
+0 where it is not usable), and E_m the sum of h(min) over all sets of m lights. The least of a set of m is x_j in C(n − j, m − 1)
 of the sets, so that
 
     E_m = Σ_j C(n − j, m − 1) · h(x_j),    and    h(x_2) + … + h(x_{n−1}) = Σ_m c_m · E_m,
@@ -60,7 +60,7 @@ class Paper:
         """Sort, drop the ends, zero what is not usable, sum."""
         middle = np.sort(levels, axis=0)[1:-1].astype(np.int64)
         usable = (middle >= thresholds.shade) & (middle < thresholds.saturation)
-        return int((middle * usable * weights).sum())
+        return int(((middle - thresholds.black) * usable * weights).sum())
 
     def scores(
         self, levels: Sequence[Levels], weights: Int64, thresholds: Thresholds, *, threads: int
@@ -79,7 +79,7 @@ class Paper:
                 continue
             for chosen in itertools.combinations(range(lights), count):
                 sums = minimum_sums([capped[i] for i in chosen], threads=threads)
-                sums -= thresholds.saturation * joint_counts([saturated[i] for i in chosen])
+                sums -= (thresholds.saturation - thresholds.black) * joint_counts([saturated[i] for i in chosen])
                 table += (
                     coefficient * sums[tuple(slice(None) if i in chosen else None for i in range(lights))]
                 )
@@ -93,7 +93,9 @@ class Paper:
         del weights  # all 1
         usable = np.sort([_usable(layer, thresholds).max(axis=0) for layer in levels], axis=0)
         greatest = np.sort([layer.max(axis=0) for layer in levels], axis=0)[1:-1]
-        middle = np.where(greatest >= thresholds.shade, np.minimum(greatest, thresholds.saturation - 1), 0)
+        black = greatest.dtype.type(thresholds.black)
+        lit = np.minimum(greatest, thresholds.saturation - 1) - black
+        middle = np.where(greatest >= thresholds.shade, lit, 0)
         return int(
             np.minimum(usable[2:].sum(axis=0, dtype=np.int64), middle.sum(axis=0, dtype=np.int64)).sum()
         )
@@ -106,13 +108,14 @@ def _coefficients(lights: int) -> list[int]:
 
 
 def _capped(layer: Levels, thresholds: Thresholds) -> Levels:
-    lit = np.where(layer >= thresholds.shade, layer, layer.dtype.type(0))
-    return np.minimum(lit, layer.dtype.type(min(thresholds.saturation, np.iinfo(layer.dtype).max)))
+    zero, black = layer.dtype.type(0), layer.dtype.type(thresholds.black)
+    cap = layer.dtype.type(min(thresholds.saturation, np.iinfo(layer.dtype).max))
+    return np.where(layer >= thresholds.shade, np.minimum(layer, cap) - black, zero)
 
 
 def _usable(layer: Levels, thresholds: Thresholds) -> Levels:
     usable = (layer >= thresholds.shade) & (layer < thresholds.saturation)
-    return np.where(usable, layer, layer.dtype.type(0))
+    return np.where(usable, layer - layer.dtype.type(thresholds.black), layer.dtype.type(0))
 
 
 PAPER = Paper()

@@ -126,6 +126,7 @@ def optimize(
         shade_share=options.shade_below,
         max_level=scene.sensor.max_level,
         saturated_from=scene.sensor.saturated_from,
+        black_level=scene.sensor.black_level,
     )
     provenance = _provenance(rig, part, scene, options, objectives)
     if not force:

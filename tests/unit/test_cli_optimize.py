@@ -58,7 +58,7 @@ def test_result_says_angles_scores_proof_and_provenance(optimized):
     result = result_of(optimized.out)
     assert result["format"] == "lightopt-optimum/1"
     assert result["rig"]["sha256"] == load_rig(optimized.rig).source.sha256
-    assert result["thresholds"] == {"shaded_below": 10, "saturated_from": 255}
+    assert result["thresholds"] == {"black": 0, "shaded_below": 10, "saturated_from": 255}
     assert [len(light["positions_deg"]) for light in result["candidates"]] == [3, 2, 2]
     assert str(optimized.folder) not in json.dumps(result)
     assert [len(group["postures"]) for group in result["results"]] == [1, 1]
@@ -310,6 +310,17 @@ def test_nothing_usable_gives_no_optimum(three, cli, R_d, said):
     assert answer["lights"] is None
     assert said in answer["reason"]
     assert not list(three.out.rglob("rig.optimized.yaml"))
+
+
+def test_black_level_is_no_light(three, cli):
+    """Levels above 10 that are black only: no position is better than another, and none is named."""
+    three.edit("rig.yaml", "{bit_depth: 8, read", "{bit_depth: 8, black_level: 20, read")
+    three.edit("part.yaml", "R_d: 45.0, R_s: 12500", "R_d: 0.5, R_s: 0")
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, "--posture", "0,0")
+    assert ran.status == 1
+    assert "100 % are shaded (below 30)" in ran.err
+    for answer in result_of(three.out)["results"][0]["objectives"]:
+        assert answer["lights"] is None
 
 
 def test_overlap_wants_two_images_of_one_size(bench, cli):
