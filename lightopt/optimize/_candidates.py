@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lightopt.config import RigConfig
 from lightopt.errors import InputError, counted
-from lightopt.optimize._angles import common_elevations, light_angles
+from lightopt.optimize._angles import can_move, common_elevations, light_angles
 from lightopt.optimize._space import Rows, Space
 from lightopt.raycast import RayCaster
 from lightopt.rendering import panels_in_part
@@ -159,7 +159,7 @@ def _check_movable(rig: RigConfig) -> None:
             f"{rig.source.at('lights')}: expected two lights or more, found one; with one light there is no "
             "combination to choose"
         )
-    if all(light.elevation_range_deg is None and light.azimuth_range_deg is None for light in rig.lights):
+    if not any(map(can_move, rig.lights)):
         raise InputError(
             f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
             "azimuth_range_deg"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -13,6 +13,7 @@ from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.errors import InputError
 from lightopt.images import file_sha256, posture_folder
+from lightopt.optimize._angles import can_move
 from lightopt.optimize._answer import answer_set
 from lightopt.optimize._candidates import Candidates, find_candidates
 from lightopt.optimize._earlier import refuse_other_result
@@ -132,7 +133,9 @@ def optimize(
     if not force:
         refuse_other_result(Path(folder) / RESULT_NAME, provenance)
     caster = cast_rays_at(scene)
-    refuse_hopeless(scene, rig, part, caster)
+    # a light that moves may find its way out of the part: only its candidates count
+    still = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
+    refuse_hopeless(replace(scene, lights=still), rig, part, caster)
     candidates = find(scene=scene, caster=caster)
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
         say(text)
@@ -256,7 +259,7 @@ class _Matrices:
                     f"{path.parent}: cannot be made: {error.strerror or error}; choose an output folder that can be "
                     "written"
                 ) from error
-            keep_matrix(path, made, self.candidates, key=key)
+            keep_matrix(path, made, self.candidates.angles, key=key)
         return made
 
 

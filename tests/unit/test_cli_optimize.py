@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from lightopt.cli._main import run
 from lightopt.config import load_rig
@@ -321,6 +322,23 @@ def test_black_level_is_no_light(three, cli):
     assert "100 % are shaded (below 30)" in ran.err
     for answer in result_of(three.out)["results"][0]["objectives"]:
         assert answer["lights"] is None
+
+
+def test_a_light_that_stands_in_the_part_and_can_leave_it(three, cli):
+    """Where the rig has it now is in the part: that candidate is left out; one that cannot move is refused."""
+    trimesh.creation.box((200, 20, 60)).export(three.folder / "knob.stl")
+    three.edit("rig.yaml", "distance_mm: 330, elevation_deg: 60, azimuth_deg: 45", "@")
+    three.edit("rig.yaml", "@, elevation_range", "distance_mm: 80, size_mm: [9, 9], @, elevation_range")
+    three.edit("rig.yaml", "@, elevation_range_deg: [40, 60]", "elevation_deg: 30, azimuth_deg: 0@")
+    three.edit("rig.yaml", "azimuth_deg: 0@", "azimuth_deg: 0, azimuth_range_deg: [0, 40]")
+    command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--no-images")
+    ran = cli(*command, "--step", "20", "--posture", "0,0")
+    assert "left out: light1 at elevation 30°, azimuth 0°: it is inside the part in posture (0°, 0°)" in ran.out
+    assert ran.status == 0
+    three.edit("rig.yaml", ", azimuth_range_deg: [0, 40]", "")
+    ran = cli(*command, "--step", "20", "--posture", "0,0", "--force")
+    assert ran.status == 2
+    assert "light1's panel are inside the part" in ran.err
 
 
 def test_overlap_wants_two_images_of_one_size(bench, cli):

@@ -97,6 +97,18 @@ def test_positions_that_the_machine_cannot_take_are_listed(tmp_path):
     assert 12.0 in kept
 
 
+def test_what_a_lens_bends_into_view_is_left_out(tmp_path):
+    """The same panel is outside a straight view and inside that of a barrel lens, which shows more."""
+    lights = (light("a", 82.2, 0, ", elevation_range_deg: [66.2, 82.2]"), light("b", 45, 180))
+    assert find_candidates(rig_of(tmp_path, *lights), step_deg=16.0).left_out == ()
+    straight = (tmp_path / "rig.yaml").read_text(encoding="utf-8")
+    bent = straight.replace("image_distance_mm: 55,", "image_distance_mm: 55, distortion: {k1: -20},")
+    (tmp_path / "rig.yaml").write_text(bent, encoding="utf-8")
+    (out,) = find_candidates(load_rig(tmp_path / "rig.yaml"), step_deg=16.0).left_out
+    assert (out.light, out.elevation_deg) == ("a", 82.2)
+    assert "stands in the camera's view, over" in out.reason
+
+
 def test_panels_that_meet_are_kept_apart(tmp_path):
     # 60 mm panels at 330 mm meet when less than about 10 degrees apart
     rig = rig_of(
@@ -137,8 +149,9 @@ def test_bad_input_says_where_and_what_to_do(tmp_path):
     for step in (0.0, -1.0, float("nan")):
         with pytest.raises(InputError, match="--step: expected degrees above 0"):
             find_candidates(rig, step_deg=step)
-    with pytest.raises(InputError, match="at most 100,000 are accepted"):
-        find_candidates(rig, step_deg=1e-7)
+    for step in (1e-7, 1e-310, 5e-324):
+        with pytest.raises(InputError, match="more than 100,000 positions, the most that are accepted"):
+            find_candidates(rig, step_deg=step)
 
 
 def test_a_panel_inside_the_part_is_left_out_and_the_posture_named(tmp_path):
