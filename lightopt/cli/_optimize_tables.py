@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from lightopt.cli._terminal import say, show_table
 
 if TYPE_CHECKING:
-    from lightopt.optimize import Answer, Optimum, Overlap, SetResult
+    from lightopt.optimize import Answer, Optimum, SetResult
+    from lightopt.overlap import Overlap
 
 __all__ = ["show_optimum", "show_overlaps"]
 

@@ -79,7 +79,9 @@ class Paper:
                 continue
             for chosen in itertools.combinations(range(lights), count):
                 sums = minimum_sums([capped[i] for i in chosen], threads=threads)
-                sums -= (thresholds.saturation - thresholds.black) * joint_counts([saturated[i] for i in chosen])
+                sums -= (thresholds.saturation - thresholds.black) * joint_counts(
+                    [saturated[i] for i in chosen]
+                )
                 table += (
                     coefficient * sums[tuple(slice(None) if i in chosen else None for i in range(lights))]
                 )

@@ -23,8 +23,9 @@ from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import objectives_named
 from lightopt.optimize._options import OptimizeOptions, check_options
-from lightopt.optimize._outputs import RESULT_NAME, Written, write_outputs
+from lightopt.optimize._outputs import Written, write_outputs
 from lightopt.optimize._result import SetResult
+from lightopt.optimize._rig_text import check_editable
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable, Report, build_patches, cast_rays_at, refuse_hopeless
 from lightopt.scene import Scene, build_scene, coarse_warnings
@@ -122,6 +123,7 @@ def optimize(
         points=options.points,
     )
     find()  # what is wrong with the rig alone is told before the part is loaded
+    check_editable(rig)
     scene = build_scene(rig, part, postures=options.postures, points=options.points)
     thresholds = Thresholds.of_sensor(
         shade_share=options.shade_below,
@@ -131,7 +133,7 @@ def optimize(
     )
     provenance = _provenance(rig, part, scene, options, objectives)
     if not force:
-        refuse_other_result(Path(folder) / RESULT_NAME, provenance)
+        refuse_other_result(Path(folder), provenance)
     caster = cast_rays_at(scene)
     # a light that moves may find its way out of the part: only its candidates count
     still = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))

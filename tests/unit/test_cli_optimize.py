@@ -333,7 +333,9 @@ def test_a_light_that_stands_in_the_part_and_can_leave_it(three, cli):
     three.edit("rig.yaml", "azimuth_deg: 0@", "azimuth_deg: 0, azimuth_range_deg: [0, 40]")
     command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--no-images")
     ran = cli(*command, "--step", "20", "--posture", "0,0")
-    assert "left out: light1 at elevation 30°, azimuth 0°: it is inside the part in posture (0°, 0°)" in ran.out
+    assert (
+        "left out: light1 at elevation 30°, azimuth 0°: it is inside the part in posture (0°, 0°)" in ran.out
+    )
     assert ran.status == 0
     three.edit("rig.yaml", ", azimuth_range_deg: [0, 40]", "")
     ran = cli(*command, "--step", "20", "--posture", "0,0", "--force")
