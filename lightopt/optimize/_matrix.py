@@ -119,14 +119,18 @@ class LuminanceMatrix:
 
     def rows(self, rows: Sequence[Int64]) -> tuple[Levels, ...]:
         """The levels of some candidates of each light."""
-        return tuple(
-            layer if len(some) == len(layer) else np.ascontiguousarray(layer[some])
-            for layer, some in zip(self.levels, rows, strict=True)
-        )
+        return tuple(_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True))
 
     def combination(self, candidates: Sequence[int]) -> Levels:
         """Levels of the patches under one position of each light, shape (lights, p)."""
         return np.stack([layer[index] for layer, index in zip(self.levels, candidates, strict=True)])
+
+
+def _rows(layer: Levels, some: Int64) -> Levels:
+    # ascending; neighbours need no copy
+    if len(some) and some[-1] - some[0] == len(some) - 1:
+        return layer[some[0] : some[-1] + 1]
+    return layer[some]
 
 
 def _frozen(array: Any) -> Any:

@@ -1,9 +1,13 @@
-"""Sums over patches of the least level under a set of lights, for all their candidates: tables of sums of minima."""
+"""Sums over patches of the least usable level under a set of lights, for all their candidates: tables of minima.
+
+Levels are *capped*: 0 where they are shaded, else what is above black, at most the saturation level above black. The
+usable level of a capped one is itself, or 0 where it is at the cap.
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from threading import Lock
 
 import numpy as np
@@ -11,87 +15,111 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 from lightopt.optimize._matrix import Levels
-from lightopt.rendering import run_all
+from lightopt.optimize._work import Work, pieces
+from lightopt.rendering import Task
 
-__all__ = ["minimum_sums"]
+__all__ = ["CACHE_PATCHES", "minimum_tasks"]
 
 Int64 = NDArray[np.int64]
 
-BLOCK_PATCHES = 8192
-"""Patches that the kernel works on at once: the rows of one light stay in the second-level cache, and 32 bits hold the
-sum of as many 16-bit levels."""
+CACHE_PATCHES = 8192
+"""Patches that a kernel works on at once: the rows of one light stay in the second-level cache, and 32 bits hold the
+sum of twice as many 16-bit levels."""
 
-CHUNK_PATCHES = 1 << 16
-"""Most patches of one task of a thread."""
+TASK_LEVELS = 2_000_000_000
+"""Levels that a task looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
 
 
-def minimum_sums(layers: Sequence[Levels], *, threads: int) -> Int64:
-    """Σ over patches of min(levels under k lights), for every combination of their candidates.
+def minimum_tasks(
+    layers: Sequence[Levels],
+    lit: Sequence[NDArray[np.bool_]],
+    top: int,
+    table: Int64,
+    lock: Lock,
+    work: Work,
+) -> Iterator[Task]:
+    """Tasks that add Σ over patches of usable(min(levels under k lights)) to a table, for every combination.
 
     Parameters
     ----------
     layers
-        k ≥ 2 arrays of shape (candidates, p), all of one type.
-    threads
-        Number of threads; the sums are of integers and do not depend on it.
-
-    Returns
-    -------
-    NDArray
+        k ≥ 2 arrays of capped levels, shape (candidates, p), all of one type.
+    lit
+        Which patches each light reaches at all.
+    top
+        The highest usable capped level.
+    table
         One axis per light.
+    lock
+        Held while the table is changed.
+    work
+        Counts combinations times patches.
     """
-    shape = tuple(len(layer) for layer in layers)
+    patches = layers[0].shape[1]
+    share = table.size * patches
     # a patch that one of the lights never reaches adds nothing
-    reached = np.flatnonzero(np.logical_and.reduce([layer.max(axis=0, initial=0) > 0 for layer in layers]))
-    if len(reached) < layers[0].shape[1]:
-        layers = [layer.take(reached, axis=1) for layer in layers]
+    reached = np.logical_and.reduce(lit)
+    count = int(np.count_nonzero(reached))
+    if not count:
+        work.add(share)
+        return
+    if count < patches:
+        layers = [np.ascontiguousarray(layer[:, reached]) for layer in layers]
     if len(layers) == 2:
-        least = np.full((1, layers[0].shape[1]), np.iinfo(layers[0].dtype).max, layers[0].dtype)
+        least = np.full((1, count), np.iinfo(layers[0].dtype).max, layers[0].dtype)
         layers = [least, *layers]
+        table = table[None]
     *outer, first, second, third = layers
-    table = np.zeros(tuple(len(layer) for layer in layers), np.int64)
-    lock = Lock()
+    add = _adder(outer, first, second, third, top, table, lock, work, share / table.size)
+    rows = max(1, TASK_LEVELS // (len(third) * count))
+    for prefix in itertools.product(*(range(len(layer)) for layer in outer)):
+        for a in pieces(len(first), max(1, rows // len(second))):
+            for b in pieces(len(second), rows):
+                yield add, (prefix, a, b)
 
-    def add(prefix: tuple[int, ...], piece: slice) -> None:
-        part = [layer[:, piece] for layer in (first, second, third)]
+
+def _adder(
+    outer: Sequence[Levels],
+    first: Levels,
+    second: Levels,
+    third: Levels,
+    top: int,
+    table: Int64,
+    lock: Lock,
+    work: Work,
+    units: float,
+) -> Callable[[tuple[int, ...], tuple[int, int], tuple[int, int]], None]:
+    limit = first.dtype.type(top)
+
+    def add(prefix: tuple[int, ...], a: tuple[int, int], b: tuple[int, int]) -> None:
+        part = [first[slice(*a)], second[slice(*b)], third]
         if prefix:
-            least = np.minimum.reduce([layer[i, piece] for layer, i in zip(outer, prefix, strict=True)])
+            least = np.minimum.reduce([layer[i] for layer, i in zip(outer, prefix, strict=True)])
             lit = least > 0
             if 2 * np.count_nonzero(lit) < len(lit):
                 part, least = [np.ascontiguousarray(layer[:, lit]) for layer in part], least[lit]
             part[0] = np.minimum(part[0], least)
-        sums = _three(*part)
+        sums = _three(*part, limit)
         with lock:
-            table[prefix] += sums
+            table[(*prefix, slice(*a), slice(*b))] += sums
+        work.add(units * sums.size)
 
-    patches = first.shape[1]
-    pieces = threads * -(-patches // (threads * CHUNK_PATCHES))
-    ends = [patches * i // pieces for i in range(pieces + 1)] if pieces else [0]
-    prefixes = itertools.product(*(range(len(layer)) for layer in outer))
-    run_all(
-        (
-            (add, (prefix, slice(start, end)))
-            for prefix in prefixes
-            for start, end in itertools.pairwise(ends)
-        ),
-        threads=threads,
-    )
-    return table.reshape(shape)
+    return add
 
 
 @kernel
-def _three(first: Levels, second: Levels, third: Levels) -> Int64:
+def _three(first: Levels, second: Levels, third: Levels, top: int) -> Int64:
     sums = np.zeros((len(first), len(second), len(third)), np.int64)
-    least = np.empty(BLOCK_PATCHES, first.dtype)
+    least = np.empty(CACHE_PATCHES, first.dtype)
     patches = first.shape[1]
-    for start in range(0, patches, BLOCK_PATCHES):
-        end = min(start + BLOCK_PATCHES, patches)
+    for start in range(0, patches, CACHE_PATCHES):
+        end = min(start + CACHE_PATCHES, patches)
         here = least[: end - start]
         for a in range(len(first)):
             for b in range(len(second)):
                 _minima(first[a, start:end], second[b, start:end], here)
                 for c in range(len(third)):
-                    sums[a, b, c] += _sum_of_minima(here, third[c, start:end])
+                    sums[a, b, c] += _sum_of_minima(here, third[c, start:end], top)
     return sums
 
 
@@ -106,10 +134,10 @@ def _minima(left: Levels, right: Levels, least: Levels) -> None:
 
 
 @kernel
-def _sum_of_minima(left: Levels, right: Levels) -> np.int64:
+def _sum_of_minima(left: Levels, right: Levels, top: int) -> np.int64:
     # 32 bits are enough for a block, and twice as fast as 64
     total = np.uint32(0)
     for i in range(len(left)):
         least = left[i] if left[i] < right[i] else right[i]
-        total = np.uint32(total + np.uint32(least))
+        total = np.uint32(total + np.uint32(least if least <= top else 0))
     return np.int64(total)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -18,13 +18,13 @@ from lightopt.optimize._answer import answer_set
 from lightopt.optimize._candidates import Candidates, find_candidates
 from lightopt.optimize._earlier import refuse_other_result
 from lightopt.optimize._kept import keep_matrix, matrix_key, read_matrix
-from lightopt.optimize._luminance import luminance_matrix
+from lightopt.optimize._luminance import MOST_BYTES, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import objectives_named
 from lightopt.optimize._options import OptimizeOptions, check_options
 from lightopt.optimize._outputs import Written, write_outputs
-from lightopt.optimize._result import SetResult
+from lightopt.optimize._result import Answer, SetResult
 from lightopt.optimize._rig_text import check_editable
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable, Report, build_patches, cast_rays_at, refuse_hopeless
@@ -76,7 +76,7 @@ def optimize(
     force: bool = False,
     warn: Callable[[str], None] | None = None,
     report: Report | None = None,
-    searching: Callable[[float], None] | None = None,
+    searching: Callable[[str, float], None] | None = None,
 ) -> Optimum:
     """Find the best positions of a rig's lights for a part (paper, section 5), and write them to a folder.
 
@@ -95,7 +95,7 @@ def optimize(
     report
         Called as the luminance matrices are computed.
     searching
-        Called with the share of all combinations that is done.
+        Called with what is searched for and the share of that which is done.
 
     Raises
     ------
@@ -142,32 +142,26 @@ def optimize(
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
         say(text)
     makers = _Matrices(rig, part, scene, candidates, options, Path(folder), caster)
-    matrices = [makers.matrix(posture, report) for posture in scene.postures]
-    groups = [list(range(len(matrices)))] if options.common_lights else [[i] for i in range(len(matrices))]
+    # the matrices of postures that do not share their lights are never held together
+    shared = [scene.postures] if options.common_lights else [(posture,) for posture in scene.postures]
     results: list[SetResult] = []
-    for index, group in enumerate(groups):
+    for postures in shared:
         results.append(
             answer_set(
-                [matrices[i] for i in group],
-                [scene.postures[i] for i in group],
+                [makers.matrix(posture, report, held=len(postures)) for posture in postures],
+                postures,
                 candidates,
                 objectives,
                 thresholds,
                 rows=options.rows,
                 limit=options.limit,
                 threads=options.threads,
-                progress=None
-                if searching is None
-                else lambda share, before=index: searching((before + share) / len(groups)),
+                progress=searching,
             )
         )
         for answer in results[-1].answers:
-            if not answer.found.proven:
-                say(
-                    f"objective {answer.objective.name}: the limit of {options.limit:,} combinations was reached with "
-                    f"{answer.found.left:,} left; the best found scores {answer.found.best.score:,}, none scores more "
-                    f"than {answer.found.bound:,}. Raise --max-combinations or take a larger --step"
-                )
+            if not answer.found.complete and answer.nothing is None:
+                say(_cut_off(answer, postures))
     written = write_outputs(
         Path(folder),
         rig,
@@ -206,6 +200,20 @@ def _objectives(
     return possible
 
 
+def _cut_off(answer: Answer, postures: Sequence[Posture]) -> str:
+    found, name = answer.found, answer.objective.name
+    proof = (
+        "none scores more, but one of those left may score the same and win the tie"
+        if found.proven
+        else f"none scores more than {found.bound:,}"
+    )
+    return (
+        f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
+        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up are those of "
+        "what was looked at. Raise --max-combinations or take a larger --step"
+    )
+
+
 class _Matrices:
     """Makes the luminance matrices, or takes those that were kept; patches are cut only when needed."""
 
@@ -233,8 +241,8 @@ class _Matrices:
         """What the patch refinement reached."""
         return None if self.table is None else self.table.message
 
-    def matrix(self, posture: Posture, report: Report | None) -> LuminanceMatrix:
-        """The luminance matrix of a posture."""
+    def matrix(self, posture: Posture, report: Report | None, *, held: int) -> LuminanceMatrix:
+        """The luminance matrix of a posture, one of so many that are held together."""
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
         path = self.folder / posture_folder(posture) / MATRIX_NAME
         kept = read_matrix(path, key=key, lights=len(self.candidates.names))
@@ -251,6 +259,7 @@ class _Matrices:
             caster=self.caster,
             shadows=self.options.shadows,
             threads=self.options.threads,
+            most_bytes=MOST_BYTES // held,
             progress=None if report is None else lambda share, rays: report(posture, share, rays),
         )
         if self.options.keep_matrix:

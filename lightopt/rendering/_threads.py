@@ -8,10 +8,11 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
-__all__ = ["available_processors", "in_threads", "run_all"]
+__all__ = ["Task", "available_processors", "in_threads", "run_all"]
 
 T = TypeVar("T")
 Task = tuple[Callable[..., None], tuple[Any, ...]]
+"""A function and its arguments."""
 
 
 def available_processors() -> int:
@@ -40,7 +41,7 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
     threads
         Number of threads.
     done
-        Called from the calling thread after each task.
+        Called from the calling thread after each task; an exception that it raises stops the rest, too.
     """
     waiting_tasks = iter(tasks)
     with ThreadPoolExecutor(threads) as pool:
