@@ -1,8 +1,8 @@
 """The result of an earlier run in the output folder: the same run again, or another one, or one that was cut off.
 
 While a run writes its files, ``unfinished.json`` lists those that it means to write, and those of an earlier run that
-it removes; it goes when ``result.json`` is there. So there is no time at which a folder has a ``result.json`` beside files
-that contradict it, and what an interrupted run left is known to the next one.
+it removes; it goes when ``result.json`` is there. So there is no time at which a folder has a ``result.json`` beside
+files that contradict it, and what an interrupted run left is known to the next one.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ __all__ = ["extreme_tasks"]
 Int64 = NDArray[np.int64]
 
 TASK_LEVELS = 500_000_000
-"""Levels that a task looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+"""Levels that a task looks at, at most: less than 0.1 s of a thread, so that Ctrl-C is heard."""
 
 
 def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, work: Work) -> Iterator[Task]:

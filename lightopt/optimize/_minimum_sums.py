@@ -7,7 +7,8 @@ usable level of a capped one is itself, or 0 where it is at the cap.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
@@ -18,7 +19,7 @@ from lightopt.optimize._matrix import Levels
 from lightopt.optimize._work import Work, pieces
 from lightopt.rendering import Task
 
-__all__ = ["CACHE_PATCHES", "minimum_tasks"]
+__all__ = ["CACHE_PATCHES", "Capped", "minimum_tasks"]
 
 Int64 = NDArray[np.int64]
 
@@ -30,22 +31,36 @@ TASK_LEVELS = 2_000_000_000
 """Levels that a task looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
 
 
-def minimum_tasks(
-    layers: Sequence[Levels],
-    lit: Sequence[NDArray[np.bool_]],
-    top: int,
-    table: Int64,
-    lock: Lock,
-    work: Work,
-) -> Iterator[Task]:
+@dataclass(frozen=True, kw_only=True)
+class Capped:
+    """A light's capped levels of a block of patches.
+
+    Attributes
+    ----------
+    levels
+        Shape (candidates, p).
+    lit, capped
+        Which patches it reaches at all, and which it can bring to the cap; shape (p,).
+    """
+
+    levels: Levels
+    lit: NDArray[np.bool_]
+    capped: NDArray[np.bool_]
+
+    @staticmethod
+    def of(levels: Levels, top: int) -> Capped:
+        """Levels with `top` as the highest usable one."""
+        greatest = levels.max(axis=0)
+        return Capped(levels=levels, lit=greatest > 0, capped=greatest > top)
+
+
+def minimum_tasks(lights: Sequence[Capped], top: int, table: Int64, lock: Lock, work: Work) -> Iterator[Task]:
     """Tasks that add Σ over patches of usable(min(levels under k lights)) to a table, for every combination.
 
     Parameters
     ----------
-    layers
-        k ≥ 2 arrays of capped levels, shape (candidates, p), all of one type.
-    lit
-        Which patches each light reaches at all.
+    lights
+        k ≥ 2.
     top
         The highest usable capped level.
     table
@@ -55,40 +70,29 @@ def minimum_tasks(
     work
         Counts combinations times patches.
     """
+    # a patch that one of the lights never reaches adds nothing; at the cap the least level is only where all can be
+    lit = np.logical_and.reduce([light.lit for light in lights])
+    capped = np.logical_and.reduce([light.capped for light in lights])
+    work.add(table.size * np.count_nonzero(~lit))
+    for chosen, cut in ((lit & ~capped, False), (capped, True)):
+        count = int(np.count_nonzero(chosen))
+        if count:
+            layers = [
+                light.levels if count == len(chosen) else light.levels.compress(chosen, axis=1)
+                for light in lights
+            ]
+            yield from _tasks(layers, top, cut, table, lock, work)
+
+
+def _tasks(
+    layers: Sequence[Levels], top: int, cut: bool, table: Int64, lock: Lock, work: Work
+) -> Iterator[Task]:
     patches = layers[0].shape[1]
-    share = table.size * patches
-    # a patch that one of the lights never reaches adds nothing
-    reached = np.logical_and.reduce(lit)
-    count = int(np.count_nonzero(reached))
-    if not count:
-        work.add(share)
-        return
-    if count < patches:
-        layers = [np.ascontiguousarray(layer[:, reached]) for layer in layers]
     if len(layers) == 2:
-        least = np.full((1, count), np.iinfo(layers[0].dtype).max, layers[0].dtype)
+        least = np.full((1, patches), np.iinfo(layers[0].dtype).max, layers[0].dtype)
         layers = [least, *layers]
         table = table[None]
     *outer, first, second, third = layers
-    add = _adder(outer, first, second, third, top, table, lock, work, share / table.size)
-    rows = max(1, TASK_LEVELS // (len(third) * count))
-    for prefix in itertools.product(*(range(len(layer)) for layer in outer)):
-        for a in pieces(len(first), max(1, rows // len(second))):
-            for b in pieces(len(second), rows):
-                yield add, (prefix, a, b)
-
-
-def _adder(
-    outer: Sequence[Levels],
-    first: Levels,
-    second: Levels,
-    third: Levels,
-    top: int,
-    table: Int64,
-    lock: Lock,
-    work: Work,
-    units: float,
-) -> Callable[[tuple[int, ...], tuple[int, int], tuple[int, int]], None]:
     limit = first.dtype.type(top)
 
     def add(prefix: tuple[int, ...], a: tuple[int, int], b: tuple[int, int]) -> None:
@@ -97,18 +101,22 @@ def _adder(
             least = np.minimum.reduce([layer[i] for layer, i in zip(outer, prefix, strict=True)])
             lit = least > 0
             if 2 * np.count_nonzero(lit) < len(lit):
-                part, least = [np.ascontiguousarray(layer[:, lit]) for layer in part], least[lit]
+                part, least = [layer.compress(lit, axis=1) for layer in part], least[lit]
             part[0] = np.minimum(part[0], least)
-        sums = _three(*part, limit)
+        sums = _three(*part, limit, cut)
         with lock:
             table[(*prefix, slice(*a), slice(*b))] += sums
-        work.add(units * sums.size)
+        work.add(sums.size * patches)
 
-    return add
+    rows = max(1, TASK_LEVELS // (len(third) * patches))
+    for prefix in itertools.product(*(range(len(layer)) for layer in outer)):
+        for a in pieces(len(first), max(1, rows // len(second))):
+            for b in pieces(len(second), rows):
+                yield add, (prefix, a, b)
 
 
 @kernel
-def _three(first: Levels, second: Levels, third: Levels, top: int) -> Int64:
+def _three(first: Levels, second: Levels, third: Levels, top: int, cut: bool) -> Int64:
     sums = np.zeros((len(first), len(second), len(third)), np.int64)
     least = np.empty(CACHE_PATCHES, first.dtype)
     patches = first.shape[1]
@@ -119,11 +127,12 @@ def _three(first: Levels, second: Levels, third: Levels, top: int) -> Int64:
             for b in range(len(second)):
                 _minima(first[a, start:end], second[b, start:end], here)
                 for c in range(len(third)):
-                    sums[a, b, c] += _sum_of_minima(here, third[c, start:end], top)
+                    there = third[c, start:end]
+                    sums[a, b, c] += _usable_minima(here, there, top) if cut else _sum_of_minima(here, there)
     return sums
 
 
-# the two loops over patches are functions of whole arrays: an index that could be negative would keep the compiler from
+# the loops over patches are functions of whole arrays: an index that could be negative would keep the compiler from
 # taking many levels at a time
 
 
@@ -134,8 +143,17 @@ def _minima(left: Levels, right: Levels, least: Levels) -> None:
 
 
 @kernel
-def _sum_of_minima(left: Levels, right: Levels, top: int) -> np.int64:
+def _sum_of_minima(left: Levels, right: Levels) -> np.int64:
     # 32 bits are enough for a block, and twice as fast as 64
+    total = np.uint32(0)
+    for i in range(len(left)):
+        least = left[i] if left[i] < right[i] else right[i]
+        total = np.uint32(total + np.uint32(least))
+    return np.int64(total)
+
+
+@kernel
+def _usable_minima(left: Levels, right: Levels, top: int) -> np.int64:
     total = np.uint32(0)
     for i in range(len(left)):
         least = left[i] if left[i] < right[i] else right[i]

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from lightopt.optimize._extreme_sums import extreme_tasks
 from lightopt.optimize._matrix import Levels, Thresholds, usable_sums
-from lightopt.optimize._minimum_sums import minimum_tasks
+from lightopt.optimize._minimum_sums import Capped, minimum_tasks
 from lightopt.optimize._reach import reach
 from lightopt.optimize._work import Share, Work, pieces
 from lightopt.rendering import Task, run_all
@@ -112,10 +112,9 @@ class Paper:
         def tasks() -> Iterator[Task]:
             for start, end in pieces(patches, max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
                 capped = [_capped(layer[:, start:end], thresholds) for layer in levels]
-                lit = [layer.max(axis=0) > 0 for layer in capped] if tables else []
+                lights = [Capped.of(layer, top) for layer in capped] if tables else []
                 for chosen, _, table in tables:
-                    layers, reached = [capped[i] for i in chosen], [lit[i] for i in chosen]
-                    yield from minimum_tasks(layers, reached, top, table, lock, work)
+                    yield from minimum_tasks([lights[i] for i in chosen], top, table, lock, work)
                 if not tables:
                     yield from extreme_tasks(capped, top, result, lock, work)
 

@@ -209,7 +209,7 @@ def _cut_off(answer: Answer, postures: Sequence[Posture]) -> str:
     )
     return (
         f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
-        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up are those of "
+        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up are of "
         "what was looked at. Raise --max-combinations or take a larger --step"
     )
 

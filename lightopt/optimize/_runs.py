@@ -28,14 +28,14 @@ Int64 = NDArray[np.int64]
 SATURATED = 1 << 16
 """Added to a cell's count of usable images for each image in which it is saturated."""
 
-CHUNK_PATCHES = 1 << 15
+CHUNK_PATCHES = 1 << 14
 """Most patches of one task of a thread."""
 
 CHUNK_LEVELS = 1 << 24
 """Most of their levels, which are copied."""
 
-CHUNK_BOXES = 3e6
-"""Most of their boxes: some 0.1 s, so that Ctrl-C is heard."""
+CHUNK_BOXES = 1e6
+"""Most of their boxes: less than 0.1 s, so that Ctrl-C is heard."""
 
 MOST_DIFFERENCES = 1 << 25
 """Most numbers in the arrays of differences of all threads: 256 MiB."""
