@@ -44,12 +44,18 @@ class LeftOut:
         The position [°].
     reason
         For people.
+    kind
+        ``view``, ``table``, ``part`` or ``collision``.
+    amount
+        Pixels that are covered, or mm below the table top; None for the other kinds.
     """
 
     light: str
     elevation_deg: float
     azimuth_deg: float
     reason: str
+    kind: str
+    amount: float | None = None
 
 
 @dataclass(frozen=True)
@@ -123,7 +129,7 @@ def find_candidates(
             if reason is None:
                 places.append((at, panel))
             else:
-                left_out.append(LeftOut(panel.name, *at, reason))
+                left_out.append(LeftOut(panel.name, *at, *reason))
         kept.append(places)
     clashes = _clashes(kept)
     hopeless = _always_colliding(kept, clashes)
@@ -131,7 +137,7 @@ def find_candidates(
         for k, other in sorted(others.items()):
             name = rig.lights[index].name
             reason = f"collides with {rig.lights[other].name} wherever that one stands"
-            left_out.append(LeftOut(name, *kept[index][k][0], reason))
+            left_out.append(LeftOut(name, *kept[index][k][0], reason, "collision"))
     rows = [[k for k in range(len(places)) if k not in hopeless[i]] for i, places in enumerate(kept)]
     _check_any(rig, rows, left_out)
     angles_kept = tuple(tuple(kept[i][k][0] for k in row) for i, row in enumerate(rows))
@@ -171,11 +177,11 @@ def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence
     for index, row in enumerate(rows):
         if not row:
             light = rig.lights[index]
-            reasons = dict.fromkeys(out.reason for out in left_out if out.light == light.name)
+            reasons = _grouped([out for out in left_out if out.light == light.name])
             key = "elevation_range_deg" if light.elevation_range_deg is not None else "elevation_deg"
             problems.append(
                 f"{rig.source.at('lights', index, key)}: no position of light {light.name} is left: it "
-                f"{'; or it '.join(reasons)}. Change its range or the size of its panel"
+                f"{'; it '.join(reasons)}. Change its range or the size of its panel"
             )
     if problems:
         raise InputError(*problems)
@@ -189,22 +195,49 @@ def _panels(
     return build_lights(rig.model_copy(update={"lights": moved}), None, points)
 
 
-def _reason(panel: PanelLight, camera: PinholeCamera) -> str | None:
+Reason = tuple[str, str, float | None]
+"""Text, kind and amount of a :class:`LeftOut`."""
+
+
+def _grouped(left_out: Sequence[LeftOut]) -> list[str]:
+    # positions of one kind together, with the smallest and the largest amount
+    texts: list[str] = []
+    groups = dict.fromkeys((out.kind, "" if out.amount is not None else out.reason) for out in left_out)
+    for kind, text in groups:
+        some = [out for out in left_out if (out.kind, text or out.reason) == (kind, out.reason)]
+        amounts = [out.amount for out in some if out.amount is not None]
+        where = f" ({counted(len(some), 'position')})"
+        if kind == "view":
+            texts.append(f"stands in the camera's view, over {_span(amounts, ',.0f')} pixels{where}")
+        elif kind == "table":
+            texts.append(f"reaches {_span(amounts, '.3g')} mm below the table top{where}")
+        else:
+            texts.append(text + where)
+    return texts
+
+
+def _span(amounts: Sequence[float], form: str) -> str:
+    low, high = (format(end, form) for end in (min(amounts), max(amounts)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _reason(panel: PanelLight, camera: PinholeCamera) -> Reason | None:
     corners = panel_corners(panel)
     pixels = image_area(camera, corners)
     if pixels > 0.0:
-        return f"stands in the camera's view, over {counted(max(1, round(pixels)), 'pixel')}"
+        covered = max(1, round(pixels))
+        return f"stands in the camera's view, over {counted(covered, 'pixel')}", "view", float(covered)
     lowest = float(corners[:, 2].min())
     if lowest < 0.0:
-        return f"reaches {-lowest:.3g} mm below the table top"
+        return f"reaches {-lowest:.3g} mm below the table top", "table", -lowest
     return None
 
 
-def _part_in_the_way(panel: PanelLight, scene: Scene | None, caster: RayCaster | None) -> str | None:
+def _part_in_the_way(panel: PanelLight, scene: Scene | None, caster: RayCaster | None) -> Reason | None:
     if scene is None or caster is None:
         return None
     inside = panels_in_part(replace(scene, lights=(panel,)), caster)
-    return f"is inside the part in posture {inside[0].posture}" if inside else None
+    return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
 def _clashes(
@@ -217,9 +250,10 @@ def _clashes(
             # spheres around the panels tell apart most pairs at once
             centres = [np.array([panel.centre for _, panel in kept[k]]) for k in (i, j)]
             reach = sum(0.5 * float(np.hypot(*kept[k][0][1].size)) for k in (i, j))
-            apart = np.linalg.norm(centres[0][:, None] - centres[1][None], axis=2)
-            for a, b in np.argwhere(apart <= reach):
-                clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
+            for a, centre in enumerate(centres[0]):
+                apart = np.linalg.norm(centres[1] - centre, axis=1)
+                for b in np.flatnonzero(apart <= reach):
+                    clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
         if clash.any():
             clashes[i, j] = clash
     return clashes

@@ -31,7 +31,7 @@ from lightopt.rendering import PatchTable, Report, build_patches, cast_rays_at, 
 from lightopt.scene import Scene, build_scene, coarse_warnings
 from lightopt.transforms import Posture
 
-__all__ = ["Optimum", "optimize"]
+__all__ = ["Optimum", "cut_off", "optimize"]
 
 MATRIX_NAME = "matrix.npz"
 
@@ -114,7 +114,6 @@ def optimize(
             if warn is not None:
                 warn(text)
 
-    objectives = _objectives(rig, options, say)
     find = partial(
         find_candidates,
         rig,
@@ -124,6 +123,7 @@ def optimize(
     )
     find()  # what is wrong with the rig alone is told before the part is loaded
     check_editable(rig)
+    objectives = _objectives(rig, options, say)
     scene = build_scene(rig, part, postures=options.postures, points=options.points)
     thresholds = Thresholds.of_sensor(
         shade_share=options.shade_below,
@@ -161,7 +161,7 @@ def optimize(
         )
         for answer in results[-1].answers:
             if not answer.found.complete and answer.nothing is None:
-                say(_cut_off(answer, postures))
+                say(cut_off(answer, postures))
     written = write_outputs(
         Path(folder),
         rig,
@@ -200,7 +200,8 @@ def _objectives(
     return possible
 
 
-def _cut_off(answer: Answer, postures: Sequence[Posture]) -> str:
+def cut_off(answer: Answer, postures: Sequence[Posture]) -> str:
+    """What to say of a search that left combinations."""
     found, name = answer.found, answer.objective.name
     proof = (
         "none scores more, but one of those left may score the same and win the tie"
@@ -277,16 +278,20 @@ class _Matrices:
 def _matrix_facts(
     rig: RigConfig, part: PartConfig, scene: Scene, candidates: Candidates, options: OptimizeOptions
 ) -> dict[str, Any]:
-    # all that a level depends on; names and ranges of the lights are not part of it
+    # all that a level depends on, and nothing else: not the names and ranges of the lights, nor the sensor's noise and
+    # saturation, which thresholds are made of
     moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
+    mesh = part.source.resolve(part.mesh.file)
     return {
-        "camera": rig.camera.model_dump(mode="json"),
+        "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
+        "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
         "light_source": rig.light_source.model_dump(mode="json"),
         "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
         "angles_deg": [list(map(list, angles)) for angles in candidates.angles],
         "pivot_mm": list(rig.stage.pivot_mm),
-        "part": part.model_dump(mode="json", exclude={"name", "postures"}),
-        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+        "part": part.model_dump(mode="json", exclude={"name": True, "postures": True, "mesh": {"file"}}),
+        # of the file's name only what says how it is read
+        "mesh": {"sha256": file_sha256(mesh), "suffix": mesh.suffix.lower()},
         # the patches are refined for all postures together
         "postures": [posture.as_dict() for posture in scene.postures],
         "points": options.points,
@@ -327,5 +332,5 @@ def _provenance(
 
 
 def _versions() -> dict[str, str]:
-    packages = ("cascadio", "embreex", "numba", "numpy")
+    packages = ("cascadio", "embreex", "numba", "numpy", "trimesh")
     return {"lightopt": __version__, **{name: version(name) for name in packages}}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import trimesh
 from lightopt.cli._main import run
 from lightopt.config import load_rig
 from lightopt.images import read_image_set, read_png
-from lightopt.optimize import OptimizeOptions, optimize, search
+from lightopt.optimize import OptimizeOptions, optimize
 
 LIGHTS = """\
 lights:   # three of them
@@ -157,11 +158,36 @@ def test_the_terminal_shows_the_table(optimized, cli):
     ran = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *FEW, "--keep-matrix")
     lines = ran.out.splitlines()
     assert lines[0] == "3 × 2 × 2 positions of light1, light2, light3"
-    header = next(line for line in lines if line.split()[1:3] == ["best", "for"])
-    for word in ("light1", "coverage", "paper", "runner-up", "ties", "combinations"):
-        assert word in header
-    assert sum(" mm² (" in line for line in lines) == 4
     assert str(optimized.out / "result.json") in lines
+    header = next(k for k, line in enumerate(lines) if line.startswith("posture "))
+    assert re.split("  +", lines[header]) == [
+        *("posture", "best for", "light1", "light2", "light3", "coverage", "paper"),
+        *("runner-up", "ties", "combinations"),
+    ]
+    # every cell is what result.json says
+    rows = [re.split("  +", line.strip()) for line in lines[header + 1 : header + 5]]
+    expected = []
+    for group in result_of(optimized.out)["results"]:
+        posture = group["postures"][0]
+        first = [f"({posture['elevation_deg']:g}°, {posture['rotation_deg']:g}°)".replace("-", "−")]
+        for answer in group["objectives"]:
+            covered, levels = (answer["scores_under"][name] for name in ("coverage", "paper"))
+            share = 100 * covered / group["visible_area_um2"]
+            gap = f"{answer['gap'] / 1e6:,.2f} mm²" if first else f"{answer['gap']:,}"
+            expected.append(
+                [
+                    *first,
+                    answer["objective"],
+                    *(f"{one['elevation_deg']:g}°, {one['azimuth_deg']:g}°" for one in answer["lights"]),
+                    f"{covered / 1e6:,.2f} mm² ({share:.1f} %)",
+                    f"{levels:,}",
+                    f"−{gap}",
+                    f"{answer['ties']:,}",
+                    "12",
+                ]
+            )
+            first = []
+    assert [[cell.replace("-10", "−10") for cell in row] for row in rows] == expected
 
 
 def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli, snapshot):
@@ -213,19 +239,21 @@ def test_common_lights_and_common_elevation(three, cli):
     assert answer["score"] <= sum(singles)
 
 
-def test_a_limit_is_said_with_its_bound(three, cli, monkeypatch):
-    # tables of two combinations, so that the small space is searched in boxes
-    monkeypatch.setitem(search.__kwdefaults__, "table_cells", 2)
+def test_a_limit_is_said_with_its_bound(three, cli):
     ran = cli(
         "optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0",
-        "--max-combinations", "1", "--objective", "coverage",
+        "--max-combinations", "2", "--objective", "coverage",
     )  # fmt: skip
     assert ran.status == 0
     answer = result_of(three.out)["results"][0]["objectives"][0]
     assert answer["combinations"]["left"] > 0
+    assert answer["complete"] is False
     assert answer["bound"] >= answer["score"]
-    if not answer["proven"]:
-        assert "the limit of 1 combinations was reached" in ran.err
+    assert answer["proven"] is (answer["bound"] == answer["score"])
+    assert f"with {answer['combinations']['left']} left; the best found scores {answer['score']:,}" in ran.err
+    row = next(line for line in ran.out.splitlines() if " mm² (" in line)
+    assert f"≥ {answer['ties']} " in row
+    assert "≥ −" in row
 
 
 def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
@@ -282,7 +310,7 @@ def test_too_few_lights(bench, cli):
     with_lights(bench, "lights:\n  - {name: a, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45}\n")
     ran = cli("optimize", bench.rig, bench.part, "-o", bench.out)
     assert ran.status == 2
-    assert "expected two lights or more, found one" in ran.err or "one light only" in ran.err
+    assert "rig.yaml:11: lights: expected two lights or more, found one; with one light there is" in ran.err
 
 
 def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import tracemalloc
+
 import numpy as np
 import pytest
 import trimesh
@@ -152,6 +155,37 @@ def test_bad_input_says_where_and_what_to_do(tmp_path):
     for step in (1e-7, 1e-310, 5e-324):
         with pytest.raises(InputError, match="more than 100,000 positions, the most that are accepted"):
             find_candidates(rig, step_deg=step)
+
+
+def test_reasons_are_grouped_by_kind_with_their_numbers(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("a", 85, 0, ", elevation_range_deg: [83, 90]"),
+        light("b", 2, 180, ", elevation_range_deg: [1, 4]"),
+        light("c", 45, 90, ", elevation_range_deg: [30, 60]"),
+    )
+    with pytest.raises(InputError) as refused:
+        find_candidates(rig, step_deg=1.0)
+    first, second = refused.value.messages
+    pattern = r"light a is left: it stands in the camera's view, over [\d,]+ to 19,200 pixels \(8 positions\)\. Change"
+    assert re.search(pattern, first)
+    # 330 mm out, half of 60 mm below: 30·cos θ − 330·sin θ
+    assert "light b is left: it reaches 6.91 to 24.2 mm below the table top (4 positions). Change" in second
+
+
+def test_thousands_of_positions_a_light_need_no_memory_for_their_pairs(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("a", 45, 0, ", elevation_range_deg: [30, 60], azimuth_range_deg: [0, 90]"),
+        light("b", 45, 200, ", elevation_range_deg: [30, 60], azimuth_range_deg: [180, 270]"),
+    )
+    tracemalloc.start()
+    found = find_candidates(rig, step_deg=1.0)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.space.sizes == (2821, 2821)
+    # a flag for each of the 8 million pairs, not three numbers
+    assert peak < 60e6
 
 
 def test_a_panel_inside_the_part_is_left_out_and_the_posture_named(tmp_path):

@@ -13,7 +13,19 @@ import numpy as np
 import pytest
 
 from lightopt.errors import InputError
-from lightopt.optimize import OBJECTIVES, LuminanceMatrix, Space, Thresholds, area_units, search
+from lightopt.optimize import (
+    OBJECTIVES,
+    Answer,
+    Candidates,
+    LuminanceMatrix,
+    Space,
+    Thresholds,
+    area_units,
+    search,
+)
+from lightopt.optimize._answer import answer_set
+from lightopt.optimize._run import cut_off
+from lightopt.transforms import Posture
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -62,9 +74,10 @@ def test_many_lights_of_which_few_move_against_the_plain_definition(name, lights
 def test_a_dozen_lights_and_two_in_seconds(name, sizes):
     """10,000 patches; the best is what the definition says, and no combination drawn at random is better."""
     objective, matrix = OBJECTIVES[name], random_matrix(sizes, 10_000)
+    search([random_matrix(sizes, 10)], objective, THRESHOLDS, keep=2)  # compiles
     begun = time.monotonic()
     found = search([matrix], objective, THRESHOLDS, keep=2)
-    assert time.monotonic() - begun < 20, "seconds of compiling and searching, not minutes"
+    assert time.monotonic() - begun < 10.0
     assert found.scored == np.prod(sizes)
     weights = objective.weights(matrix.areas)
     rng = np.random.default_rng(1)
@@ -106,10 +119,44 @@ def test_proven_and_complete_are_two_things():
     assert found.proven
     assert not found.complete
     assert found.ties < 64
+    answer = Answer(objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score})
+    said = cut_off(answer, [Posture(0.0, 0.0)])
+    assert f"with {found.left} left" in said
+    assert "none scores more, but one of those left may score the same and win the tie" in said
     whole = search([matrix], OBJECTIVES["coverage"], THRESHOLDS, keep=2)
     assert whole.proven
     assert whole.complete
     assert (whole.ties, whole.left) == (64, 0)
+
+
+def test_a_limit_under_which_nothing_scores_names_no_optimum():
+    """The one combination that was looked at scores 0, and better ones are left."""
+    levels = (
+        [[0, 255], [100, 5], [5, 255]],
+        [[0, 100], [0, 0], [100, 255]],
+        [[100, 255], [100, 255], [100, 0]],
+    )
+    matrix = LuminanceMatrix(levels=tuple(np.array(one, np.uint8) for one in levels), areas=np.ones(2))
+    places = tuple(tuple((30.0, float(k)) for k in range(3)) for _ in range(3))
+    candidates = Candidates(
+        names=("a", "b", "c"), angles=places, panels=((),) * 3, left_out=(), space=Space.of((3, 3, 3))
+    )
+    result = answer_set(
+        *(
+            [matrix],
+            [Posture(0.0, 0.0)],
+            candidates,
+            [OBJECTIVES["paper"]],
+            Thresholds(shade=10, saturation=255),
+        ),
+        rows=2,
+        limit=1,
+        threads=1,
+    )
+    (answer,) = result.answers
+    assert answer.found.bound > 0
+    assert answer.nothing is not None
+    assert answer.nothing.startswith("all 1 combinations that were scored score 0, with 26 left")
 
 
 MEDIUM = {
