@@ -252,7 +252,7 @@ def _clashes(
             reach = sum(0.5 * float(np.hypot(*kept[k][0][1].size)) for k in (i, j))
             for a, centre in enumerate(centres[0]):
                 apart = np.linalg.norm(centres[1] - centre, axis=1)
-                for b in np.flatnonzero(apart <= reach):
+                for b in map(int, np.flatnonzero(apart <= reach)):
                     clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
         if clash.any():
             clashes[i, j] = clash

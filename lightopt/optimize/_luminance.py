@@ -37,8 +37,8 @@ BLOCK_PATCHES = 1 << 15
 """Patches that a thread works on at once."""
 
 MOST_BYTES = 1_000_000_000
-"""Of the levels that are held at a time: with a part of a million triangles, its patches and the search the process
-then stays below 2 GB."""
+"""Of the levels that are held at a time: with a part of some hundred thousand triangles, its patches and the
+search the process then stays below 2 GB."""
 
 
 def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, NDArray[np.intp]]:
