@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 
 from lightopt.errors import InputError
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, Posture
-from lightopt.optimize import OptimizeOptions, optimize
+from lightopt.optimize import LuminanceMatrix, OptimizeOptions, _run, optimize
 from lightopt.optimize._earlier import begin_writing
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -148,3 +150,52 @@ def test_what_cannot_be_edited_is_told_before_rays_are_cast(three, monkeypatch):
     three.edit("rig.yaml", "elevation_deg: 50.0 ", "elevation_deg: *low ")
     with pytest.raises(InputError, match=r"rig\.yaml: .*write anchors and aliases out"):
         optimize(three.rig, three.part, three.out, options=ONE)
+
+
+KEPT = OptimizeOptions(step_deg=20.0, patch_budget=500, keep_matrix=True, images=False)
+
+
+def test_a_kept_matrix_is_reused_as_long_as_no_level_changes(three):
+    """Noise, saturation, names, ranges and the mesh's file name change no level; black does."""
+    optimize(three.rig, three.part, three.out, options=KEPT)
+    three.edit("rig.yaml", "read_noise_levels: 0.8", "read_noise_levels: 2.5, saturation_level: 250")
+    three.edit("rig.yaml", "name: light1", "name: first")
+    three.mesh.rename(three.folder / "renamed.stl")
+    three.edit("part.yaml", "knob.stl", "renamed.stl")
+    assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 2
+    three.edit("rig.yaml", "bit_depth: 8,", "bit_depth: 8, black_level: 3,")
+    assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
+
+
+def test_the_matrix_depends_on_the_version_of_what_loads_the_mesh(three, monkeypatch):
+    optimize(three.rig, three.part, three.out, options=KEPT)
+    real = _run.version
+    monkeypatch.setattr(_run, "version", lambda name: "0" if name == "trimesh" else real(name))
+    assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
+
+
+def test_matrices_are_held_together_only_where_lights_are_common(three, monkeypatch):
+    refs: list[weakref.ref[LuminanceMatrix]] = []
+    alive: list[int] = []
+    real = _run.luminance_matrix
+
+    def make(*arguments, **options):
+        alive.append(sum(ref() is not None for ref in refs))
+        refs.append(weakref.ref(made := real(*arguments, **options)))
+        return made
+
+    monkeypatch.setattr(_run, "luminance_matrix", make)
+    options = replace(KEPT, keep_matrix=False)
+    optimize(three.rig, three.part, three.out / "own", options=options)
+    optimize(three.rig, three.part, three.out / "common", options=replace(options, common_lights=True))
+    assert alive == [0, 0, 0, 1]
+
+
+def test_the_budget_is_of_all_that_is_held(three, monkeypatch):
+    options = replace(KEPT, keep_matrix=False)
+    found = optimize(three.rig, three.part, three.out, options=options)
+    positions, patches = sum(found.candidates.space.sizes), max(result.patches for result in found.results)
+    monkeypatch.setattr(_run, "MOST_BYTES", round(1.5 * positions * patches))
+    optimize(three.rig, three.part, three.out, options=options)
+    with pytest.raises(InputError, match=r"GB a posture; take a larger --step or fewer --patches"):
+        optimize(three.rig, three.part, three.out / "all", options=replace(options, common_lights=True))
