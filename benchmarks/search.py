@@ -35,24 +35,29 @@ __all__ = ["run"]
 PARTS = ("cover-knob", "spout")
 THRESHOLDS = Thresholds(shade=10, saturation=255)
 PLAIN_COMBINATIONS = 40
+REFINED = 1.3
 BLOCK_RAYS = 131_072
 TARGETS = {"paper": "≤ 1 s, ≥ 5,000 ×", "coverage": "≤ 0.5 s"}
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Patches, step of the angles, and for six lights a coarser step [°]."""
+    """Patches, step of the angles, and for six lights coarser steps [°].
+
+    Halving faces stops short of the budget (asked for 200,000, it shows 185,258 of the knob and 180,475 of the spout):
+    as many patches as are asked for are drawn from a finer refinement.
+    """
 
     patches: int
     step_deg: float
-    coarse_deg: float
+    coarse_deg: tuple[float, ...]
     ray_positions: int
 
 
 SCALES = {
-    "full": Scale(200_000, 1.0, 5.0, 4),
-    "quick": Scale(50_000, 1.0, 5.0, 4),
-    "toy": Scale(600, 10.0, 15.0, 2),
+    "full": Scale(200_000, 1.0, (5.0, 3.0), 4),
+    "quick": Scale(50_000, 1.0, (5.0, 3.0), 4),
+    "toy": Scale(600, 10.0, (15.0,), 2),
 }
 
 
@@ -73,6 +78,7 @@ def run(size: Size) -> Report:
         )
         whole = time.perf_counter() - start
         matrix_rows.append(matrix_row(part, scene, table, panels, matrix, whole, scale, repeats, numbers))
+        matrix = drawn(matrix, scale.patches)
         rows += search_rows(part, matrix, repeats, seconds)
         if part == PARTS[0]:
             growth = growth_rows(matrix, repeats, numbers)
@@ -83,10 +89,10 @@ def run(size: Size) -> Report:
         areas=matrix.areas,
     )
     rows += search_rows("random levels", noise, repeats, seconds)
-    stride = round(scale.coarse_deg / scale.step_deg)
-    few = [layer[:: max(1, stride)] for layer in matrix.levels]
-    six = LuminanceMatrix(levels=(*few, few[0][:, ::-1], few[1][:, ::-1]), areas=matrix.areas)
-    rows += search_rows(f"{part}, six lights", six, max(1, repeats // 2), seconds)
+    for step in scale.coarse_deg:
+        few = [layer[:: max(1, round(step / scale.step_deg))] for layer in matrix.levels]
+        six = LuminanceMatrix(levels=(*few, few[0][:, ::-1], few[1][:, ::-1]), areas=matrix.areas)
+        rows += search_rows(f"{part}, six lights at {step:g}°", six, max(1, repeats // 2), seconds)
     numbers |= {"seconds": seconds, "patches": patches, "peak_bytes": peak_bytes()}
     return Report(
         "search",
@@ -118,8 +124,18 @@ def case(part: str, scale: Scale) -> tuple[Scene, PatchTable, tuple[tuple[PanelL
     """A sample part in its first posture, its patches and the candidate panels."""
     scene = build_scene(RIG, CONFIGS / "parts" / f"{part}.yaml")
     scene = replace(scene, postures=scene.postures[:1])
-    table = build_patches(scene, caster=cast_rays_at(scene), budget=scale.patches)
+    table = build_patches(scene, caster=cast_rays_at(scene), budget=round(REFINED * scale.patches))
     return scene, table, find_candidates(load_rig(RIG), step_deg=scale.step_deg).panels
+
+
+def drawn(matrix: LuminanceMatrix, patches: int) -> LuminanceMatrix:
+    """As many of a matrix's patches, drawn at random, in their order; all where there are no more."""
+    count = len(matrix.areas)
+    some = np.sort(np.random.default_rng(3).choice(count, min(count, patches), replace=False))
+    return LuminanceMatrix(
+        levels=tuple(np.ascontiguousarray(layer[:, some]) for layer in matrix.levels),
+        areas=matrix.areas[some],
+    )
 
 
 def plain_task(matrix: LuminanceMatrix, objective: Objective) -> Callable[[], list[int]]:

@@ -3,6 +3,7 @@
 Each part gets a folder of its own with ``images/`` (the rig as it is) and ``best/`` (the optimised rig). A part that
 fails does not stop the others and makes the exit status 1. A second run does only what changed: images that are there
 are kept, kept luminance matrices are reused; where rig, part, mesh or options changed, the results are made anew.
+Ctrl-C ends it with the summary of what was done and exit status 130.
 """
 
 from __future__ import annotations
@@ -13,6 +14,10 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+
+INTERRUPTED = 130
+
+OWN = {("lightopt-images", "simulated"), ("lightopt-optimum", "simulated")}
 
 HEADER = (
     "part",
@@ -43,7 +48,13 @@ def main(arguments: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    rows = [run_part(options.rig, part, options.step, options.options.split(), options.out) for part in parts]
+    rows: list[tuple[str, ...]] = []
+    interrupted = False
+    for part in parts:
+        row, interrupted = run_part(options.rig, part, options.step, options.options.split(), options.out)
+        rows.append(row)
+        if interrupted:
+            break
     widths = [max(len(row[i]) for row in (HEADER, *rows)) for i in range(len(HEADER))]
     table = [
         "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in (HEADER, *rows)
@@ -52,50 +63,78 @@ def main(arguments: list[str] | None = None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "summary.txt").write_text("\n".join(table) + "\n", encoding="utf-8")
     failed = [row[0] for row in rows if "failed" in row]
+    if interrupted:
+        done = f"{len(rows) - 1} of {len(parts)} parts were done before"
+        print(f"interrupted: {done}; the same command continues", file=sys.stderr)
+        return INTERRUPTED
     if failed:
         print(f"error: {len(failed)} of {len(rows)} parts failed: {', '.join(failed)}", file=sys.stderr)
     return 1 if failed else 0
 
 
-def run_part(rig: Path, part: Path, step: str, more: list[str], out: Path) -> tuple[str, ...]:
-    """Check, render and optimise a part; what fails keeps the rest from being tried."""
+def run_part(rig: Path, part: Path, step: str, more: list[str], out: Path) -> tuple[tuple[str, ...], bool]:
+    """Check, render and optimise a part; what fails keeps the rest from being tried. A row, and whether Ctrl-C was."""
     print(f"== {part}", flush=True)
     folder = out / part.stem
     begun = time.perf_counter()
-    commands = {
-        "check": ["check", str(rig), str(part)],
-        "render": ["render", str(rig), str(part), "-o", str(folder / "images"), "--quiet"],
-        "optimize": [
-            "optimize", str(rig), str(part), "-o", str(folder / "best"), "--step", step, "--keep-matrix", *more
-        ],
-    }  # fmt: skip
+    best, images = folder / "best", folder / "images"
+    commands = (
+        (["check", str(rig), str(part)], None),
+        (["render", str(rig), str(part), "-o", str(images), "--quiet"], images / "manifest.json"),
+        (
+            ["optimize", str(rig), str(part), "-o", str(best), "--step", step, "--keep-matrix", *more],
+            best / "result.json",
+        ),
+    )
     said: list[str] = []
-    for command in commands.values():
-        said.append("-" if "failed" in said else "ok" if lightopt(command) else "failed")
-    coverage, lights = summary(folder / "best" / "result.json") if said[-1] == "ok" else ("-", "-")
-    return (part.stem, *said, coverage, lights, f"{time.perf_counter() - begun:.1f}")
+    for command, result in commands:
+        said.append("-" if {"failed", "stopped"} & set(said) else lightopt(command, part, result))
+    coverage, lights = summary(best / "result.json") if said[-1] == "ok" else ("-", "-")
+    row = (part.stem, *said, coverage, lights, f"{time.perf_counter() - begun:.1f}")
+    return row, "stopped" in said
 
 
-def lightopt(command: list[str]) -> bool:
-    """Whether a command succeeds; the result of other inputs is replaced. Its messages go to the terminal."""
+def lightopt(command: list[str], part: Path, result: Path | None) -> str:
+    """Run a command: ok, failed or stopped. Its own earlier result of the same part is replaced where inputs changed.
+
+    Its messages go to the terminal.
+    """
     done = call(command)
-    if done.returncode == 2 and "use --force" in done.stderr:
+    if done.returncode == 2 and "use --force" in done.stderr and result is not None and is_own(result, part):
         print("was made from other inputs, and is made anew", flush=True)
         done = call([*command, "--force"])
     print(done.stdout, end="", flush=True)
     print(done.stderr, end="", file=sys.stderr, flush=True)
-    return done.returncode == 0
+    return "ok" if done.returncode == 0 else "stopped" if done.returncode == INTERRUPTED else "failed"
+
+
+def is_own(result: Path, part: Path) -> bool:
+    """Whether a result.json or manifest.json is lightopt's, computed, of the part file of this name."""
+    try:
+        found = json.loads(result.read_text(encoding="utf-8"))
+        kind = (str(found["format"]).partition("/")[0], found.get("kind", "simulated"))
+        return kind in OWN and found["part"]["file"] == part.name
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
+        return False
 
 
 def call(command: list[str]) -> subprocess.CompletedProcess[str]:
-    """Run a lightopt command."""
-    return subprocess.run(
+    """Run a lightopt command; where Ctrl-C is pressed, it has it too, and ends by itself."""
+    process = subprocess.Popen(
         [sys.executable, "-m", "lightopt", *command],
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-        check=False,
         encoding="utf-8",
     )
+    stopped = False
+    while True:
+        try:
+            out, err = process.communicate()
+        except KeyboardInterrupt:
+            stopped = True
+            continue
+        return subprocess.CompletedProcess(command, INTERRUPTED if stopped else process.returncode, out, err)
 
 
 def summary(path: Path) -> tuple[str, str]:

@@ -8,7 +8,20 @@ import typer
 
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._optimize_tables import show_optimum
-from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, parse_points, parse_posture
+from lightopt.cli._options import (
+    Force,
+    NoShadows,
+    Out,
+    PartFile,
+    Patches,
+    Points,
+    Postures,
+    Quiet,
+    RigFile,
+    Threads,
+    parse_points,
+    parse_posture,
+)
 from lightopt.cli._terminal import say_warning, show_progress, show_time_left
 from lightopt.errors import CheckFailed, InputError
 
@@ -44,25 +57,14 @@ def optimize(
     shade_below: Annotated[
         str,
         typer.Option(
-            metavar="SHARE", help="Levels below this share of full scale are shaded, such as 10/255."
+            metavar="SHARE",
+            help="Levels less than this share of full scale above black are shaded, such as 10/255.",
         ),
     ] = "10/255",
-    posture: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
-        ),
-    ] = None,
-    points: Annotated[
-        str | None,
-        typer.Option(
-            metavar="M", help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel."
-        ),
-    ] = None,
-    no_shadows: Annotated[bool, typer.Option("--no-shadows", help="The part casts no shadows.")] = False,
-    patches: Annotated[
-        int | None, typer.Option(metavar="N", help="About how many surface patches may be visible. [200000]")
-    ] = None,
+    posture: Postures = None,
+    points: Points = None,
+    no_shadows: NoShadows = False,
+    patches: Patches = None,
     keep_matrix: Annotated[
         bool,
         typer.Option("--keep-matrix", help="Keep the luminance matrices; the same command then reuses them."),
@@ -75,11 +77,12 @@ def optimize(
     ] = 100,
     max_combinations: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Most combinations to score before a bound is given. [200000000]"),
+        typer.Option(
+            metavar="N",
+            help="Stop after about N combinations (a box that is halved counts as 20000) and give a bound. [200000000]",
+        ),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
-    ] = None,
+    threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from lightopt.cli._terminal import say, show_table
 
 if TYPE_CHECKING:
-    from lightopt.optimize import Answer, Optimum, Overlap, SetResult
+    from lightopt.optimize import Answer, Objective, Optimum, SetResult
+    from lightopt.overlap import Overlap
 
 __all__ = ["show_optimum", "show_overlaps"]
 
@@ -59,17 +60,16 @@ def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
     angles = [
         f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)
     ]
-    units = {other.objective.name: other.objective.unit for other in result.answers}
-    scores = [_score(value, units[name], result) for name, value in answer.scores.items()]
-    gap = "-" if best.gap is None else f"−{_score(best.gap, answer.objective.unit, None)}"
-    return [*angles, *scores, gap, f"{best.ties:,}", looked]
+    objectives = {other.objective.name: other.objective for other in result.answers}
+    scores = [_score(value, objectives[name], result.area) for name, value in answer.scores.items()]
+    seen = "" if best.complete else "≥ "  # of the combinations looked at
+    gap = "-" if best.gap is None else f"{seen}−{answer.objective.shown(best.gap)}"
+    return [*angles, *scores, gap, f"{seen}{best.ties:,}", looked]
 
 
-def _score(value: int, unit: str, result: SetResult | None) -> str:
-    if unit != "µm²":
-        return f"{value:,}"
-    area = f"{value * 1e-6:,.2f} mm²"
-    return area if result is None else f"{area} ({100.0 * value / max(1, result.area):.1f} %)"
+def _score(value: int, objective: Objective, area: int) -> str:
+    share = objective.share(value, area)
+    return objective.shown(value) + ("" if share is None else f" ({100.0 * share:.1f} %)")
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:

@@ -16,10 +16,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Force",
+    "NoShadows",
     "Out",
     "PartFile",
+    "Patches",
+    "Points",
+    "Postures",
     "Quiet",
     "RigFile",
+    "Threads",
     "make_folder",
     "parse_exposure",
     "parse_points",
@@ -33,6 +38,23 @@ PartFile = Annotated[
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace results that are there and differ.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
+Postures = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
+    ),
+]
+Points = Annotated[
+    str | None,
+    typer.Option(metavar="M", help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel."),
+]
+NoShadows = Annotated[bool, typer.Option("--no-shadows", help="The part casts no shadows.")]
+Patches = Annotated[
+    int | None, typer.Option(metavar="N", help="About how many surface patches may be visible. [200000]")
+]
+Threads = Annotated[
+    int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
+]
 
 
 LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9

@@ -31,7 +31,7 @@ def overlap(
     import json
 
     from lightopt.images import read_image_set, write_text_atomic
-    from lightopt.optimize import find_overlaps, overlap_map_name, write_overlap_map
+    from lightopt.overlap import find_overlaps, overlap_map_name, write_overlap_map
 
     found = find_overlaps(read_image_set(images))
     if not quiet:
@@ -39,7 +39,7 @@ def overlap(
     if out is None:
         return
     for one in found:
-        path = out / overlap_map_name(one)
+        path = out / overlap_map_name(one.posture, one.exposure)
         make_folder(path.parent)
         write_overlap_map(one, path, overwrite=force)
         if not quiet:

@@ -7,10 +7,15 @@ import typer
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import (
     Force,
+    NoShadows,
     Out,
     PartFile,
+    Patches,
+    Points,
+    Postures,
     Quiet,
     RigFile,
+    Threads,
     parse_exposure,
     parse_points,
     parse_posture,
@@ -28,18 +33,8 @@ def render(
     light: Annotated[
         list[str] | None, typer.Option("--light", metavar="NAME", help="Only this light; repeatable.")
     ] = None,
-    posture: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
-        ),
-    ] = None,
-    points: Annotated[
-        str | None,
-        typer.Option(
-            metavar="M", help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel."
-        ),
-    ] = None,
+    posture: Postures = None,
+    points: Points = None,
     exposure: Annotated[
         list[str] | None,
         typer.Option(
@@ -52,12 +47,9 @@ def render(
     layers: Annotated[
         bool, typer.Option("--layers", help="EXR channels diffuse.Y and specular.Y as well.")
     ] = False,
-    no_shadows: Annotated[bool, typer.Option("--no-shadows", help="The part casts no shadows.")] = False,
+    no_shadows: NoShadows = False,
     supersample: Annotated[int, typer.Option(metavar="N", help="N × N rays per pixel.")] = 1,
-    patches: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="About how many surface patches may be visible. [200000]"),
-    ] = None,
+    patches: Patches = None,
     sheet: Annotated[
         bool,
         typer.Option(
@@ -65,9 +57,7 @@ def render(
             help="Also a labelled contact sheet of all images, contact-sheet.png; one per exposure.",
         ),
     ] = False,
-    threads: Annotated[
-        int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
-    ] = None,
+    threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:

@@ -117,26 +117,28 @@ def show_share(*, quiet: bool) -> Generator[Callable[[str, float], None] | None]
 
 
 @contextmanager
-def show_time_left(label: str, *, quiet: bool) -> Generator[Callable[[float], None] | None]:
-    """Lines that say how much is done and how long the rest will take, at most one a second; None where nobody looks.
+def show_time_left(label: str, *, quiet: bool) -> Generator[Callable[[str, float], None] | None]:
+    """Lines that say what is at work, how much is done of it and how long the rest will take, at most one a second.
 
-    For work that is mostly over at once: nothing is said of the first second.
+    None where nobody looks. For work that is mostly over at once: nothing is said of the first second of a stage.
     """
     if quiet or not sys.stderr.isatty():
         yield None
         return
     from time import monotonic
 
-    begun: list[float] = []
+    at_work, begun = "", [0.0, 0.0, 0.0]
 
-    def report(share: float) -> None:
+    def report(stage: str, share: float) -> None:
+        nonlocal at_work
         now = monotonic()
-        if not begun:
-            begun[:] = [now, now, share]
+        if stage != at_work:
+            # the pace of one stage says nothing of another's
+            at_work, begun[:] = stage, [now, now, share]
         first, last, start = begun
         if share > start and now - last >= 1.0:
             begun[1] = now
             left = (now - first) * (1.0 - share) / (share - start)
-            typer.echo(f"{label}: {100.0 * share:.1f} %, about {left:.0f} s left", err=True)
+            typer.echo(f"{label} {stage}: {100.0 * share:.1f} %, at most about {left:.0f} s left", err=True)
 
     yield report

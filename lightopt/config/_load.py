@@ -70,7 +70,8 @@ def load_part(path: Path | str) -> PartConfig:
 def _load(path: Path, model: type[Config], expected: str) -> Config:
     data = _read(path, expected)
     try:
-        document = parse(_decode(data, path))
+        text = _decode(data, path)
+        document = parse(text)
     except YamlError as error:
         raise _error(path, [error.problem]) from None
     if document.data is None and not document.problems:
@@ -88,7 +89,7 @@ def _load(path: Path, model: type[Config], expected: str) -> Config:
     problems = [*document.problems, *problems]
     if config is None or problems:
         raise _error(path, problems)
-    config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines)
+    config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines, text)
     return config
 
 

@@ -38,6 +38,8 @@ class Source:
         Hash of the file's bytes, hexadecimal; empty for a configuration that was built in code.
     lines
         Line number (1-based) of each path of keys in the file.
+    text
+        The file's text as it was read; empty for a configuration that was built in code.
 
     Examples
     --------
@@ -51,6 +53,7 @@ class Source:
     path: Path
     sha256: str
     lines: Mapping[Keys, int] = field(default_factory=_no_lines, repr=False, compare=False)
+    text: str = field(default="", repr=False, compare=False)
 
     def line(self, *keys: str | int) -> int | None:
         """Line of a key, or of the nearest mapping around it that is in the file; None without a file."""

@@ -174,7 +174,11 @@ def _rig_text(folder: Path, result: FitResult, rig: RigConfig) -> str:
 
 
 def _text(source: Source) -> str:
-    return source.path.read_bytes().decode("utf-8-sig")
+    if not source.text:
+        raise InputError(
+            f"{source.path}: built in code, so that there is no file to write the fitted values into; load it from one"
+        )
+    return source.text
 
 
 def _hashes(image_set: ImageSet, *names: str | None) -> dict[str, str]:

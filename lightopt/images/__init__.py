@@ -19,6 +19,7 @@ from lightopt.images._names import dark_name, exr_name, geometry_name, png_name,
 from lightopt.images._parse import parse_manifest, read_manifest
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, LoadedImage, read_image_set
+from lightopt.images._resume import remove_image_set
 from lightopt.images._writer import ImageSetWriter
 from lightopt.transforms import Posture
 
@@ -45,6 +46,7 @@ __all__ = [
     "read_manifest",
     "read_png",
     "read_png_metadata",
+    "remove_image_set",
     "sheet_name",
     "write_atomically",
     "write_bytes_atomic",

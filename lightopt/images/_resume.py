@@ -11,7 +11,7 @@ from lightopt.errors import InputError
 from lightopt.images._manifest import MANIFEST_NAME, Manifest
 from lightopt.images._parse import read_manifest
 
-__all__ = ["remove_set", "resumable_manifest"]
+__all__ = ["remove_image_set", "remove_set", "resumable_manifest"]
 
 _CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings")
 
@@ -61,6 +61,41 @@ def remove_set(folder: Path, header: Manifest) -> int:
             f"{folder}: holds captured images, which are not replaced by {header.kind} ones, not even with --force; "
             "choose another output folder"
         )
+    return _remove_files(folder, manifest)
+
+
+def remove_image_set(folder: Path) -> int:
+    """Remove a simulated image set: the files that its manifest lists, and the manifest; nothing else.
+
+    A folder without a manifest, with a damaged one or with one of captured images stays as it is.
+
+    Returns
+    -------
+    int
+        Number of files removed.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be removed.
+    """
+    try:
+        manifest = read_manifest(folder / MANIFEST_NAME)
+    except InputError:
+        return 0
+    if manifest.kind != "simulated":
+        return 0
+    removed = _remove_files(folder, manifest)
+    try:
+        (folder / MANIFEST_NAME).unlink()
+    except OSError as error:
+        raise InputError(
+            f"{folder / MANIFEST_NAME}: cannot be removed: {error.strerror or error}; choose another output folder"
+        ) from error
+    return 1 + removed
+
+
+def _remove_files(folder: Path, manifest: Manifest) -> int:
     removed = 0
     paths = [folder / name for name in _listed(manifest)]
     for path in paths:

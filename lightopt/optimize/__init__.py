@@ -10,7 +10,6 @@ from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions
-from lightopt.optimize._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
 from lightopt.optimize._run import Optimum, optimize
@@ -29,7 +28,6 @@ __all__ = [
     "Objective",
     "OptimizeOptions",
     "Optimum",
-    "Overlap",
     "Ranked",
     "SetResult",
     "Space",
@@ -37,11 +35,8 @@ __all__ = [
     "angles_of",
     "area_units",
     "find_candidates",
-    "find_overlaps",
     "luminance_matrix",
     "objectives_named",
     "optimize",
-    "overlap_map_name",
     "search",
-    "write_overlap_map",
 ]

@@ -8,10 +8,15 @@ from collections.abc import Sequence
 from lightopt.config import LightConfig, RigConfig
 from lightopt.errors import InputError
 
-__all__ = ["common_elevations", "light_angles"]
+__all__ = ["can_move", "common_elevations", "light_angles"]
 
 MOST_POSITIONS = 100_000
 """Candidate positions of a light; more are refused."""
+
+
+def can_move(light: LightConfig) -> bool:
+    """Whether a light has a range in either angle."""
+    return light.elevation_range_deg is not None or light.azimuth_range_deg is not None
 
 
 def light_angles(
@@ -49,8 +54,8 @@ def light_angles(
         turns.pop()  # the full turn ends where it begins
     if len(heights) * len(turns) > MOST_POSITIONS:
         raise InputError(
-            f"{rig.source.at('lights', index)}: at --step {step_deg:g} light {light.name} has "
-            f"{len(heights) * len(turns):,} positions, at most {MOST_POSITIONS:,} are accepted; take a larger step"
+            f"{rig.source.at('lights', index)}: at --step {step_deg:g} light {light.name} has more than "
+            f"{MOST_POSITIONS:,} positions, the most that are accepted; take a larger step"
         )
     return [(height, turn) for height in heights for turn in turns]
 
@@ -87,8 +92,8 @@ def _steps(ends: tuple[float, float] | None, now: float, step: float) -> list[fl
         return [now]
     low, high = ends
     # a last step that only rounding keeps from the end is the end
-    count = math.floor((high - low) / step + 1e-9)
+    count = (high - low) / step + 1e-9  # infinite for the least of steps
     if count > MOST_POSITIONS:
         return [low] * (MOST_POSITIONS + 1)
-    angles = [round(low + k * step, 9) for k in range(count + 1)]
+    angles = [round(low + k * step, 9) for k in range(math.floor(count) + 1)]
     return angles if math.isclose(angles[-1], high, abs_tol=1e-9) else [*angles, high]

@@ -11,10 +11,14 @@ from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._result import Answer, SetResult
-from lightopt.optimize._search import search
+from lightopt.optimize._search import Found, search
+from lightopt.optimize._work import pieces
 from lightopt.transforms import Posture
 
 __all__ = ["answer_set"]
+
+PIECE_PATCHES = 1 << 15
+"""Patches that an objective's definition is given at once."""
 
 
 def answer_set(
@@ -27,7 +31,7 @@ def answer_set(
     rows: int,
     limit: int,
     threads: int | None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> SetResult:
     """The best light positions for postures that share them.
 
@@ -44,7 +48,7 @@ def answer_set(
     rows, limit, threads
         As for :func:`lightopt.optimize.search`: its `keep`, `limit` and `threads`.
     progress
-        Called with the share of the combinations done, all objectives together.
+        Called with what is searched for and the share of that which is done.
 
     Raises
     ------
@@ -58,7 +62,8 @@ def answer_set(
                 "than another; check the part's placement and the posture"
             )
     answers: list[Answer] = []
-    for index, objective in enumerate(objectives):
+    for objective in objectives:
+        stage = f"{objective.name}, {', '.join(map(str, postures))}"
         found = search(
             matrices,
             objective,
@@ -67,9 +72,7 @@ def answer_set(
             keep=rows,
             limit=limit,
             threads=threads,
-            progress=None
-            if progress is None
-            else lambda share, before=index: progress((before + share) / len(objectives)),
+            progress=None if progress is None else lambda share, stage=stage: progress(stage, share),
         )
         best = found.best.candidates
         scores = {other.name: _score(matrices, other, best, thresholds) for other in objectives}
@@ -78,7 +81,7 @@ def answer_set(
                 f"internal error: objective {objective.name} scores the best set {found.best.score:,} in the search "
                 f"and {scores[objective.name]:,} by its definition; please report it with the rig and the part"
             )
-        nothing = _nothing(matrices, thresholds) if found.bound == 0 else None
+        nothing = _nothing(matrices, thresholds, found) if found.best.score == 0 else None
         answers.append(Answer(objective=objective, found=found, scores=scores, nothing=nothing))
     return SetResult(
         postures=tuple(postures),
@@ -94,19 +97,27 @@ def _score(
     combination: tuple[int, ...],
     thresholds: Thresholds,
 ) -> int:
-    return sum(
-        objective.score(matrix.combination(combination), objective.weights(matrix.areas), thresholds)
-        for matrix in matrices
-    )
+    total = 0
+    for matrix in matrices:
+        levels, weights = matrix.combination(combination), objective.weights(matrix.areas)
+        # scores are sums over patches: pieces of them bound the memory
+        for start, end in pieces(len(weights), PIECE_PATCHES):
+            total += objective.score(levels[:, start:end], weights[start:end], thresholds)
+    return total
 
 
-def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: Thresholds) -> str:
+def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: Thresholds, found: Found) -> str:
     layers = [layer for matrix in matrices for layer in matrix.levels]
     count = sum(layer.size for layer in layers)
     dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)
     bright = sum(int(np.count_nonzero(layer >= thresholds.saturation)) for layer in layers)
+    which = (
+        "every combination scores 0"
+        if found.bound == 0
+        else f"all {found.scored:,} combinations that were scored score 0, with {found.left:,} left"
+    )
     return (
-        f"every combination scores 0: of the levels of the visible patches {100.0 * dark / count:.3g} % are shaded "
+        f"{which}: of the levels of the visible patches {100.0 * dark / count:.3g} % are shaded "
         f"(below {thresholds.shade}) and {100.0 * bright / count:.3g} % saturated (from {thresholds.saturation} on); "
         "change the lights' gain, the thresholds or the lights' ranges"
     )

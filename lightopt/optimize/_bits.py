@@ -7,7 +7,8 @@ weights of what is covered are added up bit by bit, each bit of the weights bein
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,46 +16,111 @@ from numpy.typing import NDArray
 from lightopt.kernels import kernel
 from lightopt.optimize._matrix import Levels, Thresholds
 from lightopt.optimize._packed import Words, common_bits, packed
-from lightopt.optimize._threads import run_all
+from lightopt.optimize._work import Share, Work, pieces
+from lightopt.rendering import Task, run_all
 
 __all__ = ["bit_scores"]
 
 Int64 = NDArray[np.int64]
 
+BLOCK_LEVELS = 1 << 25
+"""Levels that are packed at once."""
+
+LEAST_PATCHES = 4096
+"""Of a block, however many candidates there are."""
+
+TASK_WORDS = 100_000_000
+"""Words that a task looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+
 
 def bit_scores(
-    levels: Sequence[Levels], weights: Int64, thresholds: Thresholds, *, rule: tuple[int, int], threads: int
+    levels: Sequence[Levels],
+    chosen: Int64,
+    weights: Int64,
+    thresholds: Thresholds,
+    *,
+    rule: tuple[int, int],
+    threads: int,
+    progress: Share | None = None,
 ) -> Int64:
     """As :func:`lightopt.optimize._runs.run_scores`, with the same parameters; at least two lights."""
-    # heavy patches first, so that the planes of the high bits are short
-    order = np.argsort(-weights, kind="stable")
-    heavy = weights[order]
-    usable = [
-        packed((layer[:, order] >= thresholds.shade) & (layer[:, order] < thresholds.saturation))
-        for layer in levels
-    ]
-    saturated = [packed(layer[:, order] >= thresholds.saturation) for layer in levels]
-    bits = int(heavy.max(initial=0)).bit_length()
-    planes = packed(np.stack([(heavy >> k) & 1 == 1 for k in range(max(1, bits))]))
-    lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(len(planes))], np.int64)
-    shape = tuple(len(layer) for layer in levels)
-    table = np.zeros(shape, np.int64)
-    least, most = rule
-    words = planes.shape[1]
-
-    def fill(prefix: tuple[int, ...]) -> None:
-        used = np.zeros((least, words), np.uint64)  # row k: usable in more than k images so far
-        spoilt = np.zeros((most + 1, words), np.uint64)
-        for light, candidate in enumerate(prefix):
-            _count(used, usable[light][candidate])
-            _count(spoilt, saturated[light][candidate])
-        _last_two(
-            used, spoilt, usable[-2], saturated[-2], usable[-1], saturated[-1], planes, lengths, table[prefix]
-        )
-
-    prefixes = itertools.product(*(range(n) for n in shape[:-2]))
-    run_all(((fill, (prefix,)) for prefix in prefixes), threads=threads)
+    sizes = [len(layer) for layer in levels]
+    table = np.zeros(math.prod(sizes), np.int64)
+    work = Work(len(table) * len(chosen), progress)
+    for start, end in pieces(len(chosen), max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
+        # heavy patches first, so that the planes of the high bits are short
+        some = chosen[start:end][np.argsort(-weights[chosen[start:end]], kind="stable")]
+        block = _Block(levels, some, weights[some], thresholds, rule)
+        run_all(block.tasks(table, work), threads=threads, done=work.tell)
     return table
+
+
+class _Block:
+    """Some patches, packed."""
+
+    def __init__(
+        self,
+        levels: Sequence[Levels],
+        some: Int64,
+        heavy: Int64,
+        thresholds: Thresholds,
+        rule: tuple[int, int],
+    ) -> None:
+        self.patches = len(some)
+        bits = max(1, int(heavy.max(initial=0)).bit_length())
+        self.planes = packed(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
+        self.lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(bits)], np.int64)
+        self.words = self.planes.shape[1]
+        # row k: usable in more than k images so far; first those under lights that stand still
+        self.used = np.zeros((rule[0], self.words), np.uint64)
+        self.spoilt = np.zeros((rule[1] + 1, self.words), np.uint64)
+        # the last two of those that move are counted together; where fewer do, of those that stand still
+        moving = [i for i, layer in enumerate(levels) if len(layer) > 1]
+        inner = (moving or [0])[-2:]
+        inner = sorted({*inner, *[i for i in range(len(levels)) if i not in inner][: 2 - len(inner)]})
+        self.outer: list[tuple[Words, Words]] = []
+        self.inner: list[tuple[Words, Words]] = []
+        for i, layer in enumerate(levels):
+            taken = layer.take(some, axis=1)
+            usable = packed((taken >= thresholds.shade) & (taken < thresholds.saturation))
+            saturated = packed(taken >= thresholds.saturation)
+            if i in inner:
+                self.inner.append((usable, saturated))
+            elif len(layer) > 1:
+                self.outer.append((usable, saturated))
+            else:
+                _count(self.used, usable[0])
+                _count(self.spoilt, saturated[0])
+
+    def tasks(self, table: Int64, work: Work) -> Iterator[Task]:
+        """Tasks that add the block's scores to a table."""
+        (usable, saturated), (last_usable, last_saturated) = self.inner
+        columns = len(last_usable)
+        cells = table.reshape(-1, len(usable), columns)
+
+        def fill(index: int, prefix: tuple[int, ...], start: int, end: int) -> None:
+            used, spoilt = self.used.copy(), self.spoilt.copy()
+            for (use, spoil), candidate in zip(self.outer, prefix, strict=True):
+                _count(used, use[candidate])
+                _count(spoilt, spoil[candidate])
+            _last_two(
+                used,
+                spoilt,
+                usable[start:end],
+                saturated[start:end],
+                last_usable,
+                last_saturated,
+                self.planes,
+                self.lengths,
+                cells[index, start:end],
+            )
+            work.add((end - start) * columns * self.patches)
+
+        rows = max(1, TASK_WORDS // (columns * (self.words + int(self.lengths.sum()))))
+        prefixes = itertools.product(*(range(len(usable)) for usable, _ in self.outer))
+        for index, prefix in enumerate(prefixes):
+            for start, end in pieces(len(usable), rows):
+                yield fill, (index, prefix, start, end)
 
 
 @kernel
@@ -96,7 +162,7 @@ def _last_two(
             total = 0
             for k in range(len(lengths)):
                 total += common_bits(covered[: lengths[k]], planes[k, : lengths[k]]) << k
-            table[c, d] = total
+            table[c, d] += total
 
 
 @kernel

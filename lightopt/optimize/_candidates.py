@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from lightopt.config import RigConfig
 from lightopt.errors import InputError, counted
-from lightopt.optimize._angles import common_elevations, light_angles
+from lightopt.optimize._angles import can_move, common_elevations, light_angles
 from lightopt.optimize._space import Rows, Space
+from lightopt.raycast import RayCaster
+from lightopt.rendering import panels_in_part
 from lightopt.scene import (
     PanelLight,
     PinholeCamera,
+    Scene,
     build_camera,
     build_lights,
     image_area,
@@ -41,12 +44,18 @@ class LeftOut:
         The position [°].
     reason
         For people.
+    kind
+        ``view``, ``table``, ``part`` or ``collision``.
+    amount
+        Pixels that are covered, or mm below the table top; None for the other kinds.
     """
 
     light: str
     elevation_deg: float
     azimuth_deg: float
     reason: str
+    kind: str
+    amount: float | None = None
 
 
 @dataclass(frozen=True)
@@ -80,12 +89,14 @@ def find_candidates(
     step_deg: float,
     common_elevation: bool = False,
     points: int | Literal["auto"] | None = None,
+    scene: Scene | None = None,
+    caster: RayCaster | None = None,
 ) -> Candidates:
     """The positions that a rig's lights can take.
 
-    Left out are panels that stand in the camera's view, reach below the table top, or collide with another light
-    wherever that one stands. Panels that collide in some of their positions only make combinations that are not
-    allowed.
+    Left out are panels that stand in the camera's view, reach below the table top, are inside the part in one of its
+    postures, or collide with another light wherever that one stands. Panels that collide in some of their positions
+    only make combinations that are not allowed.
 
     Parameters
     ----------
@@ -97,6 +108,8 @@ def find_candidates(
         Whether all lights that move in elevation stand at the same one.
     points
         Point lights per panel, instead of the rig's.
+    scene, caster
+        The part in its postures and its ray caster; without them the part is not in the way.
 
     Raises
     ------
@@ -112,11 +125,11 @@ def find_candidates(
         places: list[tuple[Angles, PanelLight]] = []
         angles = light_angles(rig, index, step_deg=step_deg, elevations=shared)
         for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
-            reason = _reason(panel, camera)
+            reason = _reason(panel, camera) or _part_in_the_way(panel, scene, caster)
             if reason is None:
                 places.append((at, panel))
             else:
-                left_out.append(LeftOut(panel.name, *at, reason))
+                left_out.append(LeftOut(panel.name, *at, *reason))
         kept.append(places)
     clashes = _clashes(kept)
     hopeless = _always_colliding(kept, clashes)
@@ -124,7 +137,7 @@ def find_candidates(
         for k, other in sorted(others.items()):
             name = rig.lights[index].name
             reason = f"collides with {rig.lights[other].name} wherever that one stands"
-            left_out.append(LeftOut(name, *kept[index][k][0], reason))
+            left_out.append(LeftOut(name, *kept[index][k][0], reason, "collision"))
     rows = [[k for k in range(len(places)) if k not in hopeless[i]] for i, places in enumerate(kept)]
     _check_any(rig, rows, left_out)
     angles_kept = tuple(tuple(kept[i][k][0] for k in row) for i, row in enumerate(rows))
@@ -152,7 +165,7 @@ def _check_movable(rig: RigConfig) -> None:
             f"{rig.source.at('lights')}: expected two lights or more, found one; with one light there is no "
             "combination to choose"
         )
-    if all(light.elevation_range_deg is None and light.azimuth_range_deg is None for light in rig.lights):
+    if not any(map(can_move, rig.lights)):
         raise InputError(
             f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
             "azimuth_range_deg"
@@ -164,11 +177,11 @@ def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence
     for index, row in enumerate(rows):
         if not row:
             light = rig.lights[index]
-            reasons = dict.fromkeys(out.reason for out in left_out if out.light == light.name)
+            reasons = _grouped([out for out in left_out if out.light == light.name])
             key = "elevation_range_deg" if light.elevation_range_deg is not None else "elevation_deg"
             problems.append(
                 f"{rig.source.at('lights', index, key)}: no position of light {light.name} is left: it "
-                f"{'; or it '.join(reasons)}. Change its range or the size of its panel"
+                f"{'; it '.join(reasons)}. Change its range or the size of its panel"
             )
     if problems:
         raise InputError(*problems)
@@ -182,15 +195,49 @@ def _panels(
     return build_lights(rig.model_copy(update={"lights": moved}), None, points)
 
 
-def _reason(panel: PanelLight, camera: PinholeCamera) -> str | None:
+Reason = tuple[str, str, float | None]
+"""Text, kind and amount of a :class:`LeftOut`."""
+
+
+def _grouped(left_out: Sequence[LeftOut]) -> list[str]:
+    # positions of one kind together, with the smallest and the largest amount
+    texts: list[str] = []
+    groups = dict.fromkeys((out.kind, "" if out.amount is not None else out.reason) for out in left_out)
+    for kind, text in groups:
+        some = [out for out in left_out if (out.kind, text or out.reason) == (kind, out.reason)]
+        amounts = [out.amount for out in some if out.amount is not None]
+        where = f" ({counted(len(some), 'position')})"
+        if kind == "view":
+            texts.append(f"stands in the camera's view, over {_span(amounts, ',.0f')} pixels{where}")
+        elif kind == "table":
+            texts.append(f"reaches {_span(amounts, '.3g')} mm below the table top{where}")
+        else:
+            texts.append(text + where)
+    return texts
+
+
+def _span(amounts: Sequence[float], form: str) -> str:
+    low, high = (format(end, form) for end in (min(amounts), max(amounts)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _reason(panel: PanelLight, camera: PinholeCamera) -> Reason | None:
     corners = panel_corners(panel)
     pixels = image_area(camera, corners)
     if pixels > 0.0:
-        return f"stands in the camera's view, over {counted(max(1, round(pixels)), 'pixel')}"
+        covered = max(1, round(pixels))
+        return f"stands in the camera's view, over {counted(covered, 'pixel')}", "view", float(covered)
     lowest = float(corners[:, 2].min())
     if lowest < 0.0:
-        return f"reaches {-lowest:.3g} mm below the table top"
+        return f"reaches {-lowest:.3g} mm below the table top", "table", -lowest
     return None
+
+
+def _part_in_the_way(panel: PanelLight, scene: Scene | None, caster: RayCaster | None) -> Reason | None:
+    if scene is None or caster is None:
+        return None
+    inside = panels_in_part(replace(scene, lights=(panel,)), caster)
+    return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
 def _clashes(
@@ -203,9 +250,10 @@ def _clashes(
             # spheres around the panels tell apart most pairs at once
             centres = [np.array([panel.centre for _, panel in kept[k]]) for k in (i, j)]
             reach = sum(0.5 * float(np.hypot(*kept[k][0][1].size)) for k in (i, j))
-            apart = np.linalg.norm(centres[0][:, None] - centres[1][None], axis=2)
-            for a, b in np.argwhere(apart <= reach):
-                clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
+            for a, centre in enumerate(centres[0]):
+                apart = np.linalg.norm(centres[1] - centre, axis=1)
+                for b in map(int, np.flatnonzero(apart <= reach)):
+                    clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
         if clash.any():
             clashes[i, j] = clash
     return clashes

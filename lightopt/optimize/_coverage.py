@@ -13,6 +13,7 @@ left to :mod:`lightopt.optimize._bits`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,8 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize._bits import bit_scores
-from lightopt.optimize._matrix import Levels, Thresholds, area_units
+from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, Thresholds, area_units
+from lightopt.optimize._reach import reach
 from lightopt.optimize._runs import run_products, run_scores
+from lightopt.optimize._work import Share, part_of, pieces
 
 __all__ = ["COVERAGE", "LEAST_USABLE", "MOST_SATURATED", "Coverage"]
 
@@ -34,10 +37,14 @@ LEAST_USABLE = 2
 MOST_SATURATED = 1
 """Images that may show it saturated."""
 
+RULE = LEAST_USABLE, MOST_SATURATED
+
 BITS_SHARE = 512
 """A patch goes to the packed bits when its classes make more than 1/512 of the table's number of cells: there the two
-ways
-take about the same time."""
+ways take about the same time."""
+
+BOUND_PATCHES = 1 << 16
+"""Patches whose bound is worked out at once."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,14 @@ class Coverage:
 
     name: str = "coverage"
     unit: str = "µm²"
+
+    def shown(self, score: int) -> str:
+        """In mm²."""
+        return f"{score * AREA_UNIT_MM2:,.2f} mm²"
+
+    def share(self, score: int, area: int) -> float | None:
+        """The share of the area that is covered."""
+        return score / max(1, area)
 
     def refusal(self, lights: int) -> str | None:
         """One image is never two."""
@@ -65,33 +80,56 @@ class Coverage:
         return int(weights[covered].sum())
 
     def scores(
-        self, levels: Sequence[Levels], weights: Int64, thresholds: Thresholds, *, threads: int
+        self,
+        levels: Sequence[Levels],
+        weights: Int64,
+        thresholds: Thresholds,
+        *,
+        threads: int,
+        progress: Share | None = None,
     ) -> Int64:
         """By runs of candidates where a patch's class stays, or by packed bits."""
         products = run_products(levels, thresholds)
-        cells = float(np.prod([len(layer) for layer in levels], dtype=np.float64))
+        cells = math.prod(len(layer) for layer in levels)
         simple = products <= max(64.0, cells / BITS_SHARE)
-        if simple.all():
-            return run_scores(levels, weights, thresholds, rule=_rule(), threads=threads)
-        table = np.zeros(tuple(len(layer) for layer in levels), np.int64)
-        for chosen, ways in ((simple, run_scores), (~simple, bit_scores)):
-            if chosen.any():
-                some = [np.ascontiguousarray(layer[:, chosen]) for layer in levels]
-                table += ways(some, weights[chosen], thresholds, rule=_rule(), threads=threads)
+        # of the work that there is, in boxes
+        by_runs = float(products[simple].sum())
+        by_bits = float(np.count_nonzero(~simple)) * cells / BITS_SHARE
+        turn = by_runs / max(1.0, by_runs + by_bits)
+        table = run_scores(
+            levels,
+            np.flatnonzero(simple),
+            weights,
+            thresholds,
+            rule=RULE,
+            threads=threads,
+            progress=part_of(progress, 0.0, turn),
+        )
+        if not simple.all():
+            table += bit_scores(
+                levels,
+                np.flatnonzero(~simple),
+                weights,
+                thresholds,
+                rule=RULE,
+                threads=threads,
+                progress=part_of(progress, turn, 1.0),
+            )
         return table
 
     def bound(self, levels: Sequence[Levels], weights: Int64, thresholds: Thresholds) -> int:
         """Patches that could be usable under two lights and need not be saturated under more than one."""
-        can_use, must_saturate = 0, 0
-        for layer in levels:
-            saturated = layer >= thresholds.saturation
-            can_use = can_use + ((layer >= thresholds.shade) & ~saturated).any(axis=0).astype(np.int64)
-            must_saturate = must_saturate + saturated.all(axis=0).astype(np.int64)
-        return int(weights[(can_use >= LEAST_USABLE) & (must_saturate <= MOST_SATURATED)].sum())
-
-
-def _rule() -> tuple[int, int]:
-    return LEAST_USABLE, MOST_SATURATED
+        total = 0
+        for start, end in pieces(len(weights), BOUND_PATCHES):
+            can_use = np.zeros(end - start, np.int64)
+            must_saturate = np.zeros(end - start, np.int64)
+            for layer in levels:
+                light = reach(layer, thresholds, start, end)
+                can_use += light.usable >= 0
+                must_saturate += light.least >= thresholds.saturation
+            could = (can_use >= LEAST_USABLE) & (must_saturate <= MOST_SATURATED)
+            total += int(weights[start:end][could].sum())
+        return total
 
 
 COVERAGE = Coverage()

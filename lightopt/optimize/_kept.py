@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.images import write_npz_atomic
-from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._matrix import LuminanceMatrix
 
 __all__ = ["keep_matrix", "matrix_key", "read_matrix"]
@@ -36,15 +34,17 @@ def matrix_key(facts: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
-def keep_matrix(path: Path, matrix: LuminanceMatrix, candidates: Candidates, *, key: str) -> str:
+def keep_matrix(
+    path: Path, matrix: LuminanceMatrix, angles: Sequence[Sequence[tuple[float, float]]], *, key: str
+) -> str:
     """Write a matrix, whole or not at all; returns the file's SHA-256.
 
     A matrix is only ever a saving of time, so that one of other inputs is replaced without asking.
     """
     arrays: dict[str, NDArray[Any]] = {"key": np.array(key), "areas_mm2": matrix.areas}
-    for index, (layer, angles) in enumerate(zip(matrix.levels, candidates.angles, strict=True)):
+    for index, (layer, places) in enumerate(zip(matrix.levels, angles, strict=True)):
         arrays[f"light_{index}"] = layer
-        arrays[f"angles_{index}_deg"] = np.array(angles, dtype=np.float64)
+        arrays[f"angles_{index}_deg"] = np.array(places, dtype=np.float64)
     return write_npz_atomic(path, arrays)
 
 
@@ -52,10 +52,11 @@ def read_matrix(path: Path, *, key: str, lights: int) -> LuminanceMatrix | None:
     """A kept matrix; None where there is none, it is damaged, or it depends on other inputs."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            if str(arrays["key"]) != key:
+            # reading an array leaves the check of its sum out where it stops before the end of its file
+            if str(arrays["key"]) != key or arrays.zip.testzip() is not None:
                 return None
             return LuminanceMatrix(
                 levels=tuple(arrays[f"light_{i}"] for i in range(lights)), areas=arrays["areas_mm2"]
             )
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile):
+    except Exception:  # noqa: BLE001 - zip, zlib, NumPy's header and tokenizer each have errors of their own
         return None

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from lightopt.errors import InputError, counted
 from lightopt.mesh import face_normals
 from lightopt.optimize._matrix import Levels, LuminanceMatrix
-from lightopt.optimize._threads import run_all
 from lightopt.raycast import RayCaster
 from lightopt.rendering import (
     PatchTable,
     SurfacePoints,
     available_processors,
     converged_panel,
+    run_all,
     shade_converged,
     shade_points,
 )
@@ -31,13 +31,14 @@ from lightopt.scene import PanelLight, Scene, view_from_part
 from lightopt.sensor import expose
 from lightopt.transforms import Posture
 
-__all__ = ["luminance_matrix", "patch_points"]
+__all__ = ["MOST_BYTES", "luminance_matrix", "patch_points"]
 
 BLOCK_PATCHES = 1 << 15
 """Patches that a thread works on at once."""
 
-MOST_BYTES = 1_400_000_000
-"""Of the levels of one posture: with all else the process then stays below 2 GB."""
+MOST_BYTES = 1_000_000_000
+"""Of the levels that are held at a time: with a part of some hundred thousand triangles, its patches and the
+search the process then stays below 2 GB."""
 
 
 def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, NDArray[np.intp]]:
@@ -76,6 +77,7 @@ def luminance_matrix(
     caster: RayCaster,
     shadows: bool = True,
     threads: int | None = None,
+    most_bytes: int = MOST_BYTES,
     progress: Callable[[float, int], None] | None = None,
 ) -> LuminanceMatrix:
     """Delivered levels of the visible patches under every candidate panel of every light.
@@ -96,6 +98,8 @@ def luminance_matrix(
         Whether the part casts shadows on itself.
     threads
         All the machine's by default. The levels do not depend on it.
+    most_bytes
+        Of the levels.
     progress
         Called with the share that is done and the number of rays cast so far.
 
@@ -107,10 +111,11 @@ def luminance_matrix(
     surface, seen = patch_points(scene, table, posture)
     dtype = np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
     positions = sum(len(some) for some in panels)
-    if positions * len(seen) * np.dtype(dtype).itemsize > MOST_BYTES:
+    size = positions * len(seen) * np.dtype(dtype).itemsize
+    if size > most_bytes:
         raise InputError(
-            f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches need more than "
-            f"{MOST_BYTES / 1e9:.1f} GB; take a larger --step or fewer --patches"
+            f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches are {size / 1e9:.2f} GB, and "
+            f"there is room for {most_bytes / 1e9:.2f} GB a posture; take a larger --step or fewer --patches"
         )
     layers: list[Levels] = [np.zeros((len(some), len(seen)), dtype) for some in panels]
     blocks = [

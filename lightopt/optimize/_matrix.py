@@ -33,43 +33,54 @@ class Thresholds:
         Levels below it are shaded [sensor level].
     saturation
         Levels from it on are specular [sensor level].
+    black
+        Delivered without light; sums are of what is above it [sensor level].
 
     Raises
     ------
     InputError
-        Where no level is left between the two.
+        Where no level is left between the first two, or what is delivered without light would not be shaded.
     """
 
     shade: int
     saturation: int
+    black: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.shade < self.saturation:
+        if not 0 <= self.black <= self.shade < self.saturation:
             raise InputError(
-                f"thresholds: a level is shaded below {self.shade} and saturated from {self.saturation} on, which "
-                "leaves none usable; expected a shade threshold from 0 to below the sensor's saturation level"
+                f"thresholds: black is {self.black}, a level is shaded below {self.shade} and saturated from "
+                f"{self.saturation} on, which leaves none usable; expected a shade threshold from the black level to "
+                "below the sensor's saturation level"
             )
 
     @staticmethod
-    def of_sensor(*, shade_share: float, max_level: int, saturated_from: float) -> Thresholds:
-        """Thresholds of a sensor.
+    def of_sensor(
+        *, shade_share: float, max_level: int, saturated_from: float, black_level: float = 0.0
+    ) -> Thresholds:
+        """Thresholds of a sensor: shaded is what has less light than ``black + share · full scale`` delivers.
+
+        What is delivered without light is shaded whatever the share.
 
         Parameters
         ----------
         shade_share
-            Share of full scale below which a level is shaded.
+            Share of full scale, above black, below which a level is shaded.
         max_level
             Full scale [sensor level].
         saturated_from
             Level from which the sensor counts as saturated.
+        black_level
+            Level without light.
         """
         if not (math.isfinite(shade_share) and 0.0 <= shade_share <= 1.0):
             raise InputError(
                 f"shade-below: expected a share of full scale from 0 to 1, such as 10/255, found {shade_share:g}"
             )
         # the least whole level that is not below the share; a share such as 10/255 must not round past its level
-        shade = math.ceil(shade_share * max_level - 1e-9)
-        return Thresholds(shade=shade, saturation=math.ceil(saturated_from))
+        shade = math.ceil(black_level + shade_share * max_level - 1e-9)
+        black = math.floor(black_level + 0.5)
+        return Thresholds(shade=max(shade, black + 1), saturation=math.ceil(saturated_from), black=black)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,14 +119,18 @@ class LuminanceMatrix:
 
     def rows(self, rows: Sequence[Int64]) -> tuple[Levels, ...]:
         """The levels of some candidates of each light."""
-        return tuple(
-            layer if len(some) == len(layer) else np.ascontiguousarray(layer[some])
-            for layer, some in zip(self.levels, rows, strict=True)
-        )
+        return tuple(_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True))
 
     def combination(self, candidates: Sequence[int]) -> Levels:
         """Levels of the patches under one position of each light, shape (lights, p)."""
         return np.stack([layer[index] for layer, index in zip(self.levels, candidates, strict=True)])
+
+
+def _rows(layer: Levels, some: Int64) -> Levels:
+    # ascending; neighbours need no copy
+    if len(some) and some[-1] - some[0] == len(some) - 1:
+        return layer[some[0] : some[-1] + 1]
+    return layer[some]
 
 
 def _frozen(array: Any) -> Any:
@@ -140,18 +155,18 @@ def area_units(areas: Float64) -> Int64:
 
 
 def usable_sums(layer: Levels, weights: Int64, thresholds: Thresholds) -> Int64:
-    """Sum of a light's usable levels, each times its patch's weight, for every candidate; shape (candidates,)."""
-    return _usable_sums(layer, weights, thresholds.shade, thresholds.saturation)
+    """Sum of a light's usable levels above black, each times its patch's weight, for every candidate; (candidates,)."""
+    return _usable_sums(layer, weights, thresholds.shade, thresholds.saturation, thresholds.black)
 
 
 @kernel
-def _usable_sums(layer: Levels, weights: Int64, shade: int, saturation: int) -> Int64:
+def _usable_sums(layer: Levels, weights: Int64, shade: int, saturation: int, black: int) -> Int64:
     sums = np.zeros(len(layer), np.int64)
     for a in range(len(layer)):
         total = 0
         for p in range(layer.shape[1]):
             level = np.int64(layer[a, p])
             if shade <= level < saturation:
-                total += weights[p] * level
+                total += weights[p] * (level - black)
         sums[a] = total
     return sums

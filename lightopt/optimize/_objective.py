@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize._matrix import Levels, Thresholds
+from lightopt.optimize._work import Share
 
 __all__ = ["Objective"]
 
@@ -33,6 +34,14 @@ class Objective(Protocol):
     @property
     def unit(self) -> str: ...
 
+    def shown(self, score: int) -> str:
+        """A score, or a difference of two, for people, with its unit."""
+        ...
+
+    def share(self, score: int, area: int) -> float | None:
+        """A score as a share of the visible area [µm²]; None where it is no area."""
+        ...
+
     def refusal(self, lights: int) -> str | None:
         """Why the objective says nothing of this number of lights; None where it does."""
         ...
@@ -56,11 +65,27 @@ class Objective(Protocol):
         ...
 
     def scores(
-        self, levels: Sequence[Levels], weights: Int64, thresholds: Thresholds, *, threads: int
+        self,
+        levels: Sequence[Levels],
+        weights: Int64,
+        thresholds: Thresholds,
+        *,
+        threads: int,
+        progress: Share | None = None,
     ) -> Int64:
-        """Scores of all combinations, exact; one axis per light, as long as the light has candidates.
+        """Scores of all combinations, exact: one number each, the last light's candidates varying fastest.
 
-        Parameters as in :meth:`score`, with one array of shape (candidates, p) per light.
+        Parameters
+        ----------
+        levels
+            One array of shape (candidates, p) per light.
+        weights, thresholds
+            As in :meth:`score`.
+        threads
+            Number of threads; the scores do not depend on it.
+        progress
+            Called often from the calling thread with the share that is done; an exception that it raises ends the work
+            soon.
         """
         ...
 

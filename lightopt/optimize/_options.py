@@ -14,7 +14,7 @@ from lightopt.transforms import Posture
 __all__ = ["DEFAULT_SHADE_SHARE", "OptimizeOptions", "check_options"]
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0
-"""Share of full scale below which a level is shaded, unless asked otherwise."""
+"""Share of full scale, above black, below which a level is shaded, unless asked otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class OptimizeOptions:
     common_lights
         Whether the lights stand the same for all postures: the sum over the postures decides.
     shade_below
-        Share of full scale below which a level is shaded.
+        Share of full scale, above black, below which a level is shaded.
     postures
         Instead of the part's own.
     points

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lightopt.config import PartConfig, RigConfig, load_rig, relocated, with_values
+from lightopt.config import PartConfig, RigConfig, load_rig
 from lightopt.errors import InputError
-from lightopt.images import posture_folder, read_image_set, write_text_atomic
+from lightopt.images import read_image_set, write_text_atomic
 from lightopt.optimize._candidates import Candidates
-from lightopt.optimize._earlier import remove_stale
+from lightopt.optimize._earlier import RESULT_NAME, RIG_NAME, begin_writing, end_writing
 from lightopt.optimize._matrix import Thresholds
 from lightopt.optimize._options import OptimizeOptions
-from lightopt.optimize._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map
-from lightopt.optimize._result import SetResult, angles_of, ranking_csv, result_dict
+from lightopt.optimize._result import SetResult, ranking_csv, result_dict
+from lightopt.optimize._rig_text import rig_texts
+from lightopt.overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map
 from lightopt.rendering import RenderOptions, render_image_set
 from lightopt.transforms import Posture
 
-__all__ = ["RESULT_NAME", "Written", "write_outputs"]
+__all__ = ["Written", "write_outputs"]
 
-RESULT_NAME, RANKING_NAME, RIG_NAME, IMAGES_NAME = (
-    "result.json",
-    "ranking.csv",
-    "rig.optimized.yaml",
-    "images",
-)
+RANKING_NAME = "ranking.csv"
+IMAGES_NAME = "images"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +65,8 @@ def write_outputs(
 ) -> Written:
     """Write all files, result.json last: where it is, the others are complete.
 
+    With `force`, an earlier result.json goes first, then all that it lists.
+
     Parameters
     ----------
     folder
@@ -96,86 +95,73 @@ def write_outputs(
         raise InputError(
             f"{folder}: cannot be made: {error.strerror or error}; choose an output folder that can be written"
         ) from error
+    rigs = tuple(
+        (folder / path, postures, text)
+        for path, postures, text in rig_texts(rig, results, candidates, folder=folder)
+    )
+    listed = _listed(folder, rigs, options)
+    begin_writing(folder, listed, force=force)
     ranking = folder / RANKING_NAME
     write_text_atomic(ranking, ranking_csv(results, candidates), overwrite=force)
-    rigs = _write_rigs(folder, rig, results, candidates, force)
-    images: list[Path] = []
+    for path, _, text in rigs:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text_atomic(path, text, overwrite=force)
+    images = tuple(path.parent / IMAGES_NAME for path, _, _ in rigs) if options.images else ()
     overlaps: list[Overlap] = []
-    if options.images:
-        for path, postures in rigs:
-            images.append(path.parent / IMAGES_NAME)
-            overlaps += _render(path, part, images[-1], postures, options, force, warn)
+    for home, (path, postures, _) in zip(images, rigs, strict=False):
+        overlaps += _render(path, part, home, postures, options, force, warn)
     document = {
         "format": "lightopt-optimum/1",
         **provenance,
-        "thresholds": {"shaded_below": thresholds.shade, "saturated_from": thresholds.saturation},
+        "thresholds": {
+            "black": thresholds.black,
+            "shaded_below": thresholds.shade,
+            "saturated_from": thresholds.saturation,
+        },
         "candidates": [
             {"light": name, "positions_deg": [list(at) for at in angles]}
             for name, angles in zip(candidates.names, candidates.angles, strict=True)
         ],
         "left_out": [vars(out) for out in candidates.left_out],
         "results": result_dict(results, candidates),
-        "rigs": [
-            {"file": path.relative_to(folder).as_posix(), "postures": [p.as_dict() for p in postures]}
-            for path, postures in rigs
+        "rigs": listed["rigs"],
+        "images": listed["images"],
+        "overlaps": [
+            {**where, **overlap.as_dict()}
+            for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
         ],
-        "overlaps": [overlap.as_dict() for overlap in overlaps],
     }
     result = folder / RESULT_NAME
-    if force:
-        remove_stale(result, [path for path, _ in rigs])
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
     write_text_atomic(result, text, overwrite=force)
-    return Written(result=result, ranking=ranking, rigs=rigs, images=tuple(images), overlaps=tuple(overlaps))
+    end_writing(folder)
+    return Written(
+        result=result,
+        ranking=ranking,
+        rigs=tuple((path, postures) for path, postures, _ in rigs),
+        images=images,
+        overlaps=tuple(overlaps),
+    )
 
 
-def _write_rigs(
-    folder: Path, rig: RigConfig, results: tuple[SetResult, ...], candidates: Candidates, force: bool
-) -> tuple[tuple[Path, tuple[Posture, ...]], ...]:
-    # one rig where the same positions are best for all postures, else one per posture
-    answered = [(result, result.answers[0]) for result in results if result.answers[0].nothing is None]
-    sets = [
-        (
-            angles_of(candidates, answer.found.best),
-            result.postures,
-            folder / posture_folder(result.postures[0]),
-        )
-        for result, answer in answered
-    ]
-    if sets and len(answered) == len(results) and len({angles for angles, _, _ in sets}) == 1:
-        together = tuple(posture for _, postures, _ in sets for posture in postures)
-        sets = [(sets[0][0], together, folder)]
-    elif len(results) == 1:
-        sets = [(angles, postures, folder) for angles, postures, _ in sets]
-    written: list[tuple[Path, tuple[Posture, ...]]] = []
-    text = _rig_text(rig) if sets else ""
-    for angles, postures, home in sets:
-        values = relocated(rig, home)
-        for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
-            if light.elevation_range_deg is not None:
-                values["lights", index, "elevation_deg"] = _degrees(elevation)
-            if light.azimuth_range_deg is not None:
-                values["lights", index, "azimuth_deg"] = _degrees(azimuth)
-        edited = with_values(text, values)
-        home.mkdir(parents=True, exist_ok=True)
-        write_text_atomic(home / RIG_NAME, edited, overwrite=force)
-        written.append((home / RIG_NAME, postures))
-    return tuple(written)
-
-
-def _degrees(angle: float) -> str:
-    # at most nine decimals, which is finer than any stage, and no exponent
-    return f"{round(angle, 9):.9f}".rstrip("0").rstrip(".")
-
-
-def _rig_text(rig: RigConfig) -> str:
-    try:
-        return rig.source.path.read_bytes().decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{rig.source.path}: cannot be read again to write the new angles into a copy: {error}; load the rig from "
-            "a file that stays where it is"
-        ) from error
+def _listed(
+    folder: Path, rigs: Sequence[tuple[Path, tuple[Posture, ...], str]], options: OptimizeOptions
+) -> dict[str, list[dict[str, Any]]]:
+    # the files to come, as result.json lists them
+    homes = [(path.parent.relative_to(folder), postures) for path, postures, _ in rigs]
+    pictured = [(home / IMAGES_NAME, postures) for home, postures in homes] if options.images else []
+    return {
+        "rigs": [
+            {"file": (home / RIG_NAME).as_posix(), "postures": [p.as_dict() for p in postures]}
+            for home, postures in homes
+        ],
+        "images": [{"folder": home.as_posix()} for home, _ in pictured],
+        "overlaps": [
+            {"map": (home / overlap_map_name(posture)).as_posix()}
+            for home, postures in pictured
+            for posture in postures
+        ],
+    }
 
 
 def _render(
@@ -203,5 +189,7 @@ def _render(
     )
     overlaps = find_overlaps(read_image_set(folder))
     for overlap in overlaps:
-        write_overlap_map(overlap, folder / overlap_map_name(overlap), overwrite=force)
+        write_overlap_map(
+            overlap, folder / overlap_map_name(overlap.posture, overlap.exposure), overwrite=force
+        )
     return overlaps

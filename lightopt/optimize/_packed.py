@@ -1,18 +1,14 @@
-"""Flags of patches packed into words, 64 to a word, and how many are set in several rows at once."""
+"""Flags of patches packed into words, 64 to a word, and how many are set in two rows at once."""
 
 from __future__ import annotations
-
-import itertools
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 
-__all__ = ["Words", "common_bits", "joint_counts", "packed"]
+__all__ = ["Words", "common_bits", "packed"]
 
-Int64 = NDArray[np.int64]
 Words = NDArray[np.uint64]
 
 
@@ -22,24 +18,6 @@ def packed(rows: NDArray[np.bool_]) -> Words:
     padded = np.zeros((len(octets), -(-octets.shape[1] // 8) * 8), np.uint8)
     padded[:, : octets.shape[1]] = octets
     return padded.view(np.uint64)
-
-
-def joint_counts(layers: Sequence[Words]) -> Int64:
-    """Number of flags set in a row of each of k ≥ 2 layers, for all combinations of rows; one axis per layer."""
-    *outer, last = layers
-    shape = tuple(len(layer) for layer in outer)
-    table = np.zeros((*shape, len(last)), np.int64)
-    for prefix in itertools.product(*(range(n) for n in shape)):
-        both = np.bitwise_and.reduce([layer[i] for layer, i in zip(outer, prefix, strict=True)])
-        if both.any():
-            _joint(both, last, table[prefix])
-    return table
-
-
-@kernel
-def _joint(row: Words, layer: Words, counts: Int64) -> None:
-    for i in range(len(layer)):
-        counts[i] = common_bits(row, layer[i])
 
 
 @kernel

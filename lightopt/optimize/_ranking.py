@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,19 +77,18 @@ def rank(
     Parameters
     ----------
     table
-        Scores, one axis per light.
+        Scores, one per combination of `rows`, the last light's varying fastest.
     rows
-        Candidates that the table's axes stand for.
+        Candidates of each light.
     usable
         Sum of usable levels of each candidate of each light, whatever the table's rows.
     allowed
-        Of the table's shape; None for all.
+        Of the same combinations; None for all.
     limit
         How many to keep.
     """
-    flat = table.ravel()
     places = None if allowed is None else np.flatnonzero(allowed)
-    scores = flat if places is None else flat[places]
+    scores = table if places is None else table[places]
     if not len(scores):
         return Ranking()
     keep = min(limit, len(scores))
@@ -96,8 +96,8 @@ def rank(
     some = np.flatnonzero(scores >= least)
     if places is not None:
         some = places[some]
-    sums = _usable_of(some, table.shape, rows, usable)
-    above, equal = flat[some] > least, flat[some] == least
+    sums = _usable_of(some, rows, usable)
+    above, equal = table[some] > least, table[some] == least
     # of the many that may share the least score kept, those with the largest sums, then the first ones
     wanted = keep - int(above.sum())
     tied = sums[equal]
@@ -105,18 +105,26 @@ def rank(
     chosen = above | (equal & (sums > edge))
     last = np.flatnonzero(equal & (sums == edge))[: keep - int(chosen.sum())]
     chosen[last] = True
-    index = np.unravel_index(some[chosen], table.shape)
-    candidates = np.stack([row[i] for row, i in zip(rows, index, strict=True)], axis=1)
+    columns = [row[i] for row, i in zip(rows, _digits(some[chosen], rows), strict=True)]
+    candidates = np.stack(columns, axis=1)
     best = sorted(
         Ranked(-int(score), -int(total), tuple(int(c) for c in combination))
-        for score, total, combination in zip(flat[some[chosen]], sums[chosen], candidates, strict=True)
+        for score, total, combination in zip(table[some[chosen]], sums[chosen], candidates, strict=True)
     )
     ties = int(np.count_nonzero(scores == best[0].score))
     return Ranking(tuple(best), ties, len(scores))
 
 
-def _usable_of(places: Int64, shape: tuple[int, ...], rows: Rows, usable: Sequence[Int64]) -> Int64:
+def _usable_of(places: Int64, rows: Rows, usable: Sequence[Int64]) -> Int64:
     total = np.zeros(len(places), np.int64)
-    for row, sums, index in zip(rows, usable, np.unravel_index(places, shape), strict=True):
+    for row, sums, index in zip(rows, usable, _digits(places, rows), strict=True):
         total += sums[row][index]
     return total
+
+
+def _digits(places: Int64, rows: Rows) -> Iterator[Int64]:
+    # which of its rows each light has at places of a table; NumPy's own way is for a few dozen lights only
+    stride = math.prod(len(row) for row in rows)
+    for row in rows:
+        stride //= len(row)
+        yield places // stride % len(row)

@@ -92,13 +92,12 @@ def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> d
     facts: dict[str, Any] = {"objective": answer.objective.name, "unit": answer.objective.unit}
     if answer.nothing is not None:
         return {**facts, "lights": None, "score": 0, "reason": answer.nothing, "combinations": combinations}
+    share = answer.objective.share(found.best.score, result.area)
     return {
         **facts,
         "lights": _lights(candidates, found.best),
         "score": found.best.score,
-        "share_of_visible_area": round(found.best.score / max(1, result.area), 6)
-        if answer.objective.unit == "µm²"
-        else None,
+        "share_of_visible_area": None if share is None else round(share, 6),
         "usable_sum": found.best.usable,
         "runner_up": None
         if runner_up is None
@@ -108,6 +107,7 @@ def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> d
         "combinations": combinations,
         "bound": found.bound,
         "proven": found.proven,
+        "complete": found.complete,
         "scores_under": dict(answer.scores),
     }
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -12,23 +13,25 @@ from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.errors import InputError
 from lightopt.images import file_sha256, posture_folder
+from lightopt.optimize._angles import can_move
 from lightopt.optimize._answer import answer_set
 from lightopt.optimize._candidates import Candidates, find_candidates
 from lightopt.optimize._earlier import refuse_other_result
 from lightopt.optimize._kept import keep_matrix, matrix_key, read_matrix
-from lightopt.optimize._luminance import luminance_matrix
+from lightopt.optimize._luminance import MOST_BYTES, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import objectives_named
 from lightopt.optimize._options import OptimizeOptions, check_options
-from lightopt.optimize._outputs import RESULT_NAME, Written, write_outputs
-from lightopt.optimize._result import SetResult
+from lightopt.optimize._outputs import Written, write_outputs
+from lightopt.optimize._result import Answer, SetResult
+from lightopt.optimize._rig_text import check_editable
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable, Report, build_patches, cast_rays_at, refuse_hopeless
 from lightopt.scene import Scene, build_scene, coarse_warnings
 from lightopt.transforms import Posture
 
-__all__ = ["Optimum", "optimize"]
+__all__ = ["Optimum", "cut_off", "optimize"]
 
 MATRIX_NAME = "matrix.npz"
 
@@ -73,7 +76,7 @@ def optimize(
     force: bool = False,
     warn: Callable[[str], None] | None = None,
     report: Report | None = None,
-    searching: Callable[[float], None] | None = None,
+    searching: Callable[[str, float], None] | None = None,
 ) -> Optimum:
     """Find the best positions of a rig's lights for a part (paper, section 5), and write them to a folder.
 
@@ -92,7 +95,7 @@ def optimize(
     report
         Called as the luminance matrices are computed.
     searching
-        Called with the share of all combinations that is done.
+        Called with what is searched for and the share of that which is done.
 
     Raises
     ------
@@ -111,50 +114,54 @@ def optimize(
             if warn is not None:
                 warn(text)
 
-    objectives = _objectives(rig, options, say)
-    candidates = find_candidates(
-        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
+    find = partial(
+        find_candidates,
+        rig,
+        step_deg=options.step_deg,
+        common_elevation=options.common_elevation,
+        points=options.points,
     )
+    find()  # what is wrong with the rig alone is told before the part is loaded
+    check_editable(rig)
+    objectives = _objectives(rig, options, say)
     scene = build_scene(rig, part, postures=options.postures, points=options.points)
     thresholds = Thresholds.of_sensor(
         shade_share=options.shade_below,
         max_level=scene.sensor.max_level,
         saturated_from=scene.sensor.saturated_from,
+        black_level=scene.sensor.black_level,
     )
     provenance = _provenance(rig, part, scene, options, objectives)
     if not force:
-        refuse_other_result(Path(folder) / RESULT_NAME, provenance)
+        refuse_other_result(Path(folder), provenance)
     caster = cast_rays_at(scene)
-    refuse_hopeless(scene, rig, part, caster)
+    # a light that moves may find its way out of the part: only its candidates count
+    still = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
+    refuse_hopeless(replace(scene, lights=still), rig, part, caster)
+    candidates = find(scene=scene, caster=caster)
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
         say(text)
     makers = _Matrices(rig, part, scene, candidates, options, Path(folder), caster)
-    matrices = [makers.matrix(posture, report) for posture in scene.postures]
-    groups = [list(range(len(matrices)))] if options.common_lights else [[i] for i in range(len(matrices))]
+    # the matrices of postures that do not share their lights are never held together
+    shared = [scene.postures] if options.common_lights else [(posture,) for posture in scene.postures]
     results: list[SetResult] = []
-    for index, group in enumerate(groups):
+    for postures in shared:
         results.append(
             answer_set(
-                [matrices[i] for i in group],
-                [scene.postures[i] for i in group],
+                [makers.matrix(posture, report, held=len(postures)) for posture in postures],
+                postures,
                 candidates,
                 objectives,
                 thresholds,
                 rows=options.rows,
                 limit=options.limit,
                 threads=options.threads,
-                progress=None
-                if searching is None
-                else lambda share, before=index: searching((before + share) / len(groups)),
+                progress=searching,
             )
         )
         for answer in results[-1].answers:
-            if not answer.found.proven:
-                say(
-                    f"objective {answer.objective.name}: the limit of {options.limit:,} combinations was reached with "
-                    f"{answer.found.left:,} left; the best found scores {answer.found.best.score:,}, none scores more "
-                    f"than {answer.found.bound:,}. Raise --max-combinations or take a larger --step"
-                )
+            if not answer.found.complete and answer.nothing is None:
+                say(cut_off(answer, postures))
     written = write_outputs(
         Path(folder),
         rig,
@@ -193,6 +200,21 @@ def _objectives(
     return possible
 
 
+def cut_off(answer: Answer, postures: Sequence[Posture]) -> str:
+    """What to say of a search that left combinations."""
+    found, name = answer.found, answer.objective.name
+    proof = (
+        "none scores more, but one of those left may score the same and win the tie"
+        if found.proven
+        else f"none scores more than {found.bound:,}"
+    )
+    return (
+        f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
+        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up are of "
+        "what was looked at. Raise --max-combinations or take a larger --step"
+    )
+
+
 class _Matrices:
     """Makes the luminance matrices, or takes those that were kept; patches are cut only when needed."""
 
@@ -220,8 +242,8 @@ class _Matrices:
         """What the patch refinement reached."""
         return None if self.table is None else self.table.message
 
-    def matrix(self, posture: Posture, report: Report | None) -> LuminanceMatrix:
-        """The luminance matrix of a posture."""
+    def matrix(self, posture: Posture, report: Report | None, *, held: int) -> LuminanceMatrix:
+        """The luminance matrix of a posture, one of so many that are held together."""
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
         path = self.folder / posture_folder(posture) / MATRIX_NAME
         kept = read_matrix(path, key=key, lights=len(self.candidates.names))
@@ -238,6 +260,7 @@ class _Matrices:
             caster=self.caster,
             shadows=self.options.shadows,
             threads=self.options.threads,
+            most_bytes=MOST_BYTES // held,
             progress=None if report is None else lambda share, rays: report(posture, share, rays),
         )
         if self.options.keep_matrix:
@@ -248,23 +271,27 @@ class _Matrices:
                     f"{path.parent}: cannot be made: {error.strerror or error}; choose an output folder that can be "
                     "written"
                 ) from error
-            keep_matrix(path, made, self.candidates, key=key)
+            keep_matrix(path, made, self.candidates.angles, key=key)
         return made
 
 
 def _matrix_facts(
     rig: RigConfig, part: PartConfig, scene: Scene, candidates: Candidates, options: OptimizeOptions
 ) -> dict[str, Any]:
-    # all that a level depends on; names and ranges of the lights are not part of it
+    # all that a level depends on, and nothing else: not the names and ranges of the lights, nor the sensor's noise and
+    # saturation, which thresholds are made of
     moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
+    mesh = part.source.resolve(part.mesh.file)
     return {
-        "camera": rig.camera.model_dump(mode="json"),
+        "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
+        "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
         "light_source": rig.light_source.model_dump(mode="json"),
         "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
         "angles_deg": [list(map(list, angles)) for angles in candidates.angles],
         "pivot_mm": list(rig.stage.pivot_mm),
-        "part": part.model_dump(mode="json", exclude={"name", "postures"}),
-        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+        "part": part.model_dump(mode="json", exclude={"name": True, "postures": True, "mesh": {"file"}}),
+        # of the file's name only what says how it is read
+        "mesh": {"sha256": file_sha256(mesh), "suffix": mesh.suffix.lower()},
         # the patches are refined for all postures together
         "postures": [posture.as_dict() for posture in scene.postures],
         "points": options.points,
@@ -305,5 +332,5 @@ def _provenance(
 
 
 def _versions() -> dict[str, str]:
-    packages = ("cascadio", "embreex", "numba", "numpy")
+    packages = ("cascadio", "embreex", "numba", "numpy", "trimesh")
     return {"lightopt": __version__, **{name: version(name) for name in packages}}

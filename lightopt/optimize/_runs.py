@@ -9,15 +9,17 @@ however many combinations there are, and running sums along every axis turn the 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
-from threading import Lock
+from queue import Empty, SimpleQueue
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 from lightopt.optimize._matrix import Levels, Thresholds
-from lightopt.optimize._threads import run_all
+from lightopt.optimize._work import Share, Work
+from lightopt.rendering import run_all
 
 __all__ = ["run_products", "run_scores"]
 
@@ -26,8 +28,17 @@ Int64 = NDArray[np.int64]
 SATURATED = 1 << 16
 """Added to a cell's count of usable images for each image in which it is saturated."""
 
-CHUNK_PATCHES = 1 << 15
+CHUNK_PATCHES = 1 << 14
 """Most patches of one task of a thread."""
+
+CHUNK_LEVELS = 1 << 24
+"""Most of their levels, which are copied."""
+
+CHUNK_BOXES = 1e6
+"""Most of their boxes: less than 0.1 s, so that Ctrl-C is heard."""
+
+MOST_DIFFERENCES = 1 << 25
+"""Most numbers in the arrays of differences of all threads: 256 MiB."""
 
 
 def run_products(levels: Sequence[Levels], thresholds: Thresholds) -> NDArray[np.float64]:
@@ -39,7 +50,14 @@ def run_products(levels: Sequence[Levels], thresholds: Thresholds) -> NDArray[np
 
 
 def run_scores(
-    levels: Sequence[Levels], weights: Int64, thresholds: Thresholds, *, rule: tuple[int, int], threads: int
+    levels: Sequence[Levels],
+    chosen: Int64,
+    weights: Int64,
+    thresholds: Thresholds,
+    *,
+    rule: tuple[int, int],
+    threads: int,
+    progress: Share | None = None,
 ) -> Int64:
     """Σ weight · [usable in at least `rule[0]` images, saturated in at most `rule[1]`], for all combinations.
 
@@ -47,45 +65,72 @@ def run_scores(
     ----------
     levels
         One array per light, shape (candidates, p).
+    chosen
+        Indices of the patches that count.
     weights
-        Of the patches, shape (p,).
+        Of all patches, shape (p,).
     thresholds
         Between the classes.
     rule
         Least number of usable images, most saturated ones.
     threads
         Number of threads; the sums do not depend on it.
+    progress
+        Called with the share that is done.
+
+    Returns
+    -------
+    NDArray
+        One number per combination, the last light's candidates varying fastest.
     """
-    shape = tuple(len(layer) for layer in levels)
-    total = np.zeros(shape, np.int64)
-    patches = levels[0].shape[1]
-    largest = int(run_products(levels, thresholds).max(initial=1.0))
-    lock = Lock()
+    sizes = [len(layer) for layer in levels]
+    cells = math.prod(sizes)
+    strides = np.array([math.prod(sizes[i + 1 :]) for i in range(len(sizes))], np.int64)
+    products = run_products(levels, thresholds)[chosen]
+    largest = int(products.max(initial=1.0))
+    # each thread has an array of differences of its own, made when it is needed
+    workers = max(1, min(threads, MOST_DIFFERENCES // cells))
+    free: SimpleQueue[Int64] = SimpleQueue()
+    made: list[Int64] = []
+    ends = _chunks(products, max(1, min(CHUNK_PATCHES, CHUNK_LEVELS // sum(sizes))))
+    work = Work(float(products.sum()), progress)
 
     def add(start: int, end: int) -> None:
-        runs = [
-            _runs(np.ascontiguousarray(layer[:, start:end]), thresholds.shade, thresholds.saturation)
-            for layer in levels
-        ]
+        some = chosen[start:end]
+        runs = [_runs(layer.take(some, axis=1), thresholds.shade, thresholds.saturation) for layer in levels]
         first = np.stack([first for first, _, _ in runs])
         place = np.concatenate([place for _, place, _ in runs])
         kind = np.concatenate([kind for _, _, kind in runs])
         offset = np.cumsum([0, *(len(place) for _, place, _ in runs)])[:-1]
-        differences = np.zeros(total.size, np.int64)
-        strides = np.array([int(np.prod(shape[i + 1 :])) for i in range(len(shape))], np.int64)
-        _scatter(
-            differences, strides, first, offset, place, kind, weights[start:end], rule[0], rule[1], largest
-        )
-        with lock:
-            total.reshape(-1)[:] += differences
+        try:
+            differences = free.get_nowait()
+        except Empty:
+            differences = np.zeros(cells, np.int64)
+            made.append(differences)
+        _scatter(differences, strides, first, offset, place, kind, weights[some], rule[0], rule[1], largest)
+        free.put(differences)
+        work.add(float(products[start:end].sum()))
 
-    # few pieces: each has an array of differences of its own
-    pieces = threads * max(1, -(-patches // (threads * max(CHUNK_PATCHES, total.size // 8))))
-    bounds = [patches * i // pieces for i in range(pieces + 1)]
-    run_all(((add, pair) for pair in itertools.pairwise(bounds)), threads=threads)
-    for axis in range(len(shape)):
-        np.cumsum(total, axis=axis, out=total)
+    run_all(((add, pair) for pair in itertools.pairwise(ends)), threads=workers, done=work.tell)
+    total = made[0] if made else np.zeros(cells, np.int64)
+    for differences in made[1:]:
+        total += differences
+    for size, stride in zip(sizes, strides, strict=True):
+        if size > 1:
+            along = total.reshape(-1, size, int(stride))
+            np.cumsum(along, axis=1, out=along)
     return total
+
+
+def _chunks(products: NDArray[np.float64], most: int) -> list[int]:
+    # where pieces of patches begin and end: at most so many patches, and boxes as far as a patch has fewer itself
+    ends = [0]
+    boxes = np.cumsum(products)
+    while ends[-1] < len(products):
+        before = boxes[ends[-1] - 1] if ends[-1] else 0.0
+        reached = int(np.searchsorted(boxes, before + CHUNK_BOXES, side="right"))
+        ends.append(min(max(reached, ends[-1] + 1), ends[-1] + most, len(products)))
+    return ends
 
 
 @kernel

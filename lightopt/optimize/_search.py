@@ -24,20 +24,24 @@ from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, usable_sums
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._ranking import Ranked, Ranking, rank
 from lightopt.optimize._space import Rows, Space, allowed_mask
+from lightopt.optimize._work import Share, part_of
 from lightopt.rendering import available_processors
 
 __all__ = ["DEFAULT_LIMIT", "Found", "search"]
 
 Int64 = NDArray[np.int64]
 
-TABLE_CELLS = 1 << 24
-"""Most combinations that are enumerated at once: 128 MiB of scores."""
+TABLE_CELLS = 1 << 22
+"""Most combinations that are enumerated at once: 32 MiB of scores."""
+
+MOST_COMBINATIONS = 10**300
+"""Larger spaces are refused: a light or two fewer would not help either."""
 
 BOX_COST = 20_000
 """Combinations that take about as long to score as a box takes to halve; counts against the limit."""
 
 DEFAULT_LIMIT = 200_000_000
-"""Combinations that are scored unless asked otherwise, before the search stops with a bound."""
+"""Combinations that are scored unless asked otherwise, before the search stops with a bound; bounds count, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +51,9 @@ class Found:
     Attributes
     ----------
     ranking
-        The best combinations in order, the first being the optimum.
+        The best combinations in order, the first being the optimum; of those looked at where some are left.
     ties
-        Number of combinations with the optimum's score; a lower limit of it where the search was not finished.
+        Number of combinations with the optimum's score; of those looked at where some are left.
     scored
         Combinations that were enumerated.
     excluded
@@ -82,13 +86,18 @@ class Found:
 
     @property
     def gap(self) -> int | None:
-        """How much the runner-up's score is below the best."""
+        """How much the runner-up's score is below the best; no more than this where combinations are left."""
         return None if self.runner_up is None else self.best.score - self.runner_up.score
 
     @property
     def proven(self) -> bool:
-        """Whether no combination has a higher score."""
+        """Whether no combination has a higher score; one that is left may have the same and win the tie."""
         return self.bound <= self.best.score
+
+    @property
+    def complete(self) -> bool:
+        """Whether no combination is left: then ties, tie-break, runner-up and gap are those of the whole space."""
+        return self.left == 0
 
 
 def search(
@@ -101,7 +110,7 @@ def search(
     limit: int = DEFAULT_LIMIT,
     table_cells: int = TABLE_CELLS,
     threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Share | None = None,
 ) -> Found:
     """Find the best combination of light positions.
 
@@ -118,45 +127,54 @@ def search(
     keep
         How many of the best to return, at least 2.
     limit
-        Most combinations to score.
+        About how many combinations to score before the search stops with a bound; a box that is halved counts as
+        :data:`BOX_COST` of them.
     table_cells
-        Most combinations to enumerate at once.
+        Most combinations to enumerate at once; no more than `limit`.
     threads
         All the machine's by default. The answer does not depend on it.
     progress
-        Called with the share of combinations that is scored or excluded.
+        Called often with the share of combinations, or of the limit, that is done: what is left takes at most as long
+        as that makes it look. An exception that it raises ends the search soon.
 
     Raises
     ------
     InputError
-        No visible patch, an objective that says nothing of this number of lights, no allowed combination.
+        No visible patch, an objective that says nothing of this number of lights, no allowed combination, more
+        combinations than numbers are meant for.
     """
     space = space or Space.of(matrices[0].shape)
     posed = _Posed(matrices, objective, thresholds, threads or available_processors())
     _check(posed, space)
-    boxes = _Boxes(posed, space.groups, table_cells)
-    total = boxes.cells
+    total = sum(map(_cells, space.groups))
+
+    def tell(more: float = 0.0) -> None:
+        if progress is not None:
+            seen = ranking.count + clashing
+            counted = seen + BOX_COST * boxes.halved
+            progress(min(1.0, max((seen + excluded + more) / total, (counted + more) / limit)))
+
     keep = max(2, keep)
     ranking = Ranking()
     excluded = clashing = 0
+    boxes = _Boxes(posed, space.groups, max(1, min(table_cells, limit)))
     while boxes:
         if len(ranking.best) == keep and boxes.bound < ranking.best[-1].score:
             excluded += boxes.cells
             boxes.clear()
             break
-        if ranking.best and ranking.count + BOX_COST * boxes.halved >= limit:
+        if ranking.best and ranking.count + clashing + BOX_COST * boxes.halved >= limit:
             break
-        bound, rows = boxes.take()
+        bound, rows = boxes.take(tell)
         if len(ranking.best) == keep and bound < ranking.best[-1].score:
             excluded += _cells(rows)
             continue
+        cells = _cells(rows)
+        scores = posed.scores(rows, lambda share, cells=cells: tell(share * cells))
         allowed = allowed_mask(space, rows)
-        ranking = ranking.merged(
-            rank(posed.scores(rows), rows, posed.usable, allowed=allowed, limit=keep), keep
-        )
+        ranking = ranking.merged(rank(scores, rows, posed.usable, allowed=allowed, limit=keep), keep)
         clashing += 0 if allowed is None else int(allowed.size - np.count_nonzero(allowed))
-        if progress is not None:
-            progress((ranking.count + clashing) / total)
+        tell()
     if not ranking.best:
         raise InputError(
             "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
@@ -195,8 +213,11 @@ class _Boxes:
         """A score that nothing in the boxes exceeds."""
         return -self._heap[0][0]
 
-    def take(self) -> tuple[int, Rows]:
-        """Take out a box to enumerate, with its bound: of the most promising one the more promising half, and so on."""
+    def take(self, tell: Callable[[], None]) -> tuple[int, Rows]:
+        """Take out a box to enumerate, with its bound: of the most promising one the more promising half, and so on.
+
+        `tell` is called whenever a box was halved.
+        """
         negative, _, rows = heapq.heappop(self._heap)
         bound = -negative
         self.cells -= _cells(rows)
@@ -206,6 +227,7 @@ class _Boxes:
             low, high = ((min(bound, self._posed.bound(half)), half) for half in _halves(rows))
             (bound, rows), (worse, rest) = (low, high) if low[0] >= high[0] else (high, low)
             self._push(rest, worse)
+            tell()
         return bound, rows
 
     def clear(self) -> None:
@@ -240,11 +262,19 @@ class _Posed:
             for light, size in enumerate(matrices[0].shape)
         ]
 
-    def scores(self, rows: Rows) -> Int64:
-        """Scores of the combinations of `rows`, one axis per light."""
-        total = np.zeros(tuple(len(row) for row in rows), np.int64)
-        for matrix, weights in zip(self.matrices, self.weights, strict=True):
-            total += self.objective.scores(matrix.rows(rows), weights, self.thresholds, threads=self.threads)
+    def scores(self, rows: Rows, progress: Share) -> Int64:
+        """Scores of the combinations of `rows`, the last light's varying fastest."""
+        total = np.zeros(_cells(rows), np.int64)
+        patches = [len(weights) for weights in self.weights]
+        for i, (matrix, weights) in enumerate(zip(self.matrices, self.weights, strict=True)):
+            done = [sum(patches[:k]) / sum(patches) for k in (i, i + 1)]
+            total += self.objective.scores(
+                matrix.rows(rows),
+                weights,
+                self.thresholds,
+                threads=self.threads,
+                progress=part_of(progress, done[0], done[1]),
+            )
         return total
 
     def bound(self, rows: Rows) -> int:
@@ -259,6 +289,11 @@ def _check(posed: _Posed, space: Space) -> None:
     lights = len(space.sizes)
     if reason := posed.objective.refusal(lights):
         raise InputError(reason)
+    if sum(map(_cells, space.groups)) > MOST_COMBINATIONS:
+        raise InputError(
+            f"search: {lights} lights of up to {max(space.sizes):,} positions make more than 10^300 combinations; take "
+            "a larger --step, or leave only those lights a range that are to be moved"
+        )
     for matrix in posed.matrices:
         if matrix.shape != space.sizes:
             raise InputError(

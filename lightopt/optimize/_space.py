@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -46,13 +47,15 @@ class Space:
 
 
 def allowed_mask(space: Space, rows: Rows) -> NDArray[np.bool_] | None:
-    """Which combinations of `rows` have no clash; one axis per light, None where all are allowed."""
+    """Which combinations of `rows` have no clash, the last light's varying fastest; None where all are allowed."""
     mask: NDArray[np.bool_] | None = None
+    sizes = [len(r) for r in rows]
     for (i, j), clash in space.clashes.items():
         some = clash[np.ix_(rows[i], rows[j])]
         if some.any():
             if mask is None:
-                mask = np.ones(tuple(len(r) for r in rows), np.bool_)
-            index = tuple(slice(None) if k in (i, j) else None for k in range(len(rows)))
-            mask &= ~some[index]
+                mask = np.ones(math.prod(sizes), np.bool_)
+            between, after = math.prod(sizes[i + 1 : j]), math.prod(sizes[j + 1 :])
+            pairs = mask.reshape(-1, sizes[i], between, sizes[j], after)
+            pairs &= ~some[:, None, :, None]
     return mask

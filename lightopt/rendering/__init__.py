@@ -39,7 +39,7 @@ from lightopt.rendering._pixels import (
 )
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
-from lightopt.rendering._threads import available_processors, in_threads
+from lightopt.rendering._threads import Task, available_processors, in_threads, run_all
 
 __all__ = [
     "DEFAULT_PATCH_BUDGET",
@@ -60,6 +60,7 @@ __all__ = [
     "RenderedSet",
     "Report",
     "SurfacePoints",
+    "Task",
     "TooFewPixels",
     "available_processors",
     "build_patches",
@@ -77,6 +78,7 @@ __all__ = [
     "render",
     "render_image_set",
     "render_posture",
+    "run_all",
     "shade_converged",
     "shade_points",
     "too_few_pixels",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,7 @@ from lightopt.raycast import Hits, RayCaster
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
-from lightopt.rendering._threads import available_processors
+from lightopt.rendering._threads import available_processors, run_all
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 from lightopt.transforms import Posture
 
@@ -207,19 +206,15 @@ def render_posture(
 
 def _run_blocks(job: _Job, threads: int, progress: Progress | None) -> None:
     blocks = job.blocks()
-    before = job.caster.rays_cast
-    with ThreadPoolExecutor(threads) as pool:
-        waiting = {pool.submit(job.block, top, bottom) for top, bottom in blocks}
-        try:
-            while waiting:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
-                    future.result()
-                if progress is not None:
-                    progress(1.0 - len(waiting) / len(blocks), job.caster.rays_cast - before)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    before, finished = job.caster.rays_cast, 0
+
+    def done() -> None:
+        nonlocal finished
+        finished += 1
+        if progress is not None:
+            progress(finished / len(blocks), job.caster.rays_cast - before)
+
+    run_all(((job.block, rows) for rows in blocks), threads=threads, done=done)
 
 
 class _Job:

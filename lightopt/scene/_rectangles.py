@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.scene._camera import PinholeCamera
+from lightopt.scene._camera import PinholeCamera, pixel_directions, project
 from lightopt.scene._light import PanelLight
 
 __all__ = ["image_area", "panel_corners", "rectangles_meet", "segments_blocked"]
@@ -15,6 +15,12 @@ __all__ = ["image_area", "panel_corners", "rectangles_meet", "segments_blocked"]
 Float64 = NDArray[np.float64]
 
 _NEAR_MM = 1e-3
+
+_PIECES = 32
+"""Of an edge that a lens bends, each drawn as a straight line."""
+
+_LEAST_AREA = 1e-6
+"""Bent outlines that run along the image's border leave less than this by rounding [px²]."""
 
 
 def panel_corners(light: PanelLight) -> Float64:
@@ -25,7 +31,7 @@ def panel_corners(light: PanelLight) -> Float64:
 
 
 def image_area(camera: PinholeCamera, polygon: Float64) -> float:
-    """How much of the image a flat convex polygon covers, lens distortion left aside [px²].
+    """How much of the image a flat convex polygon covers [px²].
 
     Parameters
     ----------
@@ -36,18 +42,62 @@ def image_area(camera: PinholeCamera, polygon: Float64) -> float:
     # right, down, forward; the viewing pyramid then is |x| ≤ w·z, |y| ≤ h·z
     local = np.stack([offset @ camera.right, -(offset @ camera.up), offset @ camera.forward], axis=1)
     scale = camera.image_distance / camera.pixel_size
-    w, h = 0.5 * camera.width / scale, 0.5 * camera.height / scale
+    w, h = _half_view(camera)
     planes = ((0.0, 0.0, 1.0), (1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h))
     for plane, least in zip(planes, (_NEAR_MM, 0.0, 0.0, 0.0, 0.0), strict=True):
         local = _clip(local, np.array(plane), least)
         if len(local) < 3:
             return 0.0
-    x, y = local[:, 0] / local[:, 2] * scale, local[:, 1] / local[:, 2] * scale
+    if not camera.distortion.is_zero:
+        return _bent_area(camera, local)
+    return _area(local[:, :2] / local[:, 2:] * scale)
+
+
+def _half_view(camera: PinholeCamera) -> tuple[float, float]:
+    # the least rectangle about the optical axis, at depth 1, that has all that the lens shows
+    scale = camera.image_distance / camera.pixel_size
+    w, h = 0.5 * camera.width / scale, 0.5 * camera.height / scale
+    if camera.distortion.is_zero:
+        return w, h
+    across, down = np.linspace(0.0, camera.width, 65), np.linspace(0.0, camera.height, 65)
+    columns = np.concatenate([across, across, np.zeros(65), np.full(65, float(camera.width))])
+    rows = np.concatenate([np.zeros(65), np.full(65, float(camera.height)), down, down])
+    rays = pixel_directions(camera, columns, rows)
+    depth = rays @ camera.forward
+    margin = 1.01  # between the samples
+    return (
+        margin * float(np.abs(rays @ camera.right / depth).max()),
+        margin * float(np.abs(rays @ camera.up / depth).max()),
+    )
+
+
+def _bent_area(camera: PinholeCamera, local: Float64) -> float:
+    # the outline in short pieces through the lens, cut by the image's border
+    steps = np.arange(_PIECES)[:, None] / _PIECES
+    outline = np.concatenate(
+        [a + steps * (b - a) for a, b in zip(local, np.roll(local, -1, axis=0), strict=True)]
+    )
+    world = camera.position + outline @ np.array([camera.right, -camera.up, camera.forward])
+    columns, rows, _ = project(camera, world)
+    flat = np.stack([columns - 0.5 * camera.width, rows - 0.5 * camera.height, np.ones(len(columns))], axis=1)
+    w, h = 0.5 * camera.width, 0.5 * camera.height
+    for plane in ((1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h)):
+        flat = _clip(flat, np.array(plane), 0.0)
+        if len(flat) < 3:
+            return 0.0
+    area = _area(flat[:, :2])
+    return area if area > _LEAST_AREA else 0.0
+
+
+def _area(polygon: Float64) -> float:
+    # shoelace formula
+    x, y = polygon.T
     return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
 
 
 def _clip(polygon: Float64, plane: Float64, least: float) -> Float64:
-    # the part of a convex polygon where plane·x ≥ least (Sutherland and Hodgman 1974, doi:10.1145/360767.360802)
+    # the part of a polygon where plane·x ≥ least (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); parts of one
+    # that is not convex stay joined along the plane, which does not change the area
     height = polygon @ plane - least
     kept: list[Float64] = []
     for i in range(len(polygon)):

@@ -12,13 +12,15 @@ import numpy as np
 __all__ = ["all_combinations", "coverage_value", "paper_value", "usable_value"]
 
 
-def paper_value(columns, shade, saturation):
-    """Steps 3 to 5: sort each row downwards, drop its first and last, zero what is shaded or specular, sum."""
+def paper_value(columns, shade, saturation, black=0):
+    """Steps 3 to 5: sort each row downwards, drop its first and last, zero what is shaded or specular, sum.
+
+    What is summed is the light: levels above black.
+    """
     matrix = np.sort(np.array(columns, dtype=np.int64), axis=0)[::-1]
     evaluation = matrix[1:-1].copy()
-    evaluation[evaluation < shade] = 0
-    evaluation[evaluation >= saturation] = 0
-    return int(evaluation.sum())
+    used = (evaluation >= shade) & (evaluation < saturation)
+    return int((evaluation - black)[used].sum())
 
 
 def coverage_value(columns, shade, saturation, areas):
@@ -29,18 +31,20 @@ def coverage_value(columns, shade, saturation, areas):
     return int(sum(int(a) for a, u, s in zip(areas, usable, saturated, strict=True) if u >= 2 and s <= 1))
 
 
-def usable_value(columns, shade, saturation, weights):
-    """Sum of usable levels, each times its patch's weight: what decides between equal scores."""
+def usable_value(columns, shade, saturation, weights, black=0):
+    """Sum of usable levels above black, each times its patch's weight: what decides between equal scores."""
     matrix = np.array(columns, dtype=np.int64)
-    return int((np.where((matrix >= shade) & (matrix < saturation), matrix, 0) * weights).sum())
+    return int((np.where((matrix >= shade) & (matrix < saturation), matrix - black, 0) * weights).sum())
 
 
-def all_combinations(levels, value, shade, saturation, weights, allowed=None):
+def all_combinations(levels, value, shade, saturation, weights, allowed=None, black=0):
     """Step 6: every combination with its value, best first: larger value, larger usable sum, lower candidates."""
     found = []
     for combination in itertools.product(*(range(len(layer)) for layer in levels)):
         if allowed is not None and not allowed(combination):
             continue
         columns = [layer[i] for layer, i in zip(levels, combination, strict=True)]
-        found.append((-value(columns), -usable_value(columns, shade, saturation, weights), combination))
+        found.append(
+            (-value(columns), -usable_value(columns, shade, saturation, weights, black), combination)
+        )
     return sorted(found)

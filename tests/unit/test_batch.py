@@ -5,6 +5,9 @@ from __future__ import annotations
 import importlib.util
 import json
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -56,6 +59,75 @@ def test_every_part_is_tried_and_a_second_run_keeps_what_is_there(batch, bench, 
     assert "was made from other inputs, and is made anew" in capsys.readouterr().out
     assert matrix.stat().st_mtime_ns != stamp
     assert json.loads(result.read_bytes())["results"] != json.loads(before)["results"]
+
+
+def fake(monkeypatch, batch, answers):
+    """Commands are not run: their names are kept, and each gets the next of the answers (status, message)."""
+    ran = []
+
+    def call(command):
+        ran.append(command)
+        status, message = next(answers)
+        return subprocess.CompletedProcess(command, status, "", message)
+
+    monkeypatch.setattr(batch, "call", call)
+    monkeypatch.setattr(batch, "summary", lambda _: ("90.0 %", "60,45"))
+    return ran
+
+
+def test_ctrl_c_ends_with_the_summary_of_what_was_done(batch, tmp_path, monkeypatch, capsys):
+    for name in "abc":
+        (tmp_path / f"{name}.yaml").touch()
+    answers = iter([(0, ""), (0, ""), (0, ""), (0, ""), (130, "interrupted\n")])
+    ran = fake(monkeypatch, batch, answers)
+    assert batch.main(["rig.yaml", str(tmp_path), "--out", str(tmp_path / "out")]) == 130
+    assert len(ran) == 5, "nothing is begun afterwards"
+    said = capsys.readouterr()
+    assert "1 of 3 parts were done before" in said.err
+    rows = {line.split()[0]: line.split()[1:4] for line in said.out.splitlines() if line[:2] in ("a ", "b ")}
+    assert rows == {"a": ["ok", "ok", "ok"], "b": ["ok", "stopped", "-"]}
+    assert (tmp_path / "out" / "summary.txt").read_text(encoding="utf-8").count("\n") == 3
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends Ctrl-C to all processes of a console")
+def test_a_command_that_gets_ctrl_c_ends_by_itself(batch, monkeypatch, tmp_path):
+    """Not killed while it tidies up, which takes it a second here."""
+    child = tmp_path / "lightopt.py"
+    child.write_text(
+        "import os, signal, time\nos.kill(os.getppid(), signal.SIGINT)\ntime.sleep(1.0)\nprint('tidy')\n",
+        encoding="utf-8",
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        done = batch.call([])
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert (done.returncode, done.stdout) == (130, "tidy\n")
+
+
+@pytest.mark.parametrize(
+    ("there", "forced"),
+    [
+        ({"format": "lightopt-images/1", "kind": "simulated", "part": {"file": "a.yaml"}}, True),
+        ({"format": "lightopt-images/1", "kind": "captured", "part": {"file": "a.yaml"}}, False),
+        ({"format": "lightopt-images/1", "kind": "simulated", "part": {"file": "b.yaml"}}, False),
+        ({"format": "another/1", "part": {"file": "a.yaml"}}, False),
+        ([], False),
+        (None, False),
+    ],
+)
+def test_only_its_own_result_of_the_same_part_is_replaced(batch, tmp_path, monkeypatch, there, forced):
+    (tmp_path / "a.yaml").touch()
+    manifest = tmp_path / "out" / "a" / "images" / "manifest.json"
+    manifest.parent.mkdir(parents=True)
+    if there is not None:
+        manifest.write_text(json.dumps(there), encoding="utf-8")
+    refused = (2, "error: holds the image set of another run; use --force to replace it\n")
+    ran = fake(monkeypatch, batch, iter([(0, ""), refused, (0, ""), (0, "")]))
+    assert batch.main(["rig.yaml", str(tmp_path), "--out", str(tmp_path / "out")]) == (0 if forced else 1)
+    assert [("--force" in command) for command in ran] == [False, False, *([True, False] if forced else [])]
 
 
 def test_a_folder_without_parts_is_told(batch, tmp_path, capsys):

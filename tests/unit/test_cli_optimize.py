@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from lightopt.cli._main import run
 from lightopt.config import load_rig
 from lightopt.images import read_image_set, read_png
-from lightopt.optimize import OptimizeOptions, optimize, search
+from lightopt.optimize import OptimizeOptions, optimize
 
 LIGHTS = """\
 lights:   # three of them
@@ -58,7 +60,7 @@ def test_result_says_angles_scores_proof_and_provenance(optimized):
     result = result_of(optimized.out)
     assert result["format"] == "lightopt-optimum/1"
     assert result["rig"]["sha256"] == load_rig(optimized.rig).source.sha256
-    assert result["thresholds"] == {"shaded_below": 10, "saturated_from": 255}
+    assert result["thresholds"] == {"black": 0, "shaded_below": 10, "saturated_from": 255}
     assert [len(light["positions_deg"]) for light in result["candidates"]] == [3, 2, 2]
     assert str(optimized.folder) not in json.dumps(result)
     assert [len(group["postures"]) for group in result["results"]] == [1, 1]
@@ -127,7 +129,7 @@ def test_images_of_the_best_set_and_their_overlaps(optimized, cli, tmp_path):
     ran = cli("overlap", folder, "-o", tmp_path / "o")
     assert (ran.status, ran.err) == (0, "")
     again = json.loads((tmp_path / "o" / "overlap.json").read_text(encoding="utf-8"))
-    assert again["overlaps"][0] == overlap
+    assert {"map": overlap["map"], **again["overlaps"][0]} == overlap
     drawn = read_png(tmp_path / "o" / "posture_0_0" / "overlap.png", colour=True)
     assert drawn.shape == (120, 160, 3)
     several = np.sum([level >= 255 for level in levels], axis=0)
@@ -156,11 +158,36 @@ def test_the_terminal_shows_the_table(optimized, cli):
     ran = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *FEW, "--keep-matrix")
     lines = ran.out.splitlines()
     assert lines[0] == "3 × 2 × 2 positions of light1, light2, light3"
-    header = next(line for line in lines if line.split()[1:3] == ["best", "for"])
-    for word in ("light1", "coverage", "paper", "runner-up", "ties", "combinations"):
-        assert word in header
-    assert sum(" mm² (" in line for line in lines) == 4
     assert str(optimized.out / "result.json") in lines
+    header = next(k for k, line in enumerate(lines) if line.startswith("posture "))
+    assert re.split("  +", lines[header]) == [
+        *("posture", "best for", "light1", "light2", "light3", "coverage", "paper"),
+        *("runner-up", "ties", "combinations"),
+    ]
+    # every cell is what result.json says
+    rows = [re.split("  +", line.strip()) for line in lines[header + 1 : header + 5]]
+    expected = []
+    for group in result_of(optimized.out)["results"]:
+        posture = group["postures"][0]
+        first = [f"({posture['elevation_deg']:g}°, {posture['rotation_deg']:g}°)".replace("-", "−")]
+        for answer in group["objectives"]:
+            covered, levels = (answer["scores_under"][name] for name in ("coverage", "paper"))
+            share = 100 * covered / group["visible_area_um2"]
+            gap = f"{answer['gap'] / 1e6:,.2f} mm²" if first else f"{answer['gap']:,}"
+            expected.append(
+                [
+                    *first,
+                    answer["objective"],
+                    *(f"{one['elevation_deg']:g}°, {one['azimuth_deg']:g}°" for one in answer["lights"]),
+                    f"{covered / 1e6:,.2f} mm² ({share:.1f} %)",
+                    f"{levels:,}",
+                    f"−{gap}",
+                    f"{answer['ties']:,}",
+                    "12",
+                ]
+            )
+            first = []
+    assert [[cell.replace("-10", "−10") for cell in row] for row in rows] == expected
 
 
 def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli, snapshot):
@@ -175,6 +202,18 @@ def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli
     assert result_of(three.out)["options"]["step_deg"] == 20.0
     listed = {rig["file"] for rig in result_of(three.out)["rigs"]}
     assert {p.relative_to(three.out).as_posix() for p in three.out.rglob("rig.optimized.yaml")} == listed
+
+
+def test_force_leaves_no_map_of_the_run_before(three, cli):
+    command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "20", "-q")
+    assert cli(*command).status == 0
+    before = {three.out / one["map"] for one in result_of(three.out)["overlaps"]}
+    assert len(before) == 2
+    assert all(path.is_file() for path in before)
+    assert cli(*command, "--posture", "0,0", "--force").status == 0
+    now = {three.out / one["map"] for one in result_of(three.out)["overlaps"]}
+    assert set(three.out.rglob("overlap*.png")) == now
+    assert len(now) == 1
 
 
 def test_common_lights_and_common_elevation(three, cli):
@@ -200,19 +239,21 @@ def test_common_lights_and_common_elevation(three, cli):
     assert answer["score"] <= sum(singles)
 
 
-def test_a_limit_is_said_with_its_bound(three, cli, monkeypatch):
-    # tables of two combinations, so that the small space is searched in boxes
-    monkeypatch.setitem(search.__kwdefaults__, "table_cells", 2)
+def test_a_limit_is_said_with_its_bound(three, cli):
     ran = cli(
         "optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0",
-        "--max-combinations", "1", "--objective", "coverage",
+        "--max-combinations", "2", "--objective", "coverage",
     )  # fmt: skip
     assert ran.status == 0
     answer = result_of(three.out)["results"][0]["objectives"][0]
     assert answer["combinations"]["left"] > 0
+    assert answer["complete"] is False
     assert answer["bound"] >= answer["score"]
-    if not answer["proven"]:
-        assert "the limit of 1 combinations was reached" in ran.err
+    assert answer["proven"] is (answer["bound"] == answer["score"])
+    assert f"with {answer['combinations']['left']} left; the best found scores {answer['score']:,}" in ran.err
+    row = next(line for line in ran.out.splitlines() if " mm² (" in line)
+    assert f"≥ {answer['ties']} " in row
+    assert "≥ −" in row
 
 
 def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
@@ -269,7 +310,7 @@ def test_too_few_lights(bench, cli):
     with_lights(bench, "lights:\n  - {name: a, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45}\n")
     ran = cli("optimize", bench.rig, bench.part, "-o", bench.out)
     assert ran.status == 2
-    assert "expected two lights or more, found one" in ran.err or "one light only" in ran.err
+    assert "rig.yaml:11: lights: expected two lights or more, found one; with one light there is" in ran.err
 
 
 def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):
@@ -298,6 +339,36 @@ def test_nothing_usable_gives_no_optimum(three, cli, R_d, said):
     assert answer["lights"] is None
     assert said in answer["reason"]
     assert not list(three.out.rglob("rig.optimized.yaml"))
+
+
+def test_black_level_is_no_light(three, cli):
+    """Levels above 10 that are black only: no position is better than another, and none is named."""
+    three.edit("rig.yaml", "{bit_depth: 8, read", "{bit_depth: 8, black_level: 20, read")
+    three.edit("part.yaml", "R_d: 45.0, R_s: 12500", "R_d: 0.5, R_s: 0")
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, "--posture", "0,0")
+    assert ran.status == 1
+    assert "100 % are shaded (below 30)" in ran.err
+    for answer in result_of(three.out)["results"][0]["objectives"]:
+        assert answer["lights"] is None
+
+
+def test_a_light_that_stands_in_the_part_and_can_leave_it(three, cli):
+    """Where the rig has it now is in the part: that candidate is left out; one that cannot move is refused."""
+    trimesh.creation.box((200, 20, 60)).export(three.folder / "knob.stl")
+    three.edit("rig.yaml", "distance_mm: 330, elevation_deg: 60, azimuth_deg: 45", "@")
+    three.edit("rig.yaml", "@, elevation_range", "distance_mm: 80, size_mm: [9, 9], @, elevation_range")
+    three.edit("rig.yaml", "@, elevation_range_deg: [40, 60]", "elevation_deg: 30, azimuth_deg: 0@")
+    three.edit("rig.yaml", "azimuth_deg: 0@", "azimuth_deg: 0, azimuth_range_deg: [0, 40]")
+    command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--no-images")
+    ran = cli(*command, "--step", "20", "--posture", "0,0")
+    assert (
+        "left out: light1 at elevation 30°, azimuth 0°: it is inside the part in posture (0°, 0°)" in ran.out
+    )
+    assert ran.status == 0
+    three.edit("rig.yaml", ", azimuth_range_deg: [0, 40]", "")
+    ran = cli(*command, "--step", "20", "--posture", "0,0", "--force")
+    assert ran.status == 2
+    assert "light1's panel are inside the part" in ran.err
 
 
 def test_overlap_wants_two_images_of_one_size(bench, cli):

@@ -17,11 +17,16 @@ def test_time_left_is_that_of_the_rest_at_the_pace_so_far(capsys, monkeypatch):
         assert report is not None
         for seconds, share in ((0.0, 0.1), (0.5, 0.2), (2.0, 0.3), (2.5, 0.4), (4.0, 0.5)):
             now[0] = 100.0 + seconds
-            report(share)
+            report("paper", share)
+        # the next one has a pace of its own
+        for seconds, share in ((5.0, 0.0), (7.0, 0.2)):
+            now[0] = 100.0 + seconds
+            report("coverage", share)
     # from 10 % on: 20 % in 2 s leaves 70 % for 7 s; 40 % in 4 s leaves 50 % for 5 s
     assert capsys.readouterr().err.splitlines() == [
-        "searching: 30.0 %, about 7 s left",
-        "searching: 50.0 %, about 5 s left",
+        "searching paper: 30.0 %, at most about 7 s left",
+        "searching paper: 50.0 %, at most about 5 s left",
+        "searching coverage: 20.0 %, at most about 8 s left",
     ]
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
+import tracemalloc
+
 import numpy as np
 import pytest
+import trimesh
 
+from lightopt import build_scene
 from lightopt.config import load_rig
 from lightopt.errors import InputError
 from lightopt.optimize import find_candidates
 from lightopt.optimize._angles import light_angles
+from lightopt.rendering import cast_rays_at
 
 RIG = """\
 format: lightopt-rig/1
@@ -94,6 +100,18 @@ def test_positions_that_the_machine_cannot_take_are_listed(tmp_path):
     assert 12.0 in kept
 
 
+def test_what_a_lens_bends_into_view_is_left_out(tmp_path):
+    """The same panel is outside a straight view and inside that of a barrel lens, which shows more."""
+    lights = (light("a", 82.2, 0, ", elevation_range_deg: [66.2, 82.2]"), light("b", 45, 180))
+    assert find_candidates(rig_of(tmp_path, *lights), step_deg=16.0).left_out == ()
+    straight = (tmp_path / "rig.yaml").read_text(encoding="utf-8")
+    bent = straight.replace("image_distance_mm: 55,", "image_distance_mm: 55, distortion: {k1: -20},")
+    (tmp_path / "rig.yaml").write_text(bent, encoding="utf-8")
+    (out,) = find_candidates(load_rig(tmp_path / "rig.yaml"), step_deg=16.0).left_out
+    assert (out.light, out.elevation_deg) == ("a", 82.2)
+    assert "stands in the camera's view, over" in out.reason
+
+
 def test_panels_that_meet_are_kept_apart(tmp_path):
     # 60 mm panels at 330 mm meet when less than about 10 degrees apart
     rig = rig_of(
@@ -134,5 +152,62 @@ def test_bad_input_says_where_and_what_to_do(tmp_path):
     for step in (0.0, -1.0, float("nan")):
         with pytest.raises(InputError, match="--step: expected degrees above 0"):
             find_candidates(rig, step_deg=step)
-    with pytest.raises(InputError, match="at most 100,000 are accepted"):
-        find_candidates(rig, step_deg=1e-7)
+    for step in (1e-7, 1e-310, 5e-324):
+        with pytest.raises(InputError, match="more than 100,000 positions, the most that are accepted"):
+            find_candidates(rig, step_deg=step)
+
+
+def test_reasons_are_grouped_by_kind_with_their_numbers(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("a", 85, 0, ", elevation_range_deg: [83, 90]"),
+        light("b", 2, 180, ", elevation_range_deg: [1, 4]"),
+        light("c", 45, 90, ", elevation_range_deg: [30, 60]"),
+    )
+    with pytest.raises(InputError) as refused:
+        find_candidates(rig, step_deg=1.0)
+    first, second = refused.value.messages
+    pattern = r"light a is left: it stands in the camera's view, over [\d,]+ to 19,200 pixels \(8 positions\)\. Change"
+    assert re.search(pattern, first)
+    # 330 mm out, half of 60 mm below: 30·cos θ − 330·sin θ
+    assert "light b is left: it reaches 6.91 to 24.2 mm below the table top (4 positions). Change" in second
+
+
+def test_thousands_of_positions_a_light_need_no_memory_for_their_pairs(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("a", 45, 0, ", elevation_range_deg: [30, 60], azimuth_range_deg: [0, 90]"),
+        light("b", 45, 200, ", elevation_range_deg: [30, 60], azimuth_range_deg: [180, 270]"),
+    )
+    tracemalloc.start()
+    found = find_candidates(rig, step_deg=1.0)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.space.sizes == (2821, 2821)
+    # a flag for each of the 8 million pairs, not three numbers
+    assert peak < 60e6
+
+
+def test_a_panel_inside_the_part_is_left_out_and_the_posture_named(tmp_path):
+    small = ", size_mm: [10, 10]"
+    rig = rig_of(
+        tmp_path,
+        light("a", 30, 45, ", azimuth_range_deg: [0, 90]" + small, distance=80),
+        light("b", 50, 270),
+    )
+    trimesh.creation.box((200, 20, 60)).export(tmp_path / "bar.stl")
+    (tmp_path / "part.yaml").write_text(
+        "format: lightopt-part/1\nname: bar\nmesh: {file: bar.stl, units: mm}\n"
+        "placement: {anchor: rest_on_table}\n"
+        "postures: [{elevation_deg: 0, rotation_deg: 0}, {elevation_deg: 0, rotation_deg: 90}]\n"
+        "reflectance: {R_d: 45, R_s: 100, sigma_rad: 0.05}\n",
+        encoding="utf-8",
+    )
+    scene = build_scene(rig, tmp_path / "part.yaml")
+    found = find_candidates(rig, step_deg=45.0, scene=scene, caster=cast_rays_at(scene))
+    assert found.angles[0] == ((30.0, 45.0),)
+    assert [(out.azimuth_deg, out.reason) for out in found.left_out] == [
+        (0.0, "is inside the part in posture (0°, 0°)"),
+        (90.0, "is inside the part in posture (0°, 90°)"),
+    ]
+    assert len(find_candidates(rig, step_deg=45.0).angles[0]) == 3

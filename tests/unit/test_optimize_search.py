@@ -43,10 +43,10 @@ def plain(matrix, objective, thresholds, allowed=None):
     weights = np.ones(len(matrix.areas), np.int64) if objective == "paper" else area_units(matrix.areas)
     t = (thresholds.shade, thresholds.saturation)
     if objective == "paper":
-        value = partial(paper_value, shade=t[0], saturation=t[1])
+        value = partial(paper_value, shade=t[0], saturation=t[1], black=thresholds.black)
     else:
         value = partial(coverage_value, shade=t[0], saturation=t[1], areas=weights)
-    return all_combinations(matrix.levels, value, *t, weights, allowed)
+    return all_combinations(matrix.levels, value, *t, weights, allowed, thresholds.black)
 
 
 def as_tuples(found):
@@ -98,6 +98,7 @@ def test_plain_reading_of_any_small_matrix(data):
     patches = data.draw(st.integers(1, 6))
     shade = data.draw(st.integers(0, 40))
     saturation = data.draw(st.integers(shade + 1, 255))
+    black = data.draw(st.integers(0, shade))
     level = st.sampled_from(sorted({0, max(0, shade - 1), shade, saturation - 1, saturation, 255}))
     levels = tuple(
         np.array(data.draw(st.lists(level, min_size=n * patches, max_size=n * patches)), np.uint8).reshape(
@@ -107,7 +108,7 @@ def test_plain_reading_of_any_small_matrix(data):
     )
     areas = np.array(data.draw(st.lists(st.integers(0, 5), min_size=patches, max_size=patches))) * 1e-6
     matrix = LuminanceMatrix(levels=levels, areas=areas)
-    thresholds = Thresholds(shade=shade, saturation=saturation)
+    thresholds = Thresholds(shade=shade, saturation=saturation, black=black)
     for name, objective in OBJECTIVES.items():
         if objective.refusal(lights):
             continue
@@ -128,12 +129,12 @@ def test_scores_are_those_of_the_definition_and_below_the_bound(name):
     thresholds = Thresholds(shade=10, saturation=255)
     objective = OBJECTIVES[name]
     weights = objective.weights(rng.random(200))
-    scores = objective.scores(levels, weights, thresholds, threads=1)
-    for place in np.ndindex(scores.shape):
+    scores = objective.scores(levels, weights, thresholds, threads=1).reshape(3, 4, 2, 3)
+    for place in np.ndindex(3, 4, 2, 3):
         columns = np.stack([layer[i] for layer, i in zip(levels, place, strict=True)])
         assert scores[place] == objective.score(columns, weights, thresholds)
     assert scores.max() <= objective.bound(levels, weights, thresholds)
-    assert (scores == objective.scores(levels, weights, thresholds, threads=3)).all()
+    assert (scores.ravel() == objective.scores(levels, weights, thresholds, threads=3)).all()
 
 
 def test_runs_and_packed_bits_agree_on_any_weights():
@@ -141,9 +142,10 @@ def test_runs_and_packed_bits_agree_on_any_weights():
     levels = random_levels(rng, (5, 4, 3, 4), 333)
     weights = rng.integers(0, 1 << 33, 333)
     thresholds = Thresholds(shade=30, saturation=240)
+    some = rng.permutation(333)[:300]
     for rule in ((1, 0), (2, 1), (3, 2)):
-        runs = run_scores(levels, weights, thresholds, rule=rule, threads=2)
-        bits = bit_scores(levels, weights, thresholds, rule=rule, threads=2)
+        runs = run_scores(levels, some, weights, thresholds, rule=rule, threads=2)
+        bits = bit_scores(levels, some, weights, thresholds, rule=rule, threads=2)
         np.testing.assert_array_equal(runs, bits)
 
 
@@ -273,3 +275,22 @@ def test_thresholds_of_sensors():
     assert Thresholds.of_sensor(shade_share=10 / 255, max_level=4095, saturated_from=4080) == Thresholds(
         shade=161, saturation=4080
     )
+
+
+def test_thresholds_are_of_light_above_black():
+    # 10/255 of full scale of light delivers 10 levels above black, however dark black is
+    of = partial(Thresholds.of_sensor, max_level=255, saturated_from=250)
+    assert of(shade_share=10 / 255, black_level=16) == Thresholds(shade=26, saturation=250, black=16)
+    assert of(shade_share=10 / 255, black_level=16.5) == Thresholds(shade=27, saturation=250, black=17)
+    # what is delivered without light is never usable
+    assert of(shade_share=0.0, black_level=16.5) == Thresholds(shade=18, saturation=250, black=17)
+    assert of(shade_share=0.0) == Thresholds(shade=1, saturation=250, black=0)
+    with pytest.raises(InputError, match="black is 16, a level is shaded below 262"):
+        of(shade_share=246 / 255, black_level=16)
+
+
+def test_paper_sums_light_above_black():
+    levels = tuple(np.array([[level]], np.uint8) for level in (20, 50, 90, 255))
+    matrix = LuminanceMatrix(levels=levels, areas=np.ones(1))
+    found = search([matrix], OBJECTIVES["paper"], Thresholds(shade=30, saturation=255, black=16))
+    assert (found.best.score, found.best.usable) == (34 + 74, 34 + 74)

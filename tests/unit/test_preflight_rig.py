@@ -9,16 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightopt.config import RigConfig, load_rig
 from lightopt.errors import InputError
 from lightopt.preflight import Finding, Report, check_rig
 from lightopt.scene import (
+    Distortion,
     PanelLight,
     image_area,
     panel_corners,
+    pixel_directions,
     place_camera,
     place_light,
     rectangles_meet,
@@ -296,6 +298,35 @@ def test_image_area_against_counted_pixels(centre, tilt, size):
     scale = 0.044 / 55
     directions = camera.forward + scale * (x[..., None] * camera.right - y[..., None] * camera.up)
     ends = camera.position + 5000 * directions.reshape(-1, 3)
+    counted = np.count_nonzero(segments_blocked(light, camera.position, ends)) / 4
+    area = image_area(camera, panel_corners(light))
+    assert 0 <= area <= 160 * 120 * (1 + 1e-9)
+    assert area == pytest.approx(counted, abs=60 + 0.02 * area)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    centre=st.tuples(*(st.floats(-80, 80),) * 2, st.floats(20, 700)),
+    tilt=st.tuples(st.floats(-1.5, 1.5), st.floats(-3, 3)),
+    size=st.tuples(*(st.floats(5, 80),) * 2),
+    lens=st.sampled_from([Distortion(k1=-15.0), Distortion(k1=20.0, p1=0.1), Distortion(k1=-10.0, k2=500.0)]),
+)
+def test_image_area_through_a_lens_against_counted_pixels(centre, tilt, size, lens):
+    camera = place_camera(
+        distance=550,
+        elevation=1.2,
+        azimuth=-1.5,
+        roll=0.4,
+        width=160,
+        height=120,
+        pixel_size=0.044,
+        image_distance=55,
+        distortion=lens,
+    )
+    base = panel(*tilt, size=size)
+    light = PanelLight(**{**vars(base), "centre": np.array(centre)})
+    x, y = np.meshgrid(np.arange(320) / 2 + 0.25, np.arange(240) / 2 + 0.25)
+    ends = camera.position + 5000 * pixel_directions(camera, x.ravel(), y.ravel())
     counted = np.count_nonzero(segments_blocked(light, camera.position, ends)) / 4
     area = image_area(camera, panel_corners(light))
     assert 0 <= area <= 160 * 120 * (1 + 1e-9)

@@ -110,10 +110,10 @@ def _overlap(images: ImageSet, posture: Posture, exposure: float, entries: list[
     )
 
 
-def overlap_map_name(overlap: Overlap) -> str:
-    """File of an overlap's map, relative to the folder that it is written to."""
-    suffix = "" if overlap.exposure == 1 else f"_x{overlap.exposure:.6g}"
-    return f"{posture_folder(overlap.posture)}/overlap{suffix}.png"
+def overlap_map_name(posture: Posture, exposure: float = 1.0) -> str:
+    """File of the map of a posture and exposure, relative to the folder that it is written to."""
+    suffix = "" if exposure == 1 else f"_x{exposure:.6g}"
+    return f"{posture_folder(posture)}/overlap{suffix}.png"
 
 
 def write_overlap_map(overlap: Overlap, path: Path, *, overwrite: bool) -> str:

@@ -1,0 +1,298 @@
+"""Searches that are large: many lights, spaces cut off by a limit, progress, being stopped, and memory."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.errors import InputError
+from lightopt.optimize import (
+    OBJECTIVES,
+    Answer,
+    Candidates,
+    LuminanceMatrix,
+    Space,
+    Thresholds,
+    area_units,
+    search,
+)
+from lightopt.optimize._answer import answer_set
+from lightopt.optimize._run import cut_off
+from lightopt.transforms import Posture
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from reference._search import all_combinations, coverage_value, paper_value
+
+THRESHOLDS = Thresholds(shade=30, saturation=250, black=12)
+T = (30, 250)
+
+
+def random_matrix(sizes, patches, *, smooth=False, seed=0):
+    """Random levels; `smooth`: a patch's classes change once or twice along a light's candidates, as on real parts."""
+    rng = np.random.default_rng(seed)
+    levels = []
+    for size in sizes:
+        layer = rng.integers(0, 320, (size, patches))
+        if smooth:
+            layer = rng.integers(0, 320, patches) + np.linspace(-60, 60, size)[:, None]
+        levels.append(np.clip(layer, 12, 255).astype(np.uint8))
+    return LuminanceMatrix(levels=tuple(levels), areas=rng.random(patches))
+
+
+@pytest.mark.parametrize("lights", [12, 24, 70, 300])
+@pytest.mark.parametrize("name", ["paper", "coverage"])
+def test_many_lights_of_which_few_move_against_the_plain_definition(name, lights):
+    sizes = [1] * lights
+    sizes[1], sizes[lights // 2], sizes[-2] = 3, 4, 2
+    matrix = random_matrix(sizes, 60)
+    weights = np.ones(60, np.int64) if name == "paper" else area_units(matrix.areas)
+    value = partial(paper_value, black=12) if name == "paper" else partial(coverage_value, areas=weights)
+    value = partial(value, shade=30, saturation=250)
+    expected = all_combinations(matrix.levels, value, *T, weights, None, 12)
+    found = search([matrix], OBJECTIVES[name], THRESHOLDS, keep=24)
+    assert [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking] == expected
+    clash = np.zeros((3, 2), np.bool_)
+    clash[1, 0] = True
+    space = Space(
+        sizes=tuple(sizes), groups=(tuple(map(np.arange, sizes)),), clashes={(1, lights - 2): clash}
+    )
+    found = search([matrix], OBJECTIVES[name], THRESHOLDS, keep=24, space=space)
+    allowed = [one for one in expected if (one[2][1], one[2][-2]) != (1, 0)]
+    assert [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking] == allowed
+
+
+@pytest.mark.parametrize("sizes", [(2,) * 12, (2,) * 10 + (1,) * 14, (3, 1) * 6, (5,) * 5])
+@pytest.mark.parametrize("name", ["paper", "coverage"])
+def test_a_dozen_lights_and_two_in_seconds(name, sizes):
+    """10,000 patches; the best is what the definition says, and no combination drawn at random is better."""
+    objective, matrix = OBJECTIVES[name], random_matrix(sizes, 10_000)
+    search([random_matrix(sizes, 10)], objective, THRESHOLDS, keep=2)  # compiles
+    begun = time.monotonic()
+    found = search([matrix], objective, THRESHOLDS, keep=2)
+    assert time.monotonic() - begun < 10.0
+    assert found.scored == np.prod(sizes)
+    weights = objective.weights(matrix.areas)
+    rng = np.random.default_rng(1)
+    drawn = [tuple(int(rng.integers(n)) for n in sizes) for _ in range(50)]
+    for ranked in found.ranking:
+        assert ranked.score == objective.score(matrix.combination(ranked.candidates), weights, THRESHOLDS)
+    for combination in drawn:
+        assert objective.score(matrix.combination(combination), weights, THRESHOLDS) <= found.best.score
+
+
+def test_more_moving_lights_than_numpy_has_axes_end_with_a_bound():
+    matrix = random_matrix((2,) * 80, 20)
+    for objective in OBJECTIVES.values():
+        found = search([matrix], objective, THRESHOLDS, keep=2, limit=100_000, table_cells=64)
+        assert found.left > 2**79
+        assert found.bound >= found.best.score
+        columns, weights = matrix.combination(found.best.candidates), objective.weights(matrix.areas)
+        assert objective.score(columns, weights, THRESHOLDS) == found.best.score
+    with pytest.raises(InputError, match=r"more than 10\^300 combinations; take a larger --step"):
+        search([random_matrix((2,) * 1000, 3)], OBJECTIVES["coverage"], THRESHOLDS)
+
+
+@pytest.mark.parametrize("limit", [1, 10, 1000, 30_000])
+def test_the_limit_is_kept(limit):
+    matrix = random_matrix((20, 20, 20, 20), 50)
+    for objective in OBJECTIVES.values():
+        found = search([matrix], objective, THRESHOLDS, keep=2, limit=limit)
+        assert 1 <= found.scored <= 2 * limit
+        assert found.left > 0
+        assert not found.complete
+        assert found.scored + found.excluded + found.left == 20**4
+
+
+def test_proven_and_complete_are_two_things():
+    """A limit may leave combinations that cannot be better and may be as good."""
+    levels = tuple(np.full((4, 3), 100, np.uint8) for _ in range(3))
+    matrix = LuminanceMatrix(levels=levels, areas=np.ones(3))
+    found = search([matrix], OBJECTIVES["coverage"], THRESHOLDS, keep=2, limit=8)
+    assert found.proven
+    assert not found.complete
+    assert found.ties < 64
+    answer = Answer(objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score})
+    said = cut_off(answer, [Posture(0.0, 0.0)])
+    assert f"with {found.left} left" in said
+    assert "none scores more, but one of those left may score the same and win the tie" in said
+    whole = search([matrix], OBJECTIVES["coverage"], THRESHOLDS, keep=2)
+    assert whole.proven
+    assert whole.complete
+    assert (whole.ties, whole.left) == (64, 0)
+
+
+def test_a_limit_under_which_nothing_scores_names_no_optimum():
+    """The one combination that was looked at scores 0, and better ones are left."""
+    levels = (
+        [[0, 255], [100, 5], [5, 255]],
+        [[0, 100], [0, 0], [100, 255]],
+        [[100, 255], [100, 255], [100, 0]],
+    )
+    matrix = LuminanceMatrix(levels=tuple(np.array(one, np.uint8) for one in levels), areas=np.ones(2))
+    places = tuple(tuple((30.0, float(k)) for k in range(3)) for _ in range(3))
+    candidates = Candidates(
+        names=("a", "b", "c"), angles=places, panels=((),) * 3, left_out=(), space=Space.of((3, 3, 3))
+    )
+    result = answer_set(
+        *(
+            [matrix],
+            [Posture(0.0, 0.0)],
+            candidates,
+            [OBJECTIVES["paper"]],
+            Thresholds(shade=10, saturation=255),
+        ),
+        rows=2,
+        limit=1,
+        threads=1,
+    )
+    (answer,) = result.answers
+    assert answer.found.bound > 0
+    assert answer.nothing is not None
+    assert answer.nothing.startswith("all 1 combinations that were scored score 0, with 26 left")
+
+
+MEDIUM = {
+    "paper": ((40, 40, 40), 150_000, False),
+    "paper, many lights": ((4,) * 8, 200_000, False),
+    "coverage, by runs": ((40, 40, 40, 5), 250_000, True),
+    "coverage, by bits": ((40, 40, 40), 50_000, False),
+}
+
+
+@pytest.mark.parametrize("name", MEDIUM)
+def test_shares_rise_and_an_exception_ends_the_search_soon(name):
+    sizes, patches, smooth = MEDIUM[name]
+    matrix = random_matrix(sizes, patches, smooth=smooth)
+    objective = OBJECTIVES[name.partition(",")[0]]
+    small = random_matrix(sizes, 200, smooth=smooth)
+    search([small], objective, THRESHOLDS, keep=2)  # compiles
+    shares: list[float] = []
+    search([matrix], objective, THRESHOLDS, keep=2, progress=shares.append)
+    assert shares == sorted(shares)
+    assert len({share for share in shares if 0.0 < share < 1.0}) >= 5
+    assert shares[-1] == 1.0
+    moments = []
+
+    def stop(_):
+        moments.append(time.monotonic())
+        if len(moments) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        search([matrix], objective, THRESHOLDS, keep=2, progress=stop)
+    assert len(moments) == 3
+    assert time.monotonic() - moments[-1] < 1.0
+
+
+INTERRUPTED = """
+import os, signal, sys, threading, time
+sys.path[:0] = {paths!r}
+from test_optimize_many import MEDIUM, OBJECTIVES, THRESHOLDS, random_matrix, search
+matrix = random_matrix((60, 60, 60, 60), 100_000)
+objective = OBJECTIVES[{name!r}]
+search([random_matrix((60, 60, 2, 2), 200)], objective, THRESHOLDS, keep=2)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sent = []
+def kill():
+    sent.append(time.monotonic())
+    os.kill(os.getpid(), signal.SIGINT)
+timer = threading.Timer(1.0, kill)
+timer.start()
+try:
+    search([matrix], objective, THRESHOLDS, keep=2)
+except KeyboardInterrupt:
+    print(time.monotonic() - sent[0])
+else:
+    print("was not interrupted")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no signal to a process alone")
+@pytest.mark.parametrize("name", ["paper", "coverage"])
+def test_ctrl_c_ends_a_long_search_within_a_second(name):
+    here = Path(__file__).resolve().parent
+    code = INTERRUPTED.format(paths=[str(here), str(here.parents[1])], name=name)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert float(done.stdout) < 1.5
+
+
+MEMORY = """
+import sys
+from pathlib import Path
+sys.path[:0] = {paths!r}
+import numpy as np
+from lightopt.optimize import OBJECTIVES, LuminanceMatrix, Thresholds, search
+
+def levels(sizes, patches):
+    # written row by row, so that nothing else is ever held
+    rng = np.random.default_rng(0)
+    made = [np.empty((n, patches), np.uint8) for n in sizes]
+    for layer in made:
+        start = rng.integers(0, 256, patches)
+        for k in range(len(layer)):
+            layer[k] = (start + {change} * k) % 256
+    return LuminanceMatrix(levels=tuple(made), areas=np.ones(patches))
+
+def peak():
+    # of this program alone: what getrusage says counts the process that it was forked from, too
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024 * int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
+
+thresholds = Thresholds(shade=10, saturation=250)
+objective = OBJECTIVES[{name!r}]
+search([levels((3, 3, 3), 1000)], objective, thresholds, keep=2)
+before = peak()
+matrix = levels((1000, 3, 3), 300_000)
+held = peak()
+for cells in (1 << 22, 1000):
+    search([matrix], objective, thresholds, keep=2, table_cells=cells, limit=20_000)
+print(before, held - before, peak() - held)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak is read from Linux's /proc")
+@pytest.mark.parametrize(("name", "change"), [("paper", 1), ("coverage", 1), ("coverage", 77)])
+def test_a_search_holds_no_second_copy_of_the_levels(name, change):
+    """300 MB of levels, whole and in boxes: all else is less than 200 MB, so that 1 GB, the most, stays below 2 GB."""
+    root = Path(__file__).resolve().parents[2]
+    code = MEMORY.format(paths=[str(root)], name=name, change=change)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600
+    )
+    base, levels, more = map(int, done.stdout.split())
+    assert levels > 290e6
+    assert more < 200e6
+    assert base + 1e9 + more < 2e9
+
+
+def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
+    matrix = random_matrix((5, 1, 4, 3), 700)
+    whole = {
+        name: o.scores(matrix.levels, o.weights(matrix.areas), THRESHOLDS, threads=2)
+        for name, o in OBJECTIVES.items()
+    }
+    for module, names in {
+        "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
+        "_minimum_sums": ("TASK_LEVELS",),
+        "_extreme_sums": ("TASK_LEVELS",),
+        "_bits": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
+        "_runs": ("CHUNK_PATCHES", "CHUNK_BOXES"),
+    }.items():
+        for name in names:
+            monkeypatch.setattr(f"lightopt.optimize.{module}.{name}", 50)
+    for (name, objective), cost, share in itertools.product(OBJECTIVES.items(), (0.0, 1e9), (1e-9, 1e9)):
+        monkeypatch.setattr("lightopt.optimize._paper.DIRECT_COST", cost)
+        monkeypatch.setattr("lightopt.optimize._coverage.BITS_SHARE", share)
+        weights = objective.weights(matrix.areas)
+        again = objective.scores(matrix.levels, weights, THRESHOLDS, threads=3)
+        np.testing.assert_array_equal(again, whole[name])
