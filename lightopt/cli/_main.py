@@ -99,5 +99,5 @@ def run(arguments: list[str]) -> int:
         # typer's answer to a reader of our output that went away (| head): not an error of ours
         return leave.code if isinstance(leave.code, int) and leave.code != 1 else 0
     if status == INTERRUPTED:  # typer's own answer to Ctrl-C
-        say_error("interrupted; what was finished is complete on disk", label="")
+        say_error("interrupted; files that were finished are complete", label="")
     return status if isinstance(status, int) else 0

@@ -22,7 +22,7 @@ from lightopt.cli._options import (
     parse_points,
     parse_posture,
 )
-from lightopt.cli._terminal import say_warning, show_progress, show_time_left
+from lightopt.cli._terminal import say, say_warning, show_progress, show_time_left
 from lightopt.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
@@ -134,6 +134,7 @@ def optimize(
             options=options,
             force=force,
             warn=say_warning,
+            tell=None if quiet else say,
             report=report,
             searching=searching,
         )

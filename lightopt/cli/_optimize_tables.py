@@ -17,8 +17,6 @@ __all__ = ["show_optimum", "show_overlaps"]
 def show_optimum(found: Optimum) -> None:
     """Candidates, the best sets with every objective's score, overlaps, and where the files are."""
     candidates = found.candidates
-    sizes = " × ".join(map(str, candidates.space.sizes))
-    say(f"{sizes} positions of {', '.join(candidates.names)}")
     for out in candidates.left_out:
         say(
             f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
@@ -45,6 +43,7 @@ def _show_best(found: Optimum) -> None:
             rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
             posture = ""
     show_table(header, rows, numbers_from=2)
+    say("shares are of the surface that the camera sees in the posture")
 
 
 def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
@@ -64,7 +63,8 @@ def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
     scores = [_score(value, objectives[name], result.area) for name, value in answer.scores.items()]
     seen = "" if best.complete else "≥ "  # of the combinations looked at
     gap = "-" if best.gap is None else f"{seen}−{answer.objective.shown(best.gap)}"
-    return [*angles, *scores, gap, f"{seen}{best.ties:,}", looked]
+    ties = "none" if best.complete and best.ties == 1 else f"{seen}{best.ties:,} best"
+    return [*angles, *scores, gap, ties, looked]
 
 
 def _score(value: int, objective: Objective, area: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -9,9 +10,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.images import file_sha256, posture_folder
 from lightopt.optimize._angles import can_move
 from lightopt.optimize._answer import answer_set
@@ -32,6 +35,9 @@ from lightopt.scene import Scene, build_scene, coarse_warnings
 from lightopt.transforms import Posture
 
 __all__ = ["Optimum", "cut_off", "optimize"]
+
+COARSE_SHARE = 0.15
+"""Edges longer than this share of the part's diagonal are worth a warning."""
 
 MATRIX_NAME = "matrix.npz"
 
@@ -75,6 +81,7 @@ def optimize(
     options: OptimizeOptions | None = None,
     force: bool = False,
     warn: Callable[[str], None] | None = None,
+    tell: Callable[[str], None] | None = None,
     report: Report | None = None,
     searching: Callable[[str, float], None] | None = None,
 ) -> Optimum:
@@ -92,6 +99,8 @@ def optimize(
         Replace results that are there and differ.
     warn
         Called with each warning as it comes up.
+    tell
+        Called with how many positions and combinations there are, before the rays are cast.
     report
         Called as the luminance matrices are computed.
     searching
@@ -144,6 +153,8 @@ def optimize(
     makers = _Matrices(rig, part, scene, candidates, options, Path(folder), caster)
     # the matrices of postures that do not share their lights are never held together
     shared = [scene.postures] if options.common_lights else [(posture,) for posture in scene.postures]
+    if tell is not None:
+        tell(_combinations(candidates))
     results: list[SetResult] = []
     for postures in shared:
         results.append(
@@ -162,6 +173,8 @@ def optimize(
         for answer in results[-1].answers:
             if not answer.found.complete and answer.nothing is None:
                 say(cut_off(answer, postures))
+    if makers.coarse is not None:
+        say(makers.coarse)
     written = write_outputs(
         Path(folder),
         rig,
@@ -215,6 +228,12 @@ def cut_off(answer: Answer, postures: Sequence[Posture]) -> str:
     )
 
 
+def _combinations(candidates: Candidates) -> str:
+    sizes = candidates.space.sizes
+    positions = " × ".join(map(str, sizes))
+    return f"{positions} positions of {', '.join(candidates.names)}: {counted(math.prod(sizes), 'combination')} at most"
+
+
 class _Matrices:
     """Makes the luminance matrices, or takes those that were kept; patches are cut only when needed."""
 
@@ -236,6 +255,21 @@ class _Matrices:
         self.reused = 0
         self.table: PatchTable | None = None
         self._facts = _matrix_facts(rig, part, scene, candidates, options)
+
+    @property
+    def coarse(self) -> str | None:
+        """A warning where patches are so large that what happens within one matters; None where they are not."""
+        if self.table is None:
+            return None
+        low, high = self.scene.mesh.bounds
+        size = float(np.linalg.norm(high - low))
+        if self.table.max_edge <= max(COARSE_SHARE * size, self.table.footprint):
+            return None
+        return (
+            f"patches have edges up to {self.table.max_edge:.3g} mm on a part of {size:.3g} mm: a patch is lit or dark "
+            "as its middle is, so scores may be off by whole patches. Raise --patches, or give a mesh with fewer "
+            "triangles"
+        )
 
     @property
     def message(self) -> str | None:

@@ -66,9 +66,9 @@ class PatchTable:
         reached = (
             "the pixel's footprint"
             if self.max_edge <= self.footprint
-            else f"{self.max_edge / self.footprint:.2g} × the pixel's footprint of {self.footprint:.3g} mm"
+            else f"{self.max_edge / self.footprint:.3g} times the pixel's footprint of {self.footprint:.3g} mm"
         )
-        return f"{seen:,} visible patches of {len(self.patches):,}, edges up to {self.max_edge:.3g} mm, {reached}"
+        return f"{seen:,} visible patches of {len(self.patches):,}; edges up to {self.max_edge:.3g} mm ({reached})"
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """The table as named arrays for ``patches.npz``."""

@@ -194,7 +194,7 @@ def test_lights_go_off_when_the_command_is_told_to_end(outside, tmp_path, name):
     until_lit(bench, process)
     process.send_signal(getattr(signal, name))
     _, errors = process.communicate(timeout=30)
-    assert (process.returncode, errors) == (130, "interrupted; what was finished is complete on disk\n")
+    assert (process.returncode, errors) == (130, "interrupted; files that were finished are complete\n")
     assert not any(bench.levels("lights").values())
     read_image_set(tmp_path / "out")
 

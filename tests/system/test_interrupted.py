@@ -19,7 +19,7 @@ OPTIONS = (
     *("--patches", "2000", "--supersample", "4"),
 )
 IMAGES = 8
-INTERRUPTED = "interrupted; what was finished is complete on disk"
+INTERRUPTED = "interrupted; files that were finished are complete"
 
 MOMENTS = (
     "patches.npz",

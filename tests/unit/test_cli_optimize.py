@@ -157,7 +157,7 @@ def test_the_same_command_gives_the_same_bytes_on_any_threads(optimized, cli, sn
 def test_the_terminal_shows_the_table(optimized, cli):
     ran = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *FEW, "--keep-matrix")
     lines = ran.out.splitlines()
-    assert lines[0] == "3 × 2 × 2 positions of light1, light2, light3"
+    assert lines[0] == "3 × 2 × 2 positions of light1, light2, light3: 12 combinations at most"
     assert str(optimized.out / "result.json") in lines
     header = next(k for k, line in enumerate(lines) if line.startswith("posture "))
     assert re.split("  +", lines[header]) == [
@@ -182,12 +182,22 @@ def test_the_terminal_shows_the_table(optimized, cli):
                     f"{covered / 1e6:,.2f} mm² ({share:.1f} %)",
                     f"{levels:,}",
                     f"−{gap}",
-                    f"{answer['ties']:,}",
+                    "none" if answer["ties"] == 1 else f"{answer['ties']:,} best",
                     "12",
                 ]
             )
             first = []
     assert [[cell.replace("-10", "−10") for cell in row] for row in rows] == expected
+
+
+def test_patches_that_are_too_coarse_are_told(three, cli):
+    few = ("--step", "20", "--no-images", "--posture", "0,0")
+    trimesh.creation.box((40, 30, 10)).export(three.mesh)
+    coarse = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--patches", "12")
+    assert "patches have edges up to" in coarse.err
+    assert "Raise --patches" in coarse.err
+    fine = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--patches", "20000", "--force")
+    assert "patches have edges" not in fine.err
 
 
 def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli, snapshot):
@@ -252,7 +262,7 @@ def test_a_limit_is_said_with_its_bound(three, cli):
     assert answer["proven"] is (answer["bound"] == answer["score"])
     assert f"with {answer['combinations']['left']} left; the best found scores {answer['score']:,}" in ran.err
     row = next(line for line in ran.out.splitlines() if " mm² (" in line)
-    assert f"≥ {answer['ties']} " in row
+    assert f"≥ {answer['ties']} best" in row
     assert "≥ −" in row
 
 
