@@ -22,13 +22,15 @@ from lightopt.align import (
 )
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
-from lightopt.fit._estimate import Estimate, Freed, estimate
-from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, R_D
+from lightopt.fit._estimate import Estimate, Freed
+from lightopt.fit._highlights import LEAST_R_S, WIDENINGS, diffuse_only
+from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._paper import PaperDiffuse, PaperOptions, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, poor_fit, refuse_strangers, words
 from lightopt.fit._regions import PointsRow, compare_regions
 from lightopt.fit._result import FitResult, FittedValue, fitted_values
 from lightopt.fit._samples import OCTAVES, Samples, collect_samples
+from lightopt.fit._search import estimate
 from lightopt.fit._validate import leave_lights_out, unseen
 from lightopt.images import ImageSet
 from lightopt.raycast import RayCaster
@@ -47,16 +49,6 @@ MOST_PER_OCTAVE = 20_000
 PLACING_PER_OCTAVE = 800
 PAPER_PIXELS = 150_000
 """Pixels per image that the paper's procedure counts."""
-
-HIGHLIGHT_LEVEL = 0.1
-"""Pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]."""
-
-WIDENINGS = (2.0, 1.5, 1.2, 1.0)
-"""For that, the lobe is taken this much wider than it was found, as far as any pixels are left: real lobes have heavier
-tails than a Gaussian, and what is left of them goes into R_d."""
-
-LEAST_PIXELS = 200
-LEAST_R_S = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +133,7 @@ def fit_diffuse(
     freed = Freed(gain=options.gain, dark=options.dark)
     whole = estimate(samples, freed=freed, threads=options.threads, progress=progress)
     refuse_strangers(samples, appraise(samples, whole, full_scale=world.scene.reflectance.full_scale))
-    plain, widening = _diffuse_only(samples, whole)
+    plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
     found = estimate(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
@@ -328,7 +320,7 @@ def _fit_one(world: _World, options: FitOptions, progress: Progress | None) -> t
         gains=_gains(world, found) if options.gain else None,
         dark=float(world.scene.sensor.black_level + found.x[DARK]) if options.dark else None,
         placement=world.placement,
-        correlation=found.correlation(LOG_R_S, LOG_R_S + 1),
+        correlation=found.correlation(LOG_R_S, LOG_SIGMA),
         observations=len(samples.sample),
         pixels=len(samples.diffuse),
         quality=quality,
@@ -363,24 +355,6 @@ def _paper_result(
         observations=len(samples.sample),
         pixels=len(samples.diffuse),
         paper=paper,
-    )
-
-
-def _diffuse_only(samples: Samples, whole: Estimate) -> tuple[Samples, float]:
-    # the observations that a lobe wider than the one found leaves dark
-    diffuse = samples.diffuse[samples.sample]
-    away = samples.deflection[samples.sample]
-    peak = max(whole.R_s, LEAST_R_S) * float(np.exp(np.max(np.abs(whole.x[FIRST_GAIN:-2]))))
-    for widening in WIDENINGS:
-        reach = 2.0 * math.log(max(peak / HIGHLIGHT_LEVEL, 1.0))
-        angle = widening * whole.sigma * math.sqrt(reach)
-        plain = (away > angle) & (diffuse > 0.0)
-        enough = plain & ~samples.saturated
-        if np.count_nonzero(enough) >= LEAST_PIXELS:
-            return samples.keep(plain | (away == np.pi)), widening
-    raise InputError(
-        "no diffuse-only pixel: the highlights reach every pixel that is lit. Add images under lights that the surface "
-        "mirrors elsewhere, or fit all coefficients at once: fit-specular --joint"
     )
 
 

@@ -139,8 +139,8 @@ class Likelihood:
             np.sum([p[2] for p in parts], axis=0),
         )
 
-    def scores(self, x: Float64) -> Float64:
-        """Gradients of the pieces of the images, shape (blocks, K); they sum up to the whole gradient."""
+    def by_piece(self, x: Float64) -> tuple[Float64, Float64]:
+        """Gradients and curvatures of the pieces of the images, (B, K) and (B, K, K); each sums up to the whole."""
         s = self.samples
         block = s.block[s.sample]
         order = np.argsort(block, kind="stable")
@@ -149,13 +149,14 @@ class Likelihood:
         sample, level, saturated, image = (a[order] for a in (s.sample, s.level, s.saturated, s.image))
         c, dc = self.specular_weights(float(x[LOG_SIGMA]))
         gradients = np.zeros((len(ends), self.size))
-        curvature = np.zeros((self.size, self.size))
+        curvatures = np.zeros((len(ends), self.size, self.size))
         for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
             _accumulate(
                 sample, level, saturated, image, start, end, s.diffuse, self.specular, c, dc,
-                s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x, gradients[number], curvature,
+                s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x,
+                gradients[number], curvatures[number],
             )  # fmt: skip
-        return gradients
+        return gradients, curvatures
 
 
 def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.errors import InputError
-from lightopt.fit._estimate import Estimate, estimate
+from lightopt.fit._estimate import Estimate
 from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, predicted
 from lightopt.fit._samples import Samples, thinned
+from lightopt.fit._search import estimate
 
 __all__ = ["Quality", "appraise", "poor_fit", "refuse_strangers", "words"]
 

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation
-from lightopt.fit._estimate import Estimate, refine
+from lightopt.fit._estimate import Estimate
 from lightopt.fit._predict import predict_images
 from lightopt.fit._samples import Samples, thinned
+from lightopt.fit._search import refine
 from lightopt.raycast import RayCaster
 from lightopt.scene import Scene
 from lightopt.sensor import Sensor

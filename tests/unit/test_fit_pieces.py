@@ -95,9 +95,11 @@ def test_the_gradient_is_the_slope_of_the_value(likelihood, x):
 
 
 def test_pieces_of_the_image_add_up(likelihood, x):
-    scores = likelihood.scores(x)
+    scores, curvatures = likelihood.by_piece(x)
     assert len(scores) > 50
-    np.testing.assert_allclose(scores.sum(axis=0), likelihood.evaluate(x).gradient, rtol=1e-9, atol=1e-6)
+    whole = likelihood.evaluate(x)
+    np.testing.assert_allclose(scores.sum(axis=0), whole.gradient, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(curvatures.sum(axis=0), whole.curvature, rtol=1e-9, atol=1e-6)
 
 
 def test_threads_do_not_change_the_likelihood(samples, likelihood, x):
