@@ -26,11 +26,12 @@ from lightopt.fit._estimate import Estimate, Freed
 from lightopt.fit._highlights import LEAST_R_S, WIDENINGS, diffuse_only
 from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._paper import PaperDiffuse, PaperOptions, PaperSpecular, paper_diffuse, paper_specular
-from lightopt.fit._quality import appraise, poor_fit, refuse_strangers, words
+from lightopt.fit._quality import appraise, poor_fit, words
 from lightopt.fit._regions import PointsRow, compare_regions
 from lightopt.fit._result import FitResult, FittedValue, fitted_values
 from lightopt.fit._samples import OCTAVES, Samples, collect_samples
 from lightopt.fit._search import estimate
+from lightopt.fit._strangers import refuse_strangers
 from lightopt.fit._validate import leave_lights_out, unseen
 from lightopt.images import ImageSet
 from lightopt.raycast import RayCaster
@@ -132,14 +133,16 @@ def fit_diffuse(
     samples = _collect(world, options, progress)
     freed = Freed(gain=options.gain, dark=options.dark)
     whole = estimate(samples, freed=freed, threads=options.threads, progress=progress)
-    refuse_strangers(samples, appraise(samples, whole, full_scale=world.scene.reflectance.full_scale))
+    shifted = refuse_strangers(
+        samples, whole, appraise(samples, whole), placed=world.placement is not None, threads=options.threads
+    )
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
     found = estimate(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
-    quality = appraise(plain, found, full_scale=world.scene.reflectance.full_scale)
-    said = list(poor_fit(quality))
+    quality = appraise(plain, found)
+    said = [*shifted, *poor_fit(quality)]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
@@ -220,7 +223,9 @@ def fit_specular(
             keep=keep,
             progress=None if progress is None else lambda share: progress("validating", share),
         )
-        result = replace(result, left_out=left_out, words=(*result.words, *unseen(left_out)))
+        result = replace(
+            result, left_out=left_out, words=(*result.words, *unseen(left_out, world.scene.sensor))
+        )
     return result
 
 
@@ -302,13 +307,15 @@ def _fit_one(world: _World, options: FitOptions, progress: Progress | None) -> t
     freed = Freed(diffuse=options.joint, gain=options.gain, dark=options.dark)
     held = np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
     found = estimate(samples, freed=freed, held=held, threads=options.threads, progress=progress)
-    quality = appraise(samples, found, full_scale=reflectance.full_scale)
-    refuse_strangers(samples, quality)
+    quality = appraise(samples, found)
+    shifted = refuse_strangers(
+        samples, found, quality, placed=world.placement is not None, threads=options.threads
+    )
     _refuse_no_highlight(samples, found)
     values = fitted_values(found, weight=1.0, full_scale=reflectance.full_scale)
     low, high = next(v.interval for v in values if v.name == "R_s") or (found.R_s, found.R_s)
     exposures = {o.exposure for o in world.observations}
-    said = [*words(found, quality, low, high, shorter=len(exposures) > 1), *_held_r_d(found)]
+    said = [*shifted, *words(found, quality, low, high, shorter=len(exposures) > 1), *_held_r_d(found)]
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)
     said += [text for text in panels if text is not None]
     result = FitResult(

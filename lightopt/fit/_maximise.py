@@ -83,10 +83,12 @@ def maximise(
         Promise of a step that is not worth taking [nat].
     """
     low, high = bounds(likelihood)
+    index = np.asarray(free, dtype=np.intp)
+    low[~np.isin(np.arange(len(x)), index)] = -np.inf
+    high[~np.isin(np.arange(len(x)), index)] = np.inf
     x = np.clip(x, low, high)
     here = likelihood.evaluate(x)
     damping = 1e-3
-    index = np.asarray(free, dtype=np.intp)
     steps, converged = 1, False
     while steps < most_steps:
         gradient = here.gradient[index]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.fit._estimate import Estimate, Freed, ScanPoint
-from lightopt.fit._highlights import share_of_dust
+from lightopt.fit._highlights import share_of_dust, share_of_gross, share_of_shape
 from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Likelihood
 from lightopt.fit._maximise import Maximum, maximise
 from lightopt.fit._samples import Samples, thinned
@@ -31,6 +31,15 @@ CLUSTERED = 2.0
 LEAST_DUST = 5e-4
 """Where this many times as many pixels are unexplained as among those away from the highlights, it is not dust."""
 
+ANOTHER_SHAPE = 0.3
+"""More than this share of the squared residual goes with the angle from the mirror direction alone where the lobe is no
+Gaussian (0.7 to 0.96 for tails like GGX's and for a second lobe, 0.03 for normals guessed from facets)."""
+
+NO_DUST = -500.0
+WRONG_DEVIATION = 16.0
+"""Then nothing is left out but gross dust, each pixel counts for as many as it stands for, and the climb begins with
+shoulders that reach them all [sensor level]: the fit that is nearest over whole images predicts others best."""
+
 HELD_SIGMA = 0.05
 """Width of a lobe that is not fitted and not said."""
 
@@ -50,6 +59,11 @@ class _Climbed:
     free: tuple[int, ...]
     covariance: Float64
     inflation: Float64
+
+    @property
+    def by_area(self) -> bool:
+        """Whether a pixel counts for as many as it stands for."""
+        return self.likelihood.by_area
 
     @property
     def width(self) -> float:
@@ -113,13 +127,19 @@ def estimate(
         # what the model cannot explain lies where the highlights are: the model's fault, which is not to be left out
         free = free[:-1]
         start = coarse.maximum.x.copy()
-        start[-1] = math.log(max(dust, LEAST_DUST))
-        coarse = _climb(few, start, free, WIDEST_TABLE, threads)
+        another_shape = share_of_shape(coarse.likelihood, start) > ANOTHER_SHAPE
+        if another_shape:
+            gross = share_of_gross(coarse.likelihood, start)
+            start[-1] = math.log(gross) if gross > LEAST_DUST else NO_DUST
+            start[-2] = 2.0 * math.log(WRONG_DEVIATION)
+        else:
+            start[-1] = math.log(max(dust, LEAST_DUST))
+        coarse = _climb(few, start, free, WIDEST_TABLE, threads, by_area=another_shape)
     report("refining", 0.2)
-    final = _climb(samples, coarse.maximum.x, free, coarse.width, threads)
+    final = _climb(samples, coarse.maximum.x, free, coarse.width, threads, by_area=coarse.by_area)
     report("refining", 0.7)
     if not 0.5 * coarse.width <= final.width <= 1.5 * coarse.width:
-        final = _climb(samples, final.maximum.x, free, final.width, threads)
+        final = _climb(samples, final.maximum.x, free, final.width, threads, by_area=final.by_area)
     report("refining", 1.0)
     found = _finished(final, scan)
     return replace(found, unexplained=max(found.unexplained, unexplained))
@@ -143,7 +163,8 @@ def refine(
     """
     noise = (start.likelihood.log_tau2, start.likelihood.logit_epsilon)
     free = [p for p in start.free if not only_reflectance or p < DARK or p in noise]
-    return _finished(_climb(samples, start.x, free, WIDEST_TABLE, threads), start.scan)
+    by_area = start.likelihood.by_area
+    return _finished(_climb(samples, start.x, free, WIDEST_TABLE, threads, by_area=by_area), start.scan)
 
 
 def _finished(final: _Climbed, scan: tuple[ScanPoint, ...]) -> Estimate:
@@ -177,14 +198,22 @@ def _places(samples: Samples, freed: Freed) -> list[int]:
     return [*places, size - 2, size - 1]
 
 
-def _climb(samples: Samples, x: Float64, free: Sequence[int], width: float, threads: int | None) -> _Climbed:
+def _climb(
+    samples: Samples,
+    x: Float64,
+    free: Sequence[int],
+    width: float,
+    threads: int | None,
+    *,
+    by_area: bool = False,
+) -> _Climbed:
     # the specular light is tabulated around σ; where the climb leaves the table, around the place that it left for
     moves = 0
     while True:
         offsets = width * np.linspace(-1.0, 1.0, TABLE_NODES) if LOG_SIGMA in free else np.zeros(1)
         nodes = x[LOG_SIGMA] + offsets
         table = np.stack([samples.specular(math.exp(node), threads=threads) for node in nodes], axis=1)
-        likelihood = Likelihood(samples, nodes, table, threads=threads)
+        likelihood = Likelihood(samples, nodes, table, by_area=by_area, threads=threads)
         maximum = maximise(likelihood, x, free)
         moves += 1
         inside = abs(float(maximum.x[LOG_SIGMA] - x[LOG_SIGMA])) <= 0.7 * width

@@ -25,7 +25,7 @@ LEAST_INFORMATION = 0.05
 """A noise parameter about which the images tell less than this [nat] is as good as at its bound: whatever it is within
 what they allow, the others do not feel it."""
 
-BY_CHANCE, SURELY = 2.0, 4.0
+BY_CHANCE, SURELY = 3.0, 6.0
 """A variance between pieces of the image that is this many standard deviations above what chance makes of a right
 model begins to count, and counts wholly."""
 
@@ -103,7 +103,10 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
     total = np.maximum(expected.sum(axis=0), 1e-300)
     chance = np.sqrt(2.0 * np.sum(expected**2, axis=0)) / total
     beyond = measured / np.maximum(np.diag(inner), 1e-300) - 1.0
+    # scores of pixels that count for many are no sums of as many scores: nothing is left to chance there
     weight = np.clip((beyond / np.maximum(chance, 1e-300) - BY_CHANCE) / (SURELY - BY_CHANCE), 0.0, 1.0)
+    if likelihood.by_area:
+        weight = np.ones(len(told))
     covariance = np.zeros((len(free), len(free)))
     covariance[np.ix_(rows, rows)] = inner
     inflation = np.ones(len(free))

@@ -121,7 +121,9 @@ def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures):
     for place in truth:
         spread, scatter = np.std(z[place]), np.std(values[place])
         print(f"{place}: {held[place]} of 100, z {np.mean(z[place]):+.2f} ± {spread:.2f}, ", end="")
-        print(f"interval over scatter {np.mean(widths[place]) / scatter:.2f}, most {np.max(widths[place]) / scatter:.2f}")
+        print(
+            f"interval over scatter {np.mean(widths[place]) / scatter:.2f}, most {np.max(widths[place]) / scatter:.2f}"
+        )
     for place in truth:
         assert held[place] >= 90
         assert 0.8 <= np.std(z[place]) <= 1.25

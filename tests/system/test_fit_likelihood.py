@@ -6,19 +6,17 @@ both are matched: intervals that leave out the model's own error only mean somet
 
 from __future__ import annotations
 
-import math
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from captured import PART, PARTS, RIG, captured, expose_all, remeasured
+from captured import PART, PARTS, RIG, captured
 
-from lightopt import build_scene, render
+from lightopt import build_scene
 from lightopt.fit import (
     LOG_R_S,
     LOG_SIGMA,
-    R_D,
     Estimate,
     appraise,
     collect_samples,
@@ -125,7 +123,7 @@ def test_normals_guessed_from_facets_are_noticed(world, tmp_path):
     samples = collect_samples(scene, images, caster=cast_rays_at(scene), budget=BUDGET)
     found = estimate(samples)
     low, high = np.exp(profile_interval(found, LOG_R_S)) / TRUTH.R_s - 1.0
-    quality = appraise(samples, found, full_scale=255.0)
+    quality = appraise(samples, found)
     print(f"interval of R_s {low:+.2%} to {high:+.2%}, unexplained {quality.epsilon:.1%}")
     assert_recovers(found, TRUTH, R_d=0.01, R_s=0.05, sigma=0.01)
     assert quality.epsilon > 0.02

@@ -163,6 +163,16 @@ def test_a_predicted_disc_against_a_larger_one(samples):
     assert found.rms == pytest.approx(math.sqrt((225.0**2 * ring + 9.0 * outside) / (120 * 160)), rel=1e-6)
 
 
+def test_both_units_of_a_residual(samples):
+    """At exposure 1/4, a level of the sensor is four grey levels."""
+    seen = next(image for image in samples.images if image.exposure == 0.25)
+    flat = replace(seen, levels=np.full((120, 160), 30.0, np.float32), saturated=np.zeros((120, 160), bool))
+    found = compare_image(
+        flat, np.full((120, 160), 33.0, np.float32), np.ones((120, 160), bool), samples.sensor, 255.0
+    )
+    assert (found.rms_sensor, found.rms) == (3.0, 12.0)
+
+
 def test_no_saturation_has_no_overlap(samples):
     levels = np.full((120, 160), 30.0, np.float32)
     seen = replace(samples.images[0], levels=levels, saturated=levels >= 255)
