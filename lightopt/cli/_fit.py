@@ -300,8 +300,8 @@ def _show(result: FitResult) -> None:
     if result.quality is not None:
         q = result.quality
         say(
-            f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} sensor levels rms (sensor "
-            f"noise {q.noise:.2g}), {100.0 * q.epsilon:.2f} % of the pixels unexplained"
+            f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} sensor levels rms ("
+            f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels unexplained"
         )
     if result.rows:
         _show_points(result)
