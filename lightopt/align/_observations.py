@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSet
 from lightopt.transforms import Posture
 
@@ -87,19 +87,16 @@ def read_observations(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> 
     if problems:
         raise InputError(*problems)
     width, height = rig.camera.resolution_px
-    observations: list[Observation] = []
-    for entry in image_set.images:
-        observation = _read(image_set, entry)
-        rows, columns = observation.levels.shape
-        if (columns, rows) != (width, height):
-            problems.append(
-                f"{observation.source}: {columns} × {rows} px, but the rig's camera has {width} × {height} px "
-                f"({rig.source.at('camera', 'resolution_px')}); give the rig that the images were taken with"
-            )
-        observations.append(observation)
-    if problems:
-        raise InputError(*problems)
-    return tuple(observations)
+    observations = tuple(_read(image_set, entry) for entry in image_set.images)
+    other = [o for o in observations if o.levels.shape != (height, width)]
+    if other:
+        rows, columns = other[0].levels.shape
+        more = f" (and {counted(len(other) - 1, 'image')} more of another size)" if len(other) > 1 else ""
+        raise InputError(
+            f"{other[0].source}: {columns} × {rows} px, but the rig's camera has {width} × {height} px "
+            f"({rig.source.at('camera', 'resolution_px')}); give the rig that the images were taken with{more}"
+        )
+    return observations
 
 
 def _manifest_problems(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> Iterable[str]:

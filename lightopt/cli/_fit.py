@@ -13,7 +13,7 @@ from lightopt.cli._terminal import say, say_warning, show_share, show_table
 from lightopt.errors import InputError
 
 if TYPE_CHECKING:
-    from lightopt.fit import FitOptions, FitResult, PaperOptions
+    from lightopt.fit import FitFolder, FitOptions, FitResult, FittedValue, PaperOptions
 
 __all__ = ["fit_diffuse", "fit_specular"]
 
@@ -173,22 +173,22 @@ def _run(
     asked: dict[str, Any] = {**vars(options), "kind": kind, "paper": paper.as_dict()}
     del asked["threads"]
     made_from = fit.provenance(loaded_rig, loaded_part, image_set, asked)
-    fit.check_folder(out, made_from, force=force)
+    folder = fit.FitFolder(out, made_from, force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:
         if kind == "diffuse":
             result = fit.fit_diffuse(loaded_rig, loaded_part, image_set, options=options, progress=progress)
         else:
             keep = _keep_pictures(
-                out, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
+                folder, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
             )
             result = fit.fit_specular(
                 loaded_rig, loaded_part, image_set, options=options, progress=progress, keep=keep
             )
-    written = fit.write_fit(out, result, loaded_rig, loaded_part, made_from)
     from lightopt.report import fit_chart
 
-    chart = fit_chart(result, out / "fit.png")
+    chart = fit_chart(result, lambda: folder.place("fit.png"))
+    written = folder.write(result, loaded_rig, loaded_part)
     for text in result.words:
         say_warning(text)
     if quiet:
@@ -209,7 +209,7 @@ def _options(
     joint: bool,
     validate: bool,
 ) -> FitOptions:
-    from lightopt.fit import FitOptions
+    from lightopt.fit import OPTION_NAMES, FitOptions, PaperOptions
 
     problems: list[str] = []
     if method not in METHODS:
@@ -231,11 +231,11 @@ def _options(
     ]
     if kind == "diffuse" and len(chosen) > 1:
         problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
-    if len(chosen) > 1 and method == "paper":
-        problems.append("--points: several numbers of points are compared by the default method only")
-    for name, value in paper.as_dict().items():
-        if not (math.isfinite(value) and value > 0.0):
-            problems.append(f"{name}: expected a number above 0, found {value:g}")
+    problems += paper.problems()
+    if method == "likelihood":
+        usual = PaperOptions().as_dict()
+        changed = [OPTION_NAMES[name] for name, value in paper.as_dict().items() if value != usual[name]]
+        problems += [f"{name}: belongs to --method paper, which was not asked for" for name in changed]
     if method == "paper" and (free or joint):
         problems.append("--method paper: takes neither --free nor --joint")
     if problems:
@@ -254,7 +254,7 @@ def _options(
     )
 
 
-def _keep_pictures(out: Path, bit_depth: int, saturation: float | None) -> Callable[[Any, Any], None]:
+def _keep_pictures(folder: FitFolder, bit_depth: int, saturation: float | None) -> Callable[[Any, Any], None]:
     # a picture of measured minus predicted for each image that was left out
     from lightopt.images import png_name
     from lightopt.report import residual_picture
@@ -262,11 +262,9 @@ def _keep_pictures(out: Path, bit_depth: int, saturation: float | None) -> Calla
     full = float(2**bit_depth - 1)
 
     def keep(seen: Any, levels: Any) -> None:
-        folder = out / "left-out"
-        make_folder(folder)
         name = png_name(seen.light, seen.posture, seen.exposure).replace("/", "_")
         residual_picture(
-            folder / name,
+            folder.place(f"left-out/{name}"),
             measured=seen.levels,
             predicted=levels,
             saturated_from=full if saturation is None else saturation,
@@ -279,17 +277,24 @@ def _keep_pictures(out: Path, bit_depth: int, saturation: float | None) -> Calla
 def _show(result: FitResult) -> None:
     rows = []
     for value in result.values:
-        held = "held" if value.name not in (*result.fitted, "half_angle_rad") else ""
+        held = "as in the file" if value.name not in (*result.fitted, "half_angle_rad") else ""
         error = f"{value.standard_error:.2g}" if value.standard_error else ""
         interval = "" if value.interval is None else "{:.6g} to {:.6g}".format(*value.interval)
         rows.append([value.name, f"{value.value:.6g}", error, interval or held])
     show_table(["", "value", "std. error", "95 % interval"], rows)
+    if result.highlights is not None:
+        r_s, sigma = result.highlights
+        say(
+            f"where the highlights are comes from R_s {r_s:.4g} and σ {sigma:.4g} rad, found along and not written"
+        )
+    if result.paper is not None:
+        say(f"from {result.paper.image}; this method knows no uncertainty")
     if result.correlation is not None:
         say(f"correlation of ln R_s and ln σ: {result.correlation:.3f}")
     if result.gains is not None:
-        say("gains: " + ", ".join(f"{name} {gain:.4g}" for name, gain in result.gains.items()))
+        say("gains: " + ", ".join(_with_error(gain) for gain in result.gains.values()))
     if result.dark is not None:
-        say(f"black level: {result.dark:.4g}")
+        say(_with_error(result.dark).replace("black_level", "black level:"))
     if result.placement is not None:
         p = result.placement
         turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
@@ -307,6 +312,12 @@ def _show(result: FitResult) -> None:
         _show_points(result)
     if result.left_out:
         _show_left_out(result)
+
+
+def _with_error(value: FittedValue) -> str:
+    if value.interval is None:
+        return f"{value.name} {value.value:.4g} (held)"
+    return f"{value.name} {value.value:.6g} ± {value.standard_error:.2g}"
 
 
 def _show_points(result: FitResult) -> None:
@@ -332,7 +343,7 @@ def _show_points(result: FitResult) -> None:
             f"{row.measured_area:,}",
             f"{row.perimeter:,.0f}",
             f"{row.measured_perimeter:,.0f}",
-            f"{row.likelihood:.5f}",
+            "-" if row.likelihood is None else f"{row.likelihood:.5f}",
             "kept" if row.points == result.points else "",
         ]
         for row in result.rows
@@ -341,7 +352,8 @@ def _show_points(result: FitResult) -> None:
 
 
 def _show_left_out(result: FitResult) -> None:
-    say("each light predicted from the others:")
+    own = f" ({', '.join(result.not_left_out)} as all images have it)" if result.not_left_out else ""
+    say(f"each light predicted from the others{own}:")
     rows = [
         [
             image.image,

@@ -1,9 +1,17 @@
 """Reflection coefficients from images: maximum likelihood, the paper's procedure, and how far to trust either."""
 
 from lightopt.fit._estimate import Estimate, Freed, ScanPoint
-from lightopt.fit._fit import FitOptions, fit_diffuse, fit_specular
+from lightopt.fit._fit import fit_diffuse, fit_specular
 from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Likelihood, predicted
-from lightopt.fit._paper import PaperDiffuse, PaperOptions, PaperSpecular, paper_diffuse, paper_specular
+from lightopt.fit._options import FitOptions
+from lightopt.fit._paper import (
+    OPTION_NAMES,
+    PaperDiffuse,
+    PaperOptions,
+    PaperSpecular,
+    paper_diffuse,
+    paper_specular,
+)
 from lightopt.fit._predict import predict_images
 from lightopt.fit._profile import profile_interval
 from lightopt.fit._quality import Quality, appraise
@@ -12,16 +20,18 @@ from lightopt.fit._result import FitResult, FittedValue
 from lightopt.fit._samples import Samples, collect_samples, thinned
 from lightopt.fit._search import estimate, refine
 from lightopt.fit._validate import Comparison, LeftOut, compare_image, leave_lights_out
-from lightopt.fit._write import check_folder, provenance, write_fit
+from lightopt.fit._write import FitFolder, provenance
 
 __all__ = [
     "DARK",
     "FIRST_GAIN",
     "LOG_R_S",
     "LOG_SIGMA",
+    "OPTION_NAMES",
     "R_D",
     "Comparison",
     "Estimate",
+    "FitFolder",
     "FitOptions",
     "FitResult",
     "FittedValue",
@@ -36,7 +46,6 @@ __all__ = [
     "Samples",
     "ScanPoint",
     "appraise",
-    "check_folder",
     "collect_samples",
     "compare_image",
     "compare_regions",
@@ -52,5 +61,4 @@ __all__ = [
     "provenance",
     "refine",
     "thinned",
-    "write_fit",
 ]

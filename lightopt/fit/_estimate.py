@@ -115,6 +115,19 @@ class Estimate:
         """Share of the pixels that the fit takes for dust, glints and the like."""
         return 1.0 / (1.0 + math.exp(-self.x[-1]))
 
+    @property
+    def mean_log_likelihood(self) -> float:
+        """Of a level, each counting once [nat]."""
+        plain = self.likelihood
+        value = self.maximum.evaluation.value
+        if plain.by_area:
+            value = (
+                Likelihood(plain.samples, plain.log_sigmas, plain.specular, threads=plain.threads)
+                .evaluate(self.x)
+                .value
+            )
+        return value / len(plain.samples.level)
+
     def standard_error(self, place: int) -> float:
         """Standard error of a parameter, for what the model gets wrong as well; 0 for one that was held."""
         if place not in self.free:

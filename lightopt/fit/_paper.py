@@ -18,12 +18,35 @@ from numpy.typing import NDArray
 from lightopt.errors import InputError
 from lightopt.fit._samples import Samples
 
-__all__ = ["PaperDiffuse", "PaperOptions", "PaperSpecular", "SigmaStep", "paper_diffuse", "paper_specular"]
+__all__ = [
+    "OPTION_NAMES",
+    "PaperDiffuse",
+    "PaperOptions",
+    "PaperSpecular",
+    "SigmaStep",
+    "paper_diffuse",
+    "paper_specular",
+]
 
 Float64 = NDArray[np.float64]
 
 MOST_ITERATIONS = 500
 MOST_R_S = 1e15
+MOST_STEPS = 1000
+
+OPTION_NAMES = {
+    "lambda_d": "--lambda-d",
+    "lambda_s1": "--lambda-s1",
+    "lambda_s2": "--lambda-s2",
+    "sigma_step": "--sigma-step",
+    "sigma_start": "--sigma-start",
+    "R_d_start": "--start",
+    "R_s_start": "--start",
+    "away": "--away",
+}
+
+WIDE_RANGE = 1.5
+"""Where the σ of the sweep within λ_s2 reach over more than this factor, it is worth a word."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +86,30 @@ class PaperOptions:
         """JSON form."""
         return dict(vars(self))
 
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong with the values, by the names of the command line's options."""
+        found = [
+            f"{OPTION_NAMES.get(name, name)}: expected a number above 0, found {value:g}"
+            for name, value in vars(self).items()
+            if not (math.isfinite(value) and value > 0.0)
+        ]
+        if found:
+            return tuple(found)
+        if not self.sigma_least <= self.sigma_start <= self.sigma_most:
+            found.append(
+                f"--sigma-start: expected {self.sigma_least:g} to {self.sigma_most:g} rad, found {self.sigma_start:g}"
+            )
+        steps = (self.sigma_most - self.sigma_least) / self.sigma_step
+        if steps > MOST_STEPS:
+            least = (self.sigma_most - self.sigma_least) / MOST_STEPS
+            found.append(
+                f"--sigma-step: expected {least:.2g} rad or more, for a sweep of {MOST_STEPS} steps at most, found "
+                f"{self.sigma_step:g}"
+            )
+        if self.away >= math.pi / 2.0:
+            found.append(f"--away: expected less than 90°, found {math.degrees(self.away):g}")
+        return tuple(found)
+
 
 @dataclass(frozen=True, kw_only=True)
 class PaperDiffuse:
@@ -89,6 +136,10 @@ class PaperDiffuse:
         """JSON form."""
         rows = [{"R_d": r, "B_r": b, "D": d} for r, b, d in self.iterations]
         return {"R_d": self.R_d, "image": self.image, "pixels": self.pixels, "iterations": rows}
+
+    def words(self) -> tuple[str, ...]:
+        """What a person should know beside the number."""
+        return ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +183,8 @@ class PaperSpecular:
         N_m [px].
     steps
         The sweep, in its order.
+    alike
+        The σ at which both the count and the brightness come as close as was asked for, ascending [rad].
     """
 
     R_s: float
@@ -139,6 +192,7 @@ class PaperSpecular:
     image: str
     saturated: int
     steps: tuple[SigmaStep, ...]
+    alike: tuple[float, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -157,8 +211,19 @@ class PaperSpecular:
             "sigma_rad": self.sigma,
             "image": self.image,
             "N_m": self.saturated,
+            "alike_sigma_rad": list(self.alike),
             "sweep": steps,
         }
+
+    def words(self) -> tuple[str, ...]:
+        """What a person should know beside the numbers."""
+        if not self.alike or self.alike[-1] <= WIDE_RANGE * self.alike[0]:
+            return ()
+        text = (
+            f"{len(self.alike)} σ of the sweep, from {self.alike[0]:g} to {self.alike[-1]:g} rad, come within λ_s2 of "
+            f"the measured brightness of {self.image}: section 4.3 hardly tells σ here, nor R_s with it"
+        )
+        return (text,)
 
 
 def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
@@ -176,6 +241,8 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     InputError
         No image has a pixel that is diffuse only, or the iteration does not end.
     """
+    if problems := options.problems():
+        raise InputError(*problems)
     plain = (samples.deflection[samples.sample] >= options.away) & ~samples.saturated
     plain &= samples.diffuse[samples.sample] > 0.0
     counts = np.bincount(samples.image[plain], minlength=len(samples.images))
@@ -238,8 +305,10 @@ def paper_specular(
     Raises
     ------
     InputError
-        No saturated pixel, or no σ with which as many pixels are saturated and as bright.
+        Impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as bright.
     """
+    if problems := options.problems():
+        raise InputError(*problems)
     counts = np.bincount(samples.image[samples.saturated], minlength=len(samples.images))
     image = int(np.argmax(counts))
     measured = int(counts[image])
@@ -281,6 +350,9 @@ def paper_specular(
         image=samples.images[image].name,
         saturated=measured,
         steps=tuple(steps),
+        alike=tuple(
+            sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
+        ),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation
-from lightopt.fit._estimate import Estimate
+from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._predict import predict_images
 from lightopt.raycast import RayCaster
 from lightopt.scene import Scene
@@ -35,8 +36,8 @@ class PointsRow:
     perimeter, measured_perimeter
         Of the saturated regions of all images together [px].
     likelihood
-        Mean log-likelihood of a level [nat]; the number of points with the greatest reproduces the images best. Area
-        and perimeter of a noisy image hardly tell two numbers of points apart.
+        Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the greatest
+        reproduces the images best: area and perimeter of a noisy image hardly tell two numbers of points apart.
     """
 
     points: int | Literal["auto"]
@@ -47,7 +48,13 @@ class PointsRow:
     measured_area: int
     perimeter: float
     measured_perimeter: float
-    likelihood: float
+    likelihood: float | None
+
+    @property
+    def misfit(self) -> float:
+        """Relative deviations of area and perimeter, added: what section 4.4 of the paper looks at."""
+        area = abs(self.area - self.measured_area) / max(self.measured_area, 1)
+        return area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -60,26 +67,44 @@ class PointsRow:
             "measured_area_px": self.measured_area,
             "perimeter_px": round(self.perimeter, 1),
             "measured_perimeter_px": round(self.measured_perimeter, 1),
-            "mean_log_likelihood": float(f"{self.likelihood:.6g}"),
+            "mean_log_likelihood": None if self.likelihood is None else float(f"{self.likelihood:.6g}"),
         }
 
 
 def compare_regions(
     scene: Scene,
-    found: Estimate,
+    x: NDArray[np.float64],
     observations: tuple[Observation, ...],
     *,
     points: int | Literal["auto"],
     caster: RayCaster,
+    likelihood: float | None = None,
     threads: int | None = None,
 ) -> PointsRow:
     """Render all images with a fit and compare the saturated regions with the measured ones.
 
     Both are taken from whole levels, since the camera delivers no others.
+
+    Parameters
+    ----------
+    scene
+        With the lights and postures of the images.
+    x
+        Parameters, shape (K,), as :mod:`lightopt.fit._likelihood` orders them.
+    observations
+        The images.
+    points
+        Of the panels.
+    caster
+        Of the scene's part.
+    likelihood
+        Mean log-likelihood of a level, for the row.
+    threads
+        Number of threads; the row does not depend on it.
     """
     top = scene.sensor.saturated_from
     areas, perimeters = np.zeros(2), np.zeros(2)
-    for seen, levels, _ in predict_images(scene, found.x, observations, caster=caster, threads=threads):
+    for seen, levels, _ in predict_images(scene, x, observations, caster=caster, threads=threads):
         delivered = np.clip(np.floor(levels + 0.5), 0.0, scene.sensor.max_level)
         pair: tuple[NDArray[np.float32], NDArray[np.float32]] = delivered, seen.levels
         for i, image in enumerate(pair):
@@ -88,12 +113,12 @@ def compare_regions(
             perimeters[i] += region.perimeter
     return PointsRow(
         points=points,
-        R_d=found.R_d,
-        R_s=found.R_s,
-        sigma=found.sigma,
+        R_d=float(x[R_D]),
+        R_s=math.exp(x[LOG_R_S]),
+        sigma=math.exp(x[LOG_SIGMA]),
         area=int(areas[0]),
         measured_area=int(areas[1]),
         perimeter=float(perimeters[0]),
         measured_perimeter=float(perimeters[1]),
-        likelihood=found.maximum.evaluation.value / len(found.likelihood.samples.level),
+        likelihood=likelihood,
     )

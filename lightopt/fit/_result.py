@@ -7,16 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from lightopt.align import Placement
+from lightopt.align import Placement, PlacementInFile
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._paper import PaperDiffuse, PaperSpecular
 from lightopt.fit._profile import profile_interval
 from lightopt.fit._quality import Quality
 from lightopt.fit._regions import PointsRow
 from lightopt.fit._validate import LeftOut
+from lightopt.scene import Scene
 
-__all__ = ["FitResult", "FittedValue", "fitted_values"]
+__all__ = ["FitResult", "FittedValue", "below_zero", "fitted_dark", "fitted_gains", "fitted_values"]
 
 MOST_LOG = 700.0
 """Logarithm of the greatest value that is written."""
@@ -34,7 +35,7 @@ class FittedValue:
     value
         In the part file's unit.
     standard_error
-        0 for a value that was held.
+        0, null in the JSON form, for a value that was held or by a method that knows none.
     interval
         95 %, by profile likelihood; None for a value that was held or by a method that knows none.
     """
@@ -48,7 +49,7 @@ class FittedValue:
         """JSON form."""
         return {
             "value": float(f"{self.value:.8g}"),
-            "standard_error": float(f"{self.standard_error:.4g}"),
+            "standard_error": float(f"{self.standard_error:.4g}") if self.standard_error else None,
             "interval_95": None if self.interval is None else [float(f"{v:.8g}") for v in self.interval],
         }
 
@@ -70,11 +71,13 @@ class FitResult:
     fitted
         Names of those that were fitted and belong into the part file.
     gains
-        Gain of each light as it belongs into the rig file, where gains were freed.
+        Gain of each light as it belongs into the rig file, where gains were freed; the first light's is held.
     dark
         Black level as it belongs into the rig file [sensor level], where it was freed.
-    placement
-        Where the part was found to lie, where that was freed.
+    placement, in_file
+        Where the part was found to lie, where that was freed, and the same as it belongs into the part file.
+    highlights
+        R_s [grey level] and σ [rad] by which a diffuse fit knew where the highlights are; None in other fits.
     correlation
         Of ln R_s and ln σ; None where they were not both fitted.
     observations, pixels
@@ -98,9 +101,11 @@ class FitResult:
     points: int | Literal["auto"]
     values: tuple[FittedValue, ...]
     fitted: tuple[str, ...]
-    gains: Mapping[str, float] | None = None
-    dark: float | None = None
+    gains: Mapping[str, FittedValue] | None = None
+    dark: FittedValue | None = None
     placement: Placement | None = None
+    in_file: PlacementInFile | None = None
+    highlights: tuple[float, float] | None = None
     correlation: float | None = None
     observations: int = 0
     pixels: int = 0
@@ -115,6 +120,16 @@ class FitResult:
         """A coefficient by name."""
         return next(v.value for v in self.values if v.name == name)
 
+    @property
+    def not_left_out(self) -> tuple[str, ...]:
+        """What validation takes from all images, those of the light that is left out among them."""
+        freed = (
+            ("its own gain", self.gains),
+            ("the black level", self.dark),
+            ("the part's place", self.placement),
+        )
+        return tuple(name for name, value in freed if value is not None)
+
     def as_dict(self) -> dict[str, Any]:
         """JSON form, without provenance."""
         scan = () if self.estimate is None else self.estimate.scan
@@ -125,14 +140,20 @@ class FitResult:
             "points": self.points,
             "fitted": list(self.fitted),
             "values": {v.name: v.as_dict() for v in self.values},
+            "highlights_by": None
+            if self.highlights is None
+            else {
+                "R_s": float(f"{self.highlights[0]:.6g}"),
+                "sigma_rad": float(f"{self.highlights[1]:.6g}"),
+            },
             "correlation_ln_R_s_ln_sigma": self.correlation,
-            "gains": None if self.gains is None else {k: float(f"{v:.8g}") for k, v in self.gains.items()},
-            "black_level": self.dark,
+            "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
+            "black_level": None if self.dark is None else self.dark.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
             "observations": self.observations,
             "pixels": self.pixels,
             "quality": None if self.quality is None else self.quality.as_dict(),
-            "words": list(self.words),
+            "warnings": list(self.words),
             "ridge": [
                 {
                     "sigma_rad": float(f"{point.sigma:.8g}"),
@@ -143,22 +164,21 @@ class FitResult:
                 for point in scan
             ],
             "left_out": [left.as_dict() for left in self.left_out],
+            "not_left_out": list(self.not_left_out) if self.left_out else [],
             "by_points": [row.as_dict() for row in self.rows],
             "paper": None if self.paper is None else self.paper.as_dict(),
         }
 
 
-def fitted_values(found: Estimate, *, weight: float, full_scale: float) -> tuple[FittedValue, ...]:
+def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
     """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals.
 
     Parameters
     ----------
     found
         The estimate.
-    weight
-        Of a panel's light, its gain included; the half-angle is that of a point light of this weight.
     full_scale
-        Grey level of a saturated pixel.
+        Grey level of a saturated pixel; the half-angle is that of a point light.
     """
     values: list[FittedValue] = []
     for name, place, log in (("R_d", R_D, False), ("R_s", LOG_R_S, True), ("sigma_rad", LOG_SIGMA, True)):
@@ -170,7 +190,7 @@ def fitted_values(found: Estimate, *, weight: float, full_scale: float) -> tuple
         error = found.standard_error(place) * (value if log else 1.0)
         interval = (math.exp(low), math.exp(min(high, MOST_LOG))) if log else (low, high)
         values.append(FittedValue(name=name, value=value, standard_error=error, interval=interval))
-    over = math.log(max(weight * found.R_s / full_scale, 1e-300))
+    over = math.log(max(found.R_s / full_scale, 1e-300))
     if over > 0.0:
         angle = found.sigma * math.sqrt(2.0 * over)
         error = 0.0
@@ -182,3 +202,45 @@ def fitted_values(found: Estimate, *, weight: float, full_scale: float) -> tuple
             )
         values.append(FittedValue(name="half_angle_rad", value=angle, standard_error=error))
     return tuple(values)
+
+
+def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
+    """Gain of each light of a scene, its own times what was fitted; that of the light held has no error."""
+    gains: dict[str, FittedValue] = {}
+    for index, light in enumerate(scene.lights):
+        place = FIRST_GAIN + index
+        value = light.gain * math.exp(found.x[place])
+        if place not in found.free:
+            gains[light.name] = FittedValue(name=light.name, value=value)
+            continue
+        low, high = profile_interval(found, place)
+        gains[light.name] = FittedValue(
+            name=light.name,
+            value=value,
+            standard_error=value * found.standard_error(place),
+            interval=(light.gain * math.exp(low), light.gain * math.exp(high)),
+        )
+    return gains
+
+
+def below_zero(dark: FittedValue | None) -> tuple[str, ...]:
+    """What to say of a black level that a rig file cannot hold."""
+    if dark is None or dark.value >= 0.0:
+        return ()
+    text = (
+        f"the black level that fits is {dark.value:.3g}, and a rig file knows none below 0: rig.fitted.yaml has 0, and "
+        "images predicted from it are that much too bright. The camera takes off more than its black: check its offset"
+    )
+    return (text,)
+
+
+def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
+    """Black level of the sensor [sensor level], its own plus what was fitted."""
+    black = scene.sensor.black_level
+    low, high = profile_interval(found, DARK)
+    return FittedValue(
+        name="black_level",
+        value=float(black + found.x[DARK]),
+        standard_error=found.standard_error(DARK),
+        interval=(black + low, black + high),
+    )

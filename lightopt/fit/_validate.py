@@ -42,7 +42,8 @@ class Comparison:
     image
         Its name.
     rms
-        Of measured minus predicted level on the part's pixels, both clipped as by the camera [grey level at exposure 1].
+        Of measured minus predicted level on the part's pixels, both clipped as by the camera
+        [grey level at exposure 1].
     rms_sensor
         The same in the image as it was delivered [sensor level].
     iou

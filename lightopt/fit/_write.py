@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from lightopt import __version__
+from lightopt.align import PlacementInFile
 from lightopt.config import PartConfig, RigConfig, Source, with_values
 from lightopt.errors import InputError
 from lightopt.fit._result import FitResult
 from lightopt.images import ImageSet, file_sha256, write_text_atomic
 
-__all__ = ["FIT_NAME", "PART_NAME", "RIG_NAME", "check_folder", "provenance", "write_fit"]
+__all__ = ["FIT_NAME", "PART_NAME", "RIG_NAME", "FitFolder", "provenance"]
 
 PART_NAME = "part.fitted.yaml"
 RIG_NAME = "rig.fitted.yaml"
@@ -43,57 +45,103 @@ def provenance(
     }
 
 
-def check_folder(folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-    """Refuse a folder that holds a fit of other inputs.
+class FitFolder:
+    """A folder that a fit is written to; what an earlier fit left there goes before the first file of the new one.
+
+    Parameters
+    ----------
+    folder
+        Made where it does not exist.
+    made_from
+        From :func:`provenance`.
+    force
+        Whether files of a fit of other inputs are replaced.
 
     Raises
     ------
     InputError
-        With the way out.
+        The folder holds a fit of other inputs, and `force` is False.
     """
-    path = folder / FIT_NAME
-    taken = [name for name in (FIT_NAME, PART_NAME, RIG_NAME) if (folder / name).exists()]
-    if force or not taken:
-        return
+
+    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
+        self.folder = folder
+        self._made_from = made_from
+        self._files: list[str] = []
+        old = _earlier(folder)
+        there = [name for name in (FIT_NAME, PART_NAME, RIG_NAME) if (folder / name).exists()]
+        same = old is not None and old.get("provenance") == json.loads(json.dumps(made_from))
+        if there and not same and not force:
+            raise InputError(
+                f"{folder} already has {', '.join(there)} of a fit with other inputs or options; use --force to "
+                "replace them, or choose another folder"
+            )
+
+    def place(self, name: str) -> Path:
+        """Where to write a file of the fit, by its name relative to the folder; its own folder is made."""
+        if not self._files:
+            self._remove_earlier()
+        if name not in self._files:
+            self._files.append(name)
+        path = self.folder / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: cannot be made: {error.strerror or error}; choose a folder that can be written"
+            ) from error
+        return path
+
+    def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
+        """Write the part, where gains or the dark level were freed the rig, and at last ``fit.json``.
+
+        Raises
+        ------
+        InputError
+            A file cannot be written.
+        """
+        texts = {PART_NAME: _part_text(self.folder, result, part)}
+        if result.gains is not None or result.dark is not None:
+            texts[RIG_NAME] = _rig_text(result, rig)
+        for name, text in texts.items():
+            write_text_atomic(self.place(name), text)
+        content = {
+            "format": "lightopt-fit/1",
+            **result.as_dict(),
+            "files": sorted(self._files),
+            "provenance": dict(self._made_from),
+        }
+        path = self.place(FIT_NAME)
+        write_text_atomic(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        return [self.folder / name for name in (FIT_NAME, *texts)]
+
+    def _remove_earlier(self) -> None:
+        # fit.json first: while it is there, the files that it lists are its own
+        listed = (_earlier(self.folder) or {}).get("files", [])
+        names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
+        with suppress(FileNotFoundError):
+            (self.folder / FIT_NAME).unlink()
+        for name in {*names, PART_NAME, RIG_NAME}:
+            path = (self.folder / name).resolve()
+            if path.is_relative_to(self.folder.resolve()):
+                with suppress(OSError):
+                    path.unlink()
+
+
+def _earlier(folder: Path) -> dict[str, Any] | None:
     try:
-        old = json.loads(path.read_text(encoding="utf-8"))["provenance"]
-    except (OSError, ValueError, KeyError, TypeError):
-        old = None
-    if old != json.loads(json.dumps(made_from)):
-        raise InputError(
-            f"{folder} already has {', '.join(taken)} of a fit with other inputs or options; use --force to replace "
-            "them, or choose another folder"
-        )
-
-
-def write_fit(
-    folder: Path, result: FitResult, rig: RigConfig, part: PartConfig, made_from: Mapping[str, Any]
-) -> list[Path]:
-    """Write ``fit.json``, ``part.fitted.yaml`` and, where gains or the dark level were freed, ``rig.fitted.yaml``.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
-    written = [folder / FIT_NAME, folder / PART_NAME]
-    content = {"format": "lightopt-fit/1", **result.as_dict(), "provenance": dict(made_from)}
-    texts = {PART_NAME: _part_text(folder, result, part)}
-    if result.gains is not None or result.dark is not None:
-        texts[RIG_NAME] = _rig_text(result, rig)
-        written.append(folder / RIG_NAME)
-    for name, text in texts.items():
-        write_text_atomic(folder / name, text)
-    write_text_atomic(
-        folder / FIT_NAME, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    )
-    return written
+        found = json.loads((folder / FIT_NAME).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    right = isinstance(found, dict) and str(found.get("format", "")).startswith("lightopt-fit/")
+    return found if right else None
 
 
 def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     values: dict[tuple[str | int, ...], str] = {
         ("reflectance", name): f"{result.value(name):.6g}" for name in result.fitted
     }
+    if result.in_file is not None:
+        values |= _placement_values(part, result.in_file)
     mesh = part.source.resolve(part.mesh.file).resolve()
     if mesh != (folder / part.mesh.file).resolve():
         # the mesh is named relative to the file, which now lies elsewhere
@@ -101,14 +149,32 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     return with_values(_text(part.source), values)
 
 
+def _placement_values(part: PartConfig, found: PlacementInFile) -> dict[tuple[str | int, ...], str]:
+    vectors = {"rotate_deg": found.rotate_deg, "translate_mm": found.translate_mm}
+    lists = {
+        key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()
+    }
+    lines = part.source.lines
+    if ("placement",) not in lines:
+        inside = ", ".join(f"{key}: {text}" for key, text in lists.items())
+        return {("placement",): f"{{anchor: {part.placement.anchor}, {inside}}}"}
+    values: dict[tuple[str | int, ...], str] = {}
+    for key, vector in vectors.items():
+        if ("placement", key) in lines:
+            values |= {("placement", key, i): f"{value:.6g}" for i, value in enumerate(vector)}
+        else:
+            values["placement", key] = lists[key]
+    return values
+
+
 def _rig_text(result: FitResult, rig: RigConfig) -> str:
     values: dict[tuple[str | int, ...], str] = {}
     for index, light in enumerate(rig.lights):
-        # the reference keeps its gain, and its line in the file
-        if result.gains is not None and abs(result.gains.get(light.name, light.gain) - light.gain) > 1e-9:
-            values["lights", index, "gain"] = f"{result.gains[light.name]:.6g}"
+        gain = None if result.gains is None else result.gains.get(light.name)
+        if gain is not None and gain.interval is not None:  # the one that is held keeps its line in the file
+            values["lights", index, "gain"] = f"{gain.value:.6g}"
     if result.dark is not None:
-        values["camera", "sensor", "black_level"] = f"{max(result.dark, 0.0):.6g}"
+        values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
     return with_values(_text(rig.source), values)
 
 

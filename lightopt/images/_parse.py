@@ -55,6 +55,8 @@ def read_manifest(path: str | Path) -> Manifest:
         ) from error
     except json.JSONDecodeError as error:
         raise InputError(f"{path}:{error.lineno}: not valid JSON: {error.msg}") from error
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not text; expected an image set's folder or its manifest.json") from None
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON: {error}") from error
     return parse_manifest(data, path=path)

@@ -137,10 +137,24 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
     """
     path = Path(path)
     manifest_path = path / MANIFEST_NAME if path.is_dir() else path
+    if path.is_dir() and not manifest_path.exists():
+        raise InputError(_no_manifest(path))
     image_set = ImageSet(folder=manifest_path.parent, manifest=read_manifest(manifest_path))
     if verify and (problems := _file_problems(image_set)):
         raise InputError(*problems)
     return image_set
+
+
+def _no_manifest(folder: Path) -> str:
+    below = sorted(
+        found.parent for depth in ("*", "*/*") for found in folder.glob(f"{depth}/{MANIFEST_NAME}")
+    )
+    if below:
+        return f"{folder}: no image set, but these folders in it are: {', '.join(map(str, below[:5]))}"
+    return (
+        f"{folder}: no {MANIFEST_NAME}, which says what each picture shows; docs/conventions.md, Image sets, tells how "
+        "to write one for pictures that another program took"
+    )
 
 
 def _file_problems(image_set: ImageSet) -> list[str]:

@@ -17,6 +17,7 @@ from lightopt.report._typeface import Typeface
 __all__ = ["ChartPanel", "draw_chart"]
 
 INK, SOFT, FAINT, LINE, MARK = "#1c1f24", "#5c636e", "#e3e6ea", "#1f5fbf", "#c2410c"
+SHADE = "#c2410c33"
 WIDTH, PANEL_HEIGHT = 900, 300
 LEFT, RIGHT, TOP, GAP, BOTTOM = 110, 30, 70, 60, 60
 MOST_TICKS = 8
@@ -36,12 +37,18 @@ class ChartPanel:
         Whether the axis is logarithmic; values must be above 0 then.
     mark
         Place (x, value) of a dot; None for none.
+    dots
+        Further places (x, value) beside the line, shape (k, 2).
+    span
+        Interval (from, to) of the common axis that is shaded; None for none.
     """
 
     label: str
     values: NDArray[np.float64]
     log: bool = False
     mark: tuple[float, float] | None = None
+    dots: NDArray[np.float64] | None = None
+    span: tuple[float, float] | None = None
 
 
 def draw_chart(
@@ -80,7 +87,12 @@ def draw_chart(
     across = _Axis.over([x], log_x)
     for i, panel in enumerate(panels):
         top = TOP + i * (PANEL_HEIGHT + GAP)
-        up = _Axis.over([panel.values], panel.log)
+        dots = np.empty((0, 2)) if panel.dots is None else panel.dots
+        up = _Axis.over([panel.values, dots[:, 1]], panel.log)
+        if panel.span is not None:
+            left, right = (LEFT + across.share(end) * (WIDTH - LEFT - RIGHT) for end in panel.span)
+            corners = [[left, top], [right, top], [right, top + PANEL_HEIGHT], [left, top + PANEL_HEIGHT]]
+            canvas.polygon(np.array(corners), fill=SHADE)
         for tick in across.ticks():
             place = LEFT + across.share(tick) * (WIDTH - LEFT - RIGHT)
             canvas.line(np.array([[place, top], [place, top + PANEL_HEIGHT]]), colour=FAINT, width=1.0)
@@ -91,6 +103,8 @@ def draw_chart(
             canvas.line(np.array([[LEFT, place], [WIDTH - RIGHT, place]]), colour=FAINT, width=1.0)
             texts.append((LEFT - 8, place + 5, f"{tick:g}", "right"))
         places = [_place(across, up, top, a, b) for a, b in zip(x, panel.values, strict=True)]
+        for x_dot, y_dot in dots:
+            canvas.disc(np.array(_place(across, up, top, x_dot, y_dot)), 1.5, fill=SOFT)
         canvas.line(np.array(places), colour=LINE, width=2.0)
         for place in places:
             canvas.disc(np.array(place), 2.5, fill=LINE)

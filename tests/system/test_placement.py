@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from captured import captured
+from captured import captured, expose_all
 
-from lightopt import build_scene
-from lightopt.align import Placement, find_placement, place_part, refine_placement
+from lightopt import build_scene, render
+from lightopt.align import Placement, find_placement, place_part, placement_in_file, refine_placement
 from lightopt.align._pixels import view_of_placed
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, project, view_from_part
@@ -72,6 +72,35 @@ def test_the_moved_view_sees_the_image_of_the_moved_part(scene: Scene, posture: 
     np.testing.assert_allclose(rows, row + 0.5, atol=0.01)
 
 
+@pytest.mark.parametrize("anchor", ["as_modelled", "rest_on_table", "centred"])
+def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anchor: str) -> None:
+    text = shared_bench.part.read_text(encoding="utf-8")
+    was = "placement: {anchor: rest_on_table, translate_mm: [0, 0, 0]}"
+    assert was in text
+    there = (3.0, -2.0, 1.0), (4.0, -7.0, 30.0)
+    path = shared_bench.part.with_name(f"{anchor}.yaml")
+
+    def built(rotate: tuple[float, ...], translate: tuple[float, ...]) -> Scene:
+        placement = f"placement: {{anchor: {anchor}, rotate_deg: {[*rotate]}, translate_mm: {[*translate]}}}"
+        path.write_text(text.replace(was, placement), encoding="utf-8")
+        return replace(build_scene(shared_bench.rig, path), pivot=PIVOT)
+
+    nominal = built(there[1], there[0])
+    found = placement_in_file(
+        nominal.mesh.vertices,
+        TRUTH,
+        anchor=anchor,
+        rotate_deg=there[1],
+        translate_mm=there[0],
+        pivot=PIVOT,
+    )
+    said = built(found.rotate_deg, found.translate_mm)
+    path.unlink()
+    np.testing.assert_allclose(
+        said.mesh.vertices, place_part(nominal, TRUTH).mesh.vertices, atol=1e-3, rtol=0.0
+    )
+
+
 def test_a_part_off_by_a_millimetre_is_found_and_the_errors_are_errors(scene: Scene) -> None:
     images = captured(place_part(scene, TRUTH), exposures=(1.0, 1 / 16))
     caster = cast_rays_at(scene)
@@ -85,3 +114,21 @@ def test_a_part_off_by_a_millimetre_is_found_and_the_errors_are_errors(scene: Sc
     off = np.array([found.x - TRUTH.x, found.y - TRUTH.y, found.turn - TRUTH.turn])
     assert np.all(np.array(found.errors) > 0.0)
     assert np.all(np.abs(off) < 5.0 * np.array(found.errors))
+
+
+@pytest.mark.slow
+def test_errors_of_a_placement_are_those_of_its_scatter(scene: Scene) -> None:
+    """Two exposures, whose bright and dark pixels have very different noise: 20 draws, z scatters by about 1."""
+    rendered = list(render(place_part(scene, TRUTH)))
+    caster = cast_rays_at(scene)
+    start = replace(TRUTH, x=TRUTH.x - 0.01, y=TRUTH.y + 0.01)
+    z = []
+    for seed in range(20):
+        images = expose_all(scene, rendered, seed=seed, exposures=(1.0, 1 / 16))
+        found = refine_placement(scene, images, start, caster=caster)
+        off = np.array([found.x - TRUTH.x, found.y - TRUTH.y, found.turn - TRUTH.turn])
+        z.append(off / np.array(found.errors))
+    print("z of x, y, turn:", np.mean(z, axis=0).round(2), "±", np.std(z, axis=0).round(2))
+    assert np.all(np.std(z, axis=0) < 1.45)
+    assert np.all(np.std(z, axis=0) > 0.65)
+    assert np.all(np.abs(np.mean(z, axis=0)) < 1.0)

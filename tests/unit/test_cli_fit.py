@@ -133,7 +133,8 @@ def test_the_papers_procedure(cli, bench, images):
     part = bench.folder / "d" / "part.fitted.yaml"
     assert load_part(part).reflectance.R_d == pytest.approx(45.0, rel=0.01)
     ran = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s", *one)
-    assert (ran.status, ran.err) == (0, "")
+    assert ran.status == 0
+    assert "this method knows no uncertainty" in ran.out
     figures = json.loads((bench.folder / "s" / "fit.json").read_text())["paper"]
     # the sweep only knows multiples of its step
     assert abs(figures["sigma_rad"] - 0.0475) <= 0.005
@@ -179,6 +180,10 @@ def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path):
     assert placement["x_mm"] == pytest.approx(0.8, abs=0.02)
     assert placement["y_mm"] == pytest.approx(-0.6, abs=0.02)
     assert placement["turn_deg"] == pytest.approx(1.0, abs=0.05)
+    # and the part file says so itself
+    lies = load_part(bench.out / "part.fitted.yaml").placement
+    assert lies.translate_mm == pytest.approx((0.8, -0.6, 0.0), abs=0.02)
+    assert lies.rotate_deg == pytest.approx((0.0, 0.0, 1.0), abs=0.05)
 
 
 # --- what is said
@@ -198,6 +203,82 @@ def test_a_held_r_d_that_is_wrong_is_noticed(cli, bench, images):
     assert "--joint" in ran.err
 
 
+def test_point_lights_fitted_to_an_evenly_lit_panel_are_noticed(cli, bench, tmp_path):
+    bench.edit("rig.yaml", "points: 4", "points: auto")
+    exposures = ("--exposure", "1", "--exposure", "1/16", "--patches", "500", "--noise", "2", "-q")
+    assert cli("render", bench.rig, bench.part, "-o", tmp_path / "even", *exposures).status == 0
+    bench.edit("rig.yaml", "points: auto", "points: 4")
+    command = ("fit-specular", bench.rig, bench.part, tmp_path / "even", "--joint", "--no-validation")
+    ran = cli(*command, "-o", tmp_path / "four")
+    assert ran.status == 0
+    assert "evenly lit panels describe these images better than 4 points" in ran.err
+    told = float(ran.err.partition("R_s would be about ")[2].split()[0])
+    assert told == pytest.approx(12500, rel=0.02)
+    assert "evenly lit" not in cli(*command, "-o", tmp_path / "auto", "--points", "auto").err
+
+
+def test_images_of_point_lights_want_no_evenly_lit_panel(cli, bench, images):
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation")
+    assert (ran.status, ran.err) == (0, "")
+
+
+def test_force_leaves_nothing_of_the_fit_before(cli, bench, images):
+    command = ("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "-q")
+    assert cli(*command, "--free", "gain", "--pixels", "4000").status == 0
+    assert (bench.out / "rig.fitted.yaml").exists()
+    assert list((bench.out / "left-out").glob("*.png"))
+    (bench.out / "notes.txt").write_text("mine")
+    assert cli(*command, "--no-validation", "--force").status == 0
+    listed = {*json.loads((bench.out / "fit.json").read_text())["files"], "fit.json", "notes.txt"}
+    assert {p.relative_to(bench.out).as_posix() for p in bench.out.rglob("*") if p.is_file()} == listed
+    assert "rig.fitted.yaml" not in listed
+
+
+def test_what_validation_keeps_is_said(cli, bench, images):
+    ran = cli(
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "gain", "--pixels", "4000"
+    )  # fmt: skip
+    assert "each light predicted from the others (its own gain as all images have it):" in ran.out
+    figures = json.loads((bench.out / "fit.json").read_text())
+    assert figures["not_left_out"] == ["its own gain"]
+    gain = figures["gains"]["light3"]
+    assert gain["interval_95"][0] < 0.8 < gain["interval_95"][1]
+    assert 0.0 < gain["standard_error"] < 0.03
+    assert figures["gains"]["light1"]["interval_95"] is None
+
+
+def test_a_black_level_below_zero_is_not_hidden(cli, bench, images):
+    # the camera takes two levels off, and what was clipped at 255 with them
+    spoil(images, lambda levels: np.maximum(levels.astype(int) - 2, 0).astype(np.uint8))
+    edit_manifest(images, lambda manifest: manifest.update(saturation_level=253))
+    bench.edit("rig.yaml", "bit_depth: 8", "bit_depth: 8, saturation_level: 253")
+    ran = cli(
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "dark", "--no-validation"
+    )  # fmt: skip
+    assert ran.status == 0
+    assert "the black level that fits is -" in ran.err
+    assert load_rig(bench.out / "rig.fitted.yaml").camera.sensor.black_level == 0.0
+    assert json.loads((bench.out / "fit.json").read_text())["black_level"]["value"] == pytest.approx(
+        -2, abs=0.1
+    )
+
+
+def test_the_papers_procedure_compares_numbers_of_points(cli, bench, images):
+    ran = cli(
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--method", "paper", "--points", "1,4"
+    )  # fmt: skip
+    assert ran.status == 0
+    figures = json.loads((bench.out / "fit.json").read_text())
+    assert [row["points"] for row in figures["by_points"]] == [1, 4]
+    assert [row["mean_log_likelihood"] for row in figures["by_points"]] == [None, None]
+    deviation = {
+        row["points"]: abs(row["area_px"] / row["measured_area_px"] - 1)
+        + abs(row["perimeter_px"] / row["measured_perimeter_px"] - 1)
+        for row in figures["by_points"]
+    }
+    assert figures["points"] == min(deviation, key=lambda m: deviation[m])
+
+
 # --- refusals
 
 
@@ -212,7 +293,17 @@ def refused(cli, bench, images, *words, command="fit-specular", options=()):
 
 def test_images_of_another_size(cli, bench, images):
     bench.edit("rig.yaml", "[160, 120]", "[176, 120]")
-    refused(cli, bench, images, "160 × 120 px", "176 × 120 px", "resolution_px")
+    refused(cli, bench, images, "160 × 120 px", "176 × 120 px", "resolution_px", "and 7 images more")
+
+
+def test_a_folder_without_manifest_is_told_what_to_do(cli, bench, images, tmp_path):
+    (images / "manifest.json").rename(images / "renamed.json")
+    refused(cli, bench, images, "no manifest.json", "docs/conventions.md")
+    refused(cli, bench, images / "renamed.txt", "renamed.txt")
+    (images / "renamed.json").rename(images / "manifest.json")
+    refused(cli, bench, images.parent, "no image set, but these folders in it are", str(images))
+    picture = next(images.rglob("*.png"))
+    refused(cli, bench, picture, "not text; expected an image set's folder or its manifest.json")
 
 
 def test_lights_that_the_rig_does_not_have(cli, bench, images):
@@ -256,6 +347,28 @@ def test_no_diffuse_only_pixel_for_the_papers_method(cli, bench, images):
 def test_mirrored_images_are_told(cli, bench, images):
     spoil(images, lambda levels: levels[:, ::-1])
     refused(cli, bench, images, "do not look like this part", "mirrored left to right", options=("--joint",))
+
+
+def test_the_papers_procedure_refuses_strangers_too(cli, bench, images):
+    spoil(images, lambda levels: levels[:, ::-1])
+    refused(cli, bench, images, "do not look like this part", "mirrored", options=("--method", "paper"))
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "word"),
+    [
+        ("--sigma-step", "1e-7", "expected 0.0002 rad or more"),
+        ("--sigma-start", "5", "expected 0.001 to 0.2 rad, found 5"),
+        ("--start", "0", "--start: expected a number above 0"),
+        ("--lambda-s1", "nan", "--lambda-s1: expected a number above 0"),
+    ],
+)
+def test_impossible_options_of_the_paper(cli, bench, images, option, value, word):
+    refused(cli, bench, images, word, options=("--method", "paper", option, value))
+
+
+def test_options_of_the_paper_without_its_method(cli, bench, images):
+    refused(cli, bench, images, "--sigma-step: belongs to --method paper", options=("--sigma-step", "0.001"))
 
 
 def test_shifted_images_are_told(cli, bench, images):

@@ -6,7 +6,10 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from lightopt.images import read_image_set, write_png
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -71,3 +74,16 @@ def test_the_error_that_getting_started_quotes_is_the_programs(cli, tmp_path, mo
     assert ran.status == 2
     page = (ROOT / "docs" / "getting-started.md").read_text(encoding="utf-8")
     assert f"```text\n{ran.err.replace(chr(92), '/')}```\n" in page
+
+
+def test_the_manifest_that_the_conventions_show_is_enough(tmp_path):
+    text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    shown = re.search(r"^```json\n(.*?)^```", text, re.M | re.S)
+    assert shown is not None
+    (tmp_path / "manifest.json").write_text(shown[1], encoding="utf-8")
+    for name in ("first.png", "first-short.png"):
+        write_png(tmp_path / name, np.zeros((3, 4), np.uint8), metadata={})
+    images = read_image_set(tmp_path)
+    assert [image.exposure for image in images.images] == [1, 0.0625]
+    assert images.load(images.images[0]).levels.shape == (3, 4)
+    assert images.manifest.kind == "captured"

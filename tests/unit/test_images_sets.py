@@ -551,7 +551,7 @@ def test_all_problems_of_a_manifest_are_told_at_once_and_duplicates_among_them()
         ('{"bit_depth": NaN}', "NaN is not a number of JSON"),
         ("[1]", "manifest: expected an object"),
         ("[" * 100_000, "not valid JSON"),
-        (b"\xff\xfe", "not valid JSON"),
+        (b"\xff\xfe", "not text; expected an image set"),
     ],
 )
 def test_manifests_that_are_no_json_are_told(tmp_path: Path, text: str | bytes, told: str):
@@ -576,7 +576,7 @@ def test_missing_and_changed_files_are_told_all_at_once(whole: Path, tmp_path: P
 
 
 def test_folder_without_a_set_is_told(tmp_path: Path):
-    with pytest.raises(InputError, match=r"manifest\.json: cannot be read: No such file"):
+    with pytest.raises(InputError, match="no manifest.json, which says what each picture shows"):
         read_image_set(tmp_path)
     with pytest.raises(InputError, match="nowhere"):
         read_image_set(tmp_path / "nowhere")
