@@ -27,6 +27,8 @@ from lightopt.fit import (
     profile_interval,
 )
 from lightopt.fit._estimate import Freed
+from lightopt.fit._maximise import maximise
+from lightopt.fit._profile import CHI2_95
 from lightopt.rendering import cast_rays_at
 
 TRUTH = {R_D: 45.0, LOG_R_S: math.log(12500.0), LOG_SIGMA: math.log(0.0475)}
@@ -51,6 +53,14 @@ def matched(folder, sensor, *, exposures=(1.0,), budget):
         return expose_all(scene, images, seed=seed, exposures=exposures)
 
     return collect_samples(scene, deliver(0), caster=cast_rays_at(scene), budget=budget), deliver
+
+
+def fall(found, place, end):
+    """Of twice the log-likelihood, from the maximum to the best that is left with one parameter held elsewhere."""
+    x = found.x.copy()
+    x[place] = end
+    there = maximise(found.likelihood, x, [p for p in found.free if p != place])
+    return 2.0 * (found.maximum.evaluation.value - there.evaluation.value)
 
 
 def errors_by_hand(samples, found):
@@ -87,6 +97,8 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures):
         for place, error in zip(TRUTH, errors, strict=True):
             low, high = profile_interval(found, place)
             assert high - low == pytest.approx(2.0 * 1.96 * error, rel=0.1)
+            for end in (low, high):
+                assert fall(found, place, end) == pytest.approx(CHI2_95 * found.inflation[place], rel=0.05)
 
 
 @pytest.mark.slow
