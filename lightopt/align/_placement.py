@@ -40,6 +40,10 @@ FIRST_STEP_MM, FIRST_STEP_RAD = 1.0, math.radians(1.0)
 SEARCH_STEPS = 70
 REFINE_STEPS = 8
 TUKEY = 4.685
+LEAST_SPREAD = 0.3
+CLEAR = 3.5
+"""Only pixels are looked at that the model has this many standard deviations clear of black and of saturation."""
+
 _DIFFERENCES = (0.01, 0.01, math.radians(0.01))
 
 
@@ -139,7 +143,9 @@ def refine_placement(
 ) -> Placement:
     """Refine a placement by the light of the part's inner pixels, highlights included; to a small part of a pixel.
 
-    R_d, R_s and σ are adjusted along, since those of a misplaced part are never quite right.
+    R_d, R_s and σ are adjusted along, since those of a misplaced part are never quite right. A pixel counts by the
+    sensor's variance of its level. Which pixels count at all is told by the model and not by what noise made of them:
+    those just below saturation that are not saturated are the darker ones.
 
     Parameters
     ----------
@@ -176,28 +182,47 @@ def refine_placement(
         return np.concatenate(parts)
 
     errors = (0.0, 0.0, 0.0)
+    sensor = scene.sensor
+    per_electron = 1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0
     for done in range(REFINE_STEPS):
         here = predict(p)
+        noise = np.sqrt(sensor.read_noise_levels**2 + per_electron * np.maximum(here, 0.0) + 1.0 / 12.0)
         slopes = np.stack(
             [(predict(p + h) - predict(p - h)) / (2.0 * h[i]) for i, h in enumerate(np.diag(steps))], axis=1
         )
-        usable = np.isfinite(here) & np.isfinite(slopes).all(axis=1) & ~full & (here < top)
-        residual, jacobian = (measured - here)[usable], slopes[usable]
-        spread = max(1.4826 * float(np.median(np.abs(residual))), 0.3)
-        weight = np.square(np.clip(1.0 - np.square(residual / (TUKEY * spread)), 0.0, None))
+        usable = np.isfinite(here) & np.isfinite(slopes).all(axis=1) & ~full
+        usable &= (here + CLEAR * noise < top) & (here + sensor.black_level > CLEAR * noise)
+        residual, jacobian = ((measured - here) / noise)[usable], slopes[usable] / noise[usable, None]
+        spread = max(1.4826 * float(np.median(np.abs(residual))), LEAST_SPREAD)
+        off = np.square(residual / (TUKEY * spread))
+        weight = np.square(np.clip(1.0 - off, 0.0, None))
         scale = np.sqrt(np.maximum(np.sum(weight[:, None] * jacobian**2, axis=0), 1e-12))
         normal = (jacobian * weight[:, None]).T @ jacobian / np.outer(scale, scale)
         normal += 1e-9 * np.eye(len(p))
         change = np.linalg.solve(normal, jacobian.T @ (weight * residual) / scale) / scale
         change[3:] = np.clip(change[3:], [-0.3 * p[3] - 1e-9, -1.0, -0.3], [0.3 * p[3] + 1e-9, 1.0, 0.3])
         p = p + change
-        deviations = spread * np.sqrt(np.diag(np.linalg.inv(normal))) / scale
+        deviations = _deviations(jacobian, weight * residual, _bend(off))
         errors = (float(deviations[0]), float(deviations[1]), float(deviations[2]))
         if progress is not None:
             progress((done + 1) / REFINE_STEPS)
         if np.all(np.abs(change[:3]) < 0.05 * deviations[:3]):
             break
     return Placement(x=float(p[0]), y=float(p[1]), turn=float(p[2]), errors=errors)
+
+
+def _bend(off: Float64) -> Float64:
+    # slope of Tukey's ψ(r) = r·(1 − off)², off = (r / c)²
+    return np.where(off < 1.0, (1.0 - off) * (1.0 - 5.0 * off), 0.0)
+
+
+def _deviations(jacobian: Float64, pull: Float64, bend: Float64) -> Float64:
+    # of an M-estimate: Huber 1973, doi:10.1214/aos/1176342503, each pixel with the variance that it shows
+    scale = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-12))
+    unit = jacobian / scale
+    inner = np.linalg.inv((unit * bend[:, None]).T @ unit + 1e-9 * np.eye(len(scale)))
+    middle = (unit * np.square(pull)[:, None]).T @ unit
+    return np.sqrt(np.maximum(np.diag(inner @ middle @ inner), 0.0)) / scale
 
 
 def _postures(observations: Sequence[Observation]) -> list[Sequence[Observation]]:

@@ -305,8 +305,8 @@ def _show(result: FitResult) -> None:
     if result.quality is not None:
         q = result.quality
         say(
-            f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} levels rms (sensor "
-            f"noise {q.noise:.2g}), {100.0 * q.epsilon:.2f} % of the pixels unexplained"
+            f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} sensor levels rms ("
+            f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels unexplained"
         )
     if result.rows:
         _show_points(result)
@@ -359,6 +359,7 @@ def _show_left_out(result: FitResult) -> None:
             image.image,
             f"{left.R_s:.5g}",
             f"{left.sigma:.4g}",
+            f"{image.rms_sensor:.3g}",
             f"{image.rms:.3g}",
             "-" if image.iou is None else f"{image.iou:.4f}",
             "-" if image.border is None else f"{image.border:.2g}",
@@ -366,4 +367,6 @@ def _show_left_out(result: FitResult) -> None:
         for left in result.left_out
         for image in left.images
     ]
-    show_table(["image", "R_s", "σ [rad]", "rms [level]", "IoU", "border [px]"], rows)
+    show_table(
+        ["image", "R_s", "σ [rad]", "rms [sensor level]", "rms [grey level]", "IoU", "border [px]"], rows
+    )

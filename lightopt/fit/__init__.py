@@ -1,8 +1,9 @@
 """Reflection coefficients from images: maximum likelihood, the paper's procedure, and how far to trust either."""
 
-from lightopt.fit._estimate import Estimate, Freed, ScanPoint, estimate, refine
-from lightopt.fit._fit import FitOptions, fit_diffuse, fit_specular
+from lightopt.fit._estimate import Estimate, Freed, ScanPoint
+from lightopt.fit._fit import fit_diffuse, fit_specular
 from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Likelihood, predicted
+from lightopt.fit._options import FitOptions
 from lightopt.fit._paper import (
     OPTION_NAMES,
     PaperDiffuse,
@@ -17,6 +18,7 @@ from lightopt.fit._quality import Quality, appraise
 from lightopt.fit._regions import PointsRow, compare_regions
 from lightopt.fit._result import FitResult, FittedValue
 from lightopt.fit._samples import Samples, collect_samples, thinned
+from lightopt.fit._search import estimate, refine
 from lightopt.fit._validate import Comparison, LeftOut, compare_image, leave_lights_out
 from lightopt.fit._write import FitFolder, provenance
 

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation
-from lightopt.fit._estimate import Estimate, Freed, estimate
-from lightopt.fit._quality import appraise, poor_fit, refuse_strangers
+from lightopt.fit._estimate import Estimate, Freed
+from lightopt.fit._quality import appraise, poor_fit
 from lightopt.fit._samples import Samples, collect_samples, thinned
+from lightopt.fit._search import estimate
+from lightopt.fit._strangers import refuse_strangers
 from lightopt.raycast import RayCaster
 from lightopt.scene import Scene
 
@@ -88,7 +90,6 @@ def paper_words(
     *,
     R_d: float | None,
     specular: tuple[float, float] | None,
-    full_scale: float,
     threads: int | None = None,
 ) -> tuple[str, ...]:
     """What the likelihood of all pixels says of the paper's answer, which comes from a mean, a count and a sum.
@@ -101,8 +102,6 @@ def paper_words(
         As section 4.2 has it [grey level]; None where it was not asked for.
     specular
         R_s [grey level] and σ [rad] as section 4.3 has them; None where they were not asked for.
-    full_scale
-        Of the reflectance [grey level].
     threads
         Number of threads; the result does not depend on it.
 
@@ -113,9 +112,8 @@ def paper_words(
     """
     few = thinned(samples, BUDGET)
     whole = estimate(few, freed=Freed(), threads=threads)
-    quality = appraise(few, whole, full_scale=full_scale)
-    refuse_strangers(few, quality)
-    said = list(poor_fit(quality))
+    quality = appraise(few, whole)
+    said = [*refuse_strangers(few, whole, quality, threads=threads), *poor_fit(quality)]
     pairs = [("R_d", R_d, whole.R_d)]
     if specular is not None:
         pairs += [("R_s", specular[0], whole.R_s), ("σ", specular[1], whole.sigma)]

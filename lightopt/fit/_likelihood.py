@@ -89,17 +89,30 @@ class Likelihood:
         ln σ of the columns of `specular`, shape (m,); between them the light is interpolated by a polynomial.
     specular
         Per unit of R_s, shape (n, m).
+    by_area
+        Whether a pixel counts for as many as it stands for. Where the model is right that only loses information; where
+        it is wrong, what fits all pixels of the images alike predicts others best.
     threads
         Number of threads; the result does not depend on it.
     """
 
     def __init__(
-        self, samples: Samples, log_sigmas: Float64, specular: Float64, *, threads: int | None = None
+        self,
+        samples: Samples,
+        log_sigmas: Float64,
+        specular: Float64,
+        *,
+        by_area: bool = False,
+        threads: int | None = None,
     ) -> None:
         self.samples = samples
         self.log_sigmas = log_sigmas
         self.specular = specular
+        self.by_area = by_area
         self.threads = threads
+        self._weight = np.ones(len(samples.diffuse))
+        if by_area:
+            self._weight = samples.weight / float(np.mean(samples.weight[samples.sample]))
         self.size = FIRST_GAIN + len(samples.lights) + 2
         self._sensor = sensor_numbers(samples.sensor)
 
@@ -127,7 +140,7 @@ class Likelihood:
             curvature = np.zeros((self.size, self.size))
             end = min(start + _PIECE, len(s.sample))
             value = _accumulate(
-                s.sample, s.level, s.saturated, s.image, start, end, s.diffuse, self.specular, c, dc,
+                s.sample, s.level, s.saturated, s.image, start, end, self._weight, s.diffuse, self.specular, c, dc,
                 s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x, gradient, curvature,
             )  # fmt: skip
             return value, gradient, curvature
@@ -139,8 +152,8 @@ class Likelihood:
             np.sum([p[2] for p in parts], axis=0),
         )
 
-    def scores(self, x: Float64) -> Float64:
-        """Gradients of the pieces of the images, shape (blocks, K); they sum up to the whole gradient."""
+    def by_piece(self, x: Float64) -> tuple[Float64, Float64]:
+        """Gradients and curvatures of the pieces of the images, (B, K) and (B, K, K); each sums up to the whole."""
         s = self.samples
         block = s.block[s.sample]
         order = np.argsort(block, kind="stable")
@@ -149,13 +162,14 @@ class Likelihood:
         sample, level, saturated, image = (a[order] for a in (s.sample, s.level, s.saturated, s.image))
         c, dc = self.specular_weights(float(x[LOG_SIGMA]))
         gradients = np.zeros((len(ends), self.size))
-        curvature = np.zeros((self.size, self.size))
+        curvatures = np.zeros((len(ends), self.size, self.size))
         for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
             _accumulate(
-                sample, level, saturated, image, start, end, s.diffuse, self.specular, c, dc,
-                s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x, gradients[number], curvature,
+                sample, level, saturated, image, start, end, self._weight, s.diffuse, self.specular, c, dc,
+                s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x,
+                gradients[number], curvatures[number],
             )  # fmt: skip
-        return gradients
+        return gradients, curvatures
 
 
 def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
@@ -204,6 +218,7 @@ def _accumulate(
     image: NDArray[np.int32],
     start: int,
     end: int,
+    weights: Float64,
     diffuse: Float64,
     specular: Float64,
     c: Float64,
@@ -257,10 +272,11 @@ def _accumulate(
         apa = a * pa if pa > 0.0 else 0.0
         bpb = b * pb if pb > 0.0 else 0.0
         p = (1.0 - epsilon) * f + epsilon * outlier
-        total += math.log(p)
+        weight = float(weights[i])
+        total += weight * math.log(p)
         by_mean = (pa - pb) / deviation
         by_variance = (apa - bpb) / (2.0 * variance)
-        inside = (1.0 - epsilon) / p
+        inside = weight * (1.0 - epsilon) / p
         score = inside * (by_mean + shot * by_variance)
         surely = inside * f
         bend = 0.0
@@ -281,6 +297,6 @@ def _accumulate(
         share = tau2 / variance
         gradient[size - 2] += inside * by_variance * tau2
         curvature[size - 2, size - 2] += 0.5 * surely * share * share
-        gradient[size - 1] += (outlier - f) / p * epsilon * (1.0 - epsilon)
-        curvature[size - 1, size - 1] += epsilon * (1.0 - epsilon)
+        gradient[size - 1] += weight * (outlier - f) / p * epsilon * (1.0 - epsilon)
+        curvature[size - 1, size - 1] += weight * epsilon * (1.0 - epsilon)
     return total

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, R_D, Evaluation, Likelihood
 
-__all__ = ["Maximum", "bounds", "information", "maximise"]
+__all__ = ["Maximum", "bounds", "maximise"]
 
 Float64 = NDArray[np.float64]
 
@@ -83,10 +83,12 @@ def maximise(
         Promise of a step that is not worth taking [nat].
     """
     low, high = bounds(likelihood)
+    index = np.asarray(free, dtype=np.intp)
+    low[~np.isin(np.arange(len(x)), index)] = -np.inf
+    high[~np.isin(np.arange(len(x)), index)] = np.inf
     x = np.clip(x, low, high)
     here = likelihood.evaluate(x)
     damping = 1e-3
-    index = np.asarray(free, dtype=np.intp)
     steps, converged = 1, False
     while steps < most_steps:
         gradient = here.gradient[index]
@@ -120,21 +122,3 @@ def maximise(
                 converged = True
                 break
     return Maximum(x=x, evaluation=here, converged=converged, steps=steps)
-
-
-def information(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> Float64:
-    """Observed information: minus the Hessian of the log-likelihood along the free parameters, shape (k, k).
-
-    Central differences of the gradient, a hundredth of a standard error or so apart.
-    """
-    index = np.asarray(free, dtype=np.intp)
-    curvature = likelihood.evaluate(x).curvature[np.ix_(index, index)]
-    result = np.zeros((len(index), len(index)))
-    for j, place in enumerate(index):
-        h = 0.3 / np.sqrt(max(float(curvature[j, j]), 1e-12))
-        ahead, behind = x.copy(), x.copy()
-        ahead[place] += h
-        behind[place] -= h
-        difference = likelihood.evaluate(behind).gradient - likelihood.evaluate(ahead).gradient
-        result[j] = difference[index] / (2.0 * h)
-    return 0.5 * (result + result.T)

@@ -170,17 +170,15 @@ class FitResult:
         }
 
 
-def fitted_values(found: Estimate, *, weight: float, full_scale: float) -> tuple[FittedValue, ...]:
+def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
     """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals.
 
     Parameters
     ----------
     found
         The estimate.
-    weight
-        Of a panel's light, its gain included; the half-angle is that of a point light of this weight.
     full_scale
-        Grey level of a saturated pixel.
+        Grey level of a saturated pixel; the half-angle is that of a point light.
     """
     values: list[FittedValue] = []
     for name, place, log in (("R_d", R_D, False), ("R_s", LOG_R_S, True), ("sigma_rad", LOG_SIGMA, True)):
@@ -192,7 +190,7 @@ def fitted_values(found: Estimate, *, weight: float, full_scale: float) -> tuple
         error = found.standard_error(place) * (value if log else 1.0)
         interval = (math.exp(low), math.exp(min(high, MOST_LOG))) if log else (low, high)
         values.append(FittedValue(name=name, value=value, standard_error=error, interval=interval))
-    over = math.log(max(weight * found.R_s / full_scale, 1e-300))
+    over = math.log(max(found.R_s / full_scale, 1e-300))
     if over > 0.0:
         angle = found.sigma * math.sqrt(2.0 * over)
         error = 0.0

@@ -58,6 +58,8 @@ class SampleGroup:
         Their light per unit of reflectance; None for pixels that no light reaches.
     row, column
         Shape (n,).
+    weight
+        Pixels of the image that each stands for, shape (n,).
     """
 
     light: int
@@ -65,6 +67,7 @@ class SampleGroup:
     layer: LightLayer | None
     row: NDArray[np.int32]
     column: NDArray[np.int32]
+    weight: Float64
 
     def __len__(self) -> int:
         return len(self.row)
@@ -101,6 +104,8 @@ class Samples:
         Light per unit of R_d, 0 where none arrives, shape (n,).
     deflection
         Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
+    weight
+        Pixels of the image that each stands for, shape (n,).
     block
         Piece of the image that each pixel lies in, one number per posture and piece, shape (n,).
     sample
@@ -124,6 +129,7 @@ class Samples:
     groups: tuple[SampleGroup, ...]
     diffuse: Float64
     deflection: Float64
+    weight: Float64
     block: NDArray[np.int32]
     sample: NDArray[np.int32]
     image: NDArray[np.int32]
@@ -219,7 +225,9 @@ def thinned(samples: Samples, budget: int) -> Samples:
     kept: list[NDArray[np.intp]] = []
     start = 0
     for group in samples.groups:
-        keep = _by_octave(samples.deflection[start : start + len(group)], budget, (len(groups), group.light))
+        keep, share = _by_octave(
+            samples.deflection[start : start + len(group)], budget, (len(groups), group.light)
+        )
         kept.append(start + keep)
         start += len(group)
         groups.append(
@@ -228,6 +236,7 @@ def thinned(samples: Samples, budget: int) -> Samples:
                 layer=None if group.layer is None else group.layer.take(keep),
                 row=group.row[keep],
                 column=group.column[keep],
+                weight=group.weight[keep] / share,
             )
         )
     pixels = np.concatenate(kept)
@@ -239,6 +248,7 @@ def thinned(samples: Samples, budget: int) -> Samples:
         groups=tuple(groups),
         diffuse=samples.diffuse[pixels],
         deflection=samples.deflection[pixels],
+        weight=np.concatenate([group.weight for group in groups]),
         block=samples.block[pixels],
         sample=place[left.sample],
     )
@@ -259,8 +269,10 @@ def _choose(
     unlit = np.flatnonzero(pixels.clean & (verdict == UNLIT))
     layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
     angle = np.zeros(len(whole)) if uniform else layer.deflection
-    keep = _by_octave(angle, budget, (posture, light))
-    few = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, light))
+    keep, share = _by_octave(angle, budget, (posture, light))
+    few, few_share = _by_octave(
+        np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, light)
+    )
     lit = layer.take(keep)
     return [
         SampleGroup(
@@ -269,23 +281,27 @@ def _choose(
             layer=layer_,
             row=pixels.row[index],
             column=pixels.column[index],
+            weight=1.0 / kept,
         )
-        for layer_, index in ((lit, whole[keep]), (None, unlit[few]))
+        for layer_, index, kept in ((lit, whole[keep], share), (None, unlit[few], few_share))
         if len(index)
     ]
 
 
-def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> NDArray[np.intp]:
-    # at most `budget` of each octave, by a draw that only depends on light and posture
+def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> tuple[NDArray[np.intp], Float64]:
+    # at most `budget` of each octave, by a draw that only depends on light and posture, and the share that was drawn
     octave = np.clip(np.ceil(np.log2(np.maximum(deflection, 1e-9) / FIRST_OCTAVE_RAD)), 0, OCTAVES).astype(
         int
     )
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=seed))
     chosen: list[NDArray[np.intp]] = []
+    shares = np.ones(OCTAVES + 1)
     for value in range(OCTAVES + 1):
         index = np.flatnonzero(octave == value)
         chosen.append(index if len(index) <= budget else rng.choice(index, budget, replace=False))
-    return np.sort(np.concatenate(chosen))
+        shares[value] = len(chosen[-1]) / max(1, len(index))
+    kept = np.sort(np.concatenate(chosen))
+    return kept, shares[octave[kept]]
 
 
 def _assemble(scene: Scene, groups: Sequence[SampleGroup], observations: Sequence[Observation]) -> Samples:
@@ -335,6 +351,7 @@ def _flatten(
         groups=tuple(groups),
         diffuse=np.concatenate([d for d, _ in layers]),
         deflection=np.concatenate([a for _, a in layers]),
+        weight=np.concatenate([group.weight for group in groups]),
         block=_blocks(groups, images),
         sample=np.concatenate(sample),
         image=np.concatenate(image),

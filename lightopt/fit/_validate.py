@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation
-from lightopt.fit._estimate import Estimate, refine
+from lightopt.fit._estimate import Estimate
 from lightopt.fit._predict import predict_images
 from lightopt.fit._samples import Samples, thinned
+from lightopt.fit._search import refine
 from lightopt.raycast import RayCaster
 from lightopt.scene import Scene
 from lightopt.sensor import Sensor
@@ -25,8 +26,8 @@ BUDGET = 1500
 
 MOST_BORDER_PIXELS = 4000
 
-POOR_RMS = 5.0
-"""A prediction that is further off than this is worth a word [grey level]."""
+POOR_SHARE = 5.0 / 255.0
+"""A prediction that is further off than this share of the sensor's full scale is worth a word."""
 
 Keep = Callable[[Observation, NDArray[np.float32]], None]
 """Gets each image that was left out and the sensor levels that were predicted for it."""
@@ -41,7 +42,10 @@ class Comparison:
     image
         Its name.
     rms
-        Of measured minus predicted level on the part's pixels, both as the camera clips them [grey level].
+        Of measured minus predicted level on the part's pixels, both clipped as by the camera
+        [grey level at exposure 1].
+    rms_sensor
+        The same in the image as it was delivered [sensor level].
     iou
         Intersection over union of the saturated areas; None where neither image has any.
     border
@@ -52,6 +56,7 @@ class Comparison:
 
     image: str
     rms: float
+    rms_sensor: float
     iou: float | None
     border: float | None
     area: int
@@ -61,7 +66,8 @@ class Comparison:
         """JSON form."""
         return {
             "image": self.image,
-            "rms_levels": float(f"{self.rms:.5g}"),
+            "rms_grey_levels": float(f"{self.rms:.5g}"),
+            "rms_sensor_levels": float(f"{self.rms_sensor:.5g}"),
             "iou": None if self.iou is None else round(self.iou, 5),
             "border_px": None if self.border is None else float(f"{self.border:.4g}"),
             "saturated_px": self.area,
@@ -157,16 +163,16 @@ def leave_lights_out(
     return tuple(results)
 
 
-def unseen(left_out: tuple[LeftOut, ...]) -> tuple[str, ...]:
-    """What a person should know of the predictions of lights that were left out."""
+def unseen(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
+    """What a person should know of the predictions of lights that were left out; the sensor is the images'."""
     if not left_out:
         return ("one light alone cannot be left out: not validated",)
-    worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms)
-    if worst.rms <= POOR_RMS:
+    worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms_sensor)
+    if worst.rms_sensor <= POOR_SHARE * sensor.max_level:
         return ()
     text = (
-        f"{worst.image}, predicted from the other lights, is {worst.rms:.3g} grey levels rms off: do not rely on "
-        "predicted images of this surface"
+        f"{worst.image}, predicted from the other lights, is {worst.rms_sensor:.3g} sensor levels rms off "
+        f"({worst.rms:.3g} grey levels at exposure 1): do not rely on predicted images of this surface"
     )
     return (text,)
 
@@ -197,10 +203,12 @@ def compare_image(
     measured = np.minimum(seen.levels, np.float32(top))
     residual = (measured - np.clip(levels, 0.0, top))[hit].astype(np.float64)
     full = np.floor(levels + 0.5) >= top
+    rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else 0.0
     both, either = int((full & seen.saturated).sum()), int((full | seen.saturated).sum())
     return Comparison(
         image=seen.name,
-        rms=full_scale / sensor.max_level * math.sqrt(float(np.mean(residual**2))) if len(residual) else 0.0,
+        rms=full_scale / sensor.max_level * rms / seen.exposure,
+        rms_sensor=rms,
         iou=both / either if either else None,
         border=_border_distance(full, seen.saturated),
         area=int(seen.saturated.sum()),

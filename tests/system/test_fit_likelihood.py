@@ -6,19 +6,17 @@ both are matched: intervals that leave out the model's own error only mean somet
 
 from __future__ import annotations
 
-import math
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from captured import PART, PARTS, RIG, captured, expose_all, remeasured
+from captured import PART, PARTS, RIG, captured
 
-from lightopt import build_scene, render
+from lightopt import build_scene
 from lightopt.fit import (
     LOG_R_S,
     LOG_SIGMA,
-    R_D,
     Estimate,
     appraise,
     collect_samples,
@@ -86,7 +84,7 @@ def test_one_exposure_recovers_the_reflectance(one_exposure):
 
 
 def test_a_second_exposure_pins_r_s_down(world, one_exposure, two_exposures):
-    """At least five times, as the median of three draws of the noise, on which the widening of intervals depends."""
+    """At least five times, whatever the draw of the noise."""
     assert_recovers(two_exposures, TRUTH, R_d=0.01, R_s=0.02, sigma=0.01)
     pairs = [(one_exposure, two_exposures)]
     pairs += [(world.fit(seed=seed), world.fit(exposures=(1.0, 1 / 16), seed=seed)) for seed in (1, 2)]
@@ -95,7 +93,7 @@ def test_a_second_exposure_pins_r_s_down(world, one_exposure, two_exposures):
         ratios.append(np.ptp(profile_interval(wide, LOG_R_S)) / np.ptp(profile_interval(narrow, LOG_R_S)))
         assert abs(narrow.correlation(LOG_R_S, LOG_SIGMA)) < abs(wide.correlation(LOG_R_S, LOG_SIGMA))
     print("interval of ln R_s narrower by", ratios)
-    assert np.median(ratios) >= 5.0
+    assert min(ratios) >= 5.0
 
 
 def test_one_pixel_in_a_hundred_may_be_garbage(world):
@@ -112,7 +110,7 @@ def test_one_pixel_in_a_hundred_may_be_garbage(world):
 def test_lobes_of_any_width_and_strength(world, sigma, R_s):
     truth = Reflectance(R_d=45.0, R_s=R_s, sigma=sigma)
     found = world.fit(truth, exposures=(1.0, 1 / 16))
-    assert_recovers(found, truth, R_d=0.01, R_s=0.05, sigma=0.02)
+    assert_recovers(found, truth, R_d=0.01, R_s=0.02, sigma=0.01)
 
 
 @pytest.mark.slow
@@ -125,30 +123,9 @@ def test_normals_guessed_from_facets_are_noticed(world, tmp_path):
     samples = collect_samples(scene, images, caster=cast_rays_at(scene), budget=BUDGET)
     found = estimate(samples)
     low, high = np.exp(profile_interval(found, LOG_R_S)) / TRUTH.R_s - 1.0
-    quality = appraise(samples, found, full_scale=255.0)
+    quality = appraise(samples, found)
     print(f"interval of R_s {low:+.2%} to {high:+.2%}, unexplained {quality.epsilon:.1%}")
     assert_recovers(found, TRUTH, R_d=0.01, R_s=0.05, sigma=0.01)
     assert quality.epsilon > 0.02
     assert any("describes these images badly" in text for text in poor_fit(quality))
     assert high - low > 0.02
-
-
-@pytest.mark.slow
-def test_intervals_hold_the_truth(tmp_path):
-    """Of 100 seeds, at least 90 per parameter; mesh and quadrature matched."""
-    for name, text in (("rig.yaml", RIG), ("part.yaml", PART)):
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    shutil.copy(PARTS / "cover-knob.stl", tmp_path / "knob.stl")
-    scene = build_scene(tmp_path / "rig.yaml", tmp_path / "part.yaml")
-    images = list(render(scene))
-    caster = cast_rays_at(scene)
-    truth = {R_D: TRUTH.R_d, LOG_R_S: math.log(TRUTH.R_s), LOG_SIGMA: math.log(TRUTH.sigma)}
-    samples = collect_samples(scene, expose_all(scene, images), caster=caster, budget=20_000)
-    held = dict.fromkeys(truth, 0)
-    for seed in range(100):
-        found = estimate(remeasured(samples, expose_all(scene, images, seed=seed)))
-        for place, value in truth.items():
-            low, high = profile_interval(found, place)
-            held[place] += low <= value <= high
-    print("of 100 intervals of R_d, ln R_s, ln σ hold the truth:", *held.values())
-    assert min(held.values()) >= 90

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from captured import captured
+from captured import captured, expose_all
 
-from lightopt import build_scene
+from lightopt import build_scene, render
 from lightopt.align import Placement, find_placement, place_part, placement_in_file, refine_placement
 from lightopt.align._pixels import view_of_placed
 from lightopt.rendering import cast_rays_at, render_posture
@@ -114,3 +114,21 @@ def test_a_part_off_by_a_millimetre_is_found_and_the_errors_are_errors(scene: Sc
     off = np.array([found.x - TRUTH.x, found.y - TRUTH.y, found.turn - TRUTH.turn])
     assert np.all(np.array(found.errors) > 0.0)
     assert np.all(np.abs(off) < 5.0 * np.array(found.errors))
+
+
+@pytest.mark.slow
+def test_errors_of_a_placement_are_those_of_its_scatter(scene: Scene) -> None:
+    """Two exposures, whose bright and dark pixels have very different noise: 20 draws, z scatters by about 1."""
+    rendered = list(render(place_part(scene, TRUTH)))
+    caster = cast_rays_at(scene)
+    start = replace(TRUTH, x=TRUTH.x - 0.01, y=TRUTH.y + 0.01)
+    z = []
+    for seed in range(20):
+        images = expose_all(scene, rendered, seed=seed, exposures=(1.0, 1 / 16))
+        found = refine_placement(scene, images, start, caster=caster)
+        off = np.array([found.x - TRUTH.x, found.y - TRUTH.y, found.turn - TRUTH.turn])
+        z.append(off / np.array(found.errors))
+    print("z of x, y, turn:", np.mean(z, axis=0).round(2), "±", np.std(z, axis=0).round(2))
+    assert np.all(np.std(z, axis=0) < 1.45)
+    assert np.all(np.std(z, axis=0) > 0.65)
+    assert np.all(np.abs(np.mean(z, axis=0)) < 1.0)

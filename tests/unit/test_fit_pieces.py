@@ -95,9 +95,11 @@ def test_the_gradient_is_the_slope_of_the_value(likelihood, x):
 
 
 def test_pieces_of_the_image_add_up(likelihood, x):
-    scores = likelihood.scores(x)
+    scores, curvatures = likelihood.by_piece(x)
     assert len(scores) > 50
-    np.testing.assert_allclose(scores.sum(axis=0), likelihood.evaluate(x).gradient, rtol=1e-9, atol=1e-6)
+    whole = likelihood.evaluate(x)
+    np.testing.assert_allclose(scores.sum(axis=0), whole.gradient, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(curvatures.sum(axis=0), whole.curvature, rtol=1e-9, atol=1e-6)
 
 
 def test_threads_do_not_change_the_likelihood(samples, likelihood, x):
@@ -159,6 +161,16 @@ def test_a_predicted_disc_against_a_larger_one(samples):
     ring = np.count_nonzero(radius <= 23.0) - found.area
     outside = 120 * 160 - found.area - ring
     assert found.rms == pytest.approx(math.sqrt((225.0**2 * ring + 9.0 * outside) / (120 * 160)), rel=1e-6)
+
+
+def test_both_units_of_a_residual(samples):
+    """At exposure 1/4, a level of the sensor is four grey levels."""
+    seen = next(image for image in samples.images if image.exposure == 0.25)
+    flat = replace(seen, levels=np.full((120, 160), 30.0, np.float32), saturated=np.zeros((120, 160), bool))
+    found = compare_image(
+        flat, np.full((120, 160), 33.0, np.float32), np.ones((120, 160), bool), samples.sensor, 255.0
+    )
+    assert (found.rms_sensor, found.rms) == (3.0, 12.0)
 
 
 def test_no_saturation_has_no_overlap(samples):

@@ -1,0 +1,115 @@
+"""Images that are of the part but lie a little off, and images that fit badly for other reasons.
+
+Expected: the former are refused with the shift in pixels, since R_s and σ fitted to them are worth nothing; the latter
+get their numbers and a warning.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from captured import PART, PARTS, RIG, captured
+
+from lightopt import build_scene
+from lightopt.align import Placement, place_part
+from lightopt.errors import InputError
+from lightopt.fit import appraise, collect_samples, estimate
+from lightopt.fit._quality import poor_fit
+from lightopt.fit._strangers import refuse_strangers
+from lightopt.rendering import cast_rays_at
+
+PIXEL_MM = 0.22
+TWO = (1.0, 1 / 16)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("strangers")
+    rig = RIG.replace("[160, 120]", "[320, 240]").replace("pixel_size_um: 44", "pixel_size_um: 22")
+    (folder / "rig.yaml").write_text(rig, encoding="utf-8")
+    (folder / "stl.yaml").write_text(PART, encoding="utf-8")
+    (folder / "part.yaml").write_text(PART.replace("knob.stl, units: mm", "knob.step"), encoding="utf-8")
+    for kind in ("stl", "step"):
+        shutil.copy(PARTS / f"cover-knob.{kind}", folder / f"knob.{kind}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scene(folder):
+    return build_scene(folder / "rig.yaml", folder / "part.yaml")
+
+
+def judged(scene, images):
+    samples = collect_samples(scene, images, caster=cast_rays_at(scene), budget=1500)
+    found = estimate(samples)
+    quality = appraise(samples, found)
+    return refuse_strangers(samples, found, quality), found, quality
+
+
+def rolled(images, pixels, axis):
+    return tuple(
+        replace(
+            o, levels=np.roll(o.levels, pixels, axis), saturated=np.roll(o.saturated, pixels, axis)
+        )
+        for o in images
+    )  # fmt: skip
+
+
+def refused_shift(scene, images):
+    with pytest.raises(InputError, match="--free shift") as refused:
+        judged(scene, images)
+    found = re.search(r"shifted by ([0-9.]+) px", str(refused.value))
+    assert found is not None
+    return float(found[1])
+
+
+@pytest.mark.parametrize(
+    ("pixels", "axis", "exposures"), [(1, 1, TWO), (3, 1, (1.0,)), (-3, 0, TWO), (12, 1, (1.0,))]
+)
+def test_shifted_images_are_refused(scene, pixels, axis, exposures):
+    images = rolled(captured(scene, exposures=exposures), pixels, axis)
+    assert refused_shift(scene, images) == pytest.approx(abs(pixels), rel=0.1)
+
+
+def test_a_part_that_lies_a_millimetre_off_is_refused(scene):
+    placed = place_part(scene, Placement(x=0.8, y=-0.6))
+    assert refused_shift(scene, captured(placed, exposures=TWO)) == pytest.approx(1.0 / PIXEL_MM, rel=0.1)
+
+
+def test_good_images_and_garbage_are_not_refused(scene):
+    for garbage in (0.0, 0.05):
+        said, found, quality = judged(scene, captured(scene, exposures=TWO, garbage=garbage))
+        assert said == ()
+        assert quality.poor == (garbage > 0.02)
+        assert found.R_s == pytest.approx(12500.0, rel=0.01)
+
+
+def test_normals_guessed_from_facets_are_not_refused(folder, scene):
+    coarse = build_scene(folder / "rig.yaml", folder / "stl.yaml")
+    said, _, quality = judged(coarse, captured(scene, exposures=TWO))
+    assert said == ()
+    assert quality.poor
+
+
+# --- noise that the rig file does not have
+
+
+@pytest.mark.parametrize("R_d", [6.0, 45.0])
+def test_noise_that_the_rig_does_not_give_is_not_held_against_the_images(scene, R_d):
+    noisy = replace(scene, sensor=replace(scene.sensor, read_noise_levels=2.0, electrons_per_level=30.0))
+    matte = replace(scene.reflectance, R_d=R_d, R_s=0.0)
+    images = captured(noisy, reflectance=matte)
+    silent = replace(scene, sensor=replace(scene.sensor, read_noise_levels=0.0, electrons_per_level=None))
+    said, found, quality = judged(silent, images)
+    assert said == ()
+    assert not quality.poor
+    assert quality.image_noise == pytest.approx(2.1, abs=0.4)
+    text = " ".join(poor_fit(quality))
+    assert "rig file" in text
+    assert "read_noise_levels" in text
+    assert "badly" not in text
+    assert found.R_d == pytest.approx(R_d, rel=0.02)
