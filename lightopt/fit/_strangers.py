@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 from lightopt.errors import InputError
@@ -67,10 +68,20 @@ def refuse_strangers(
         "mirrored top to bottom": (slice(None, None, -1), slice(None)),
         "turned by 180°": (slice(None, None, -1), slice(None, None, -1)),
     }
-    better = {name: _value_per_pixel(_flipped(few, flip), threads) - own for name, flip in flips.items()}
+    better = {
+        f"{name}: turn them, or correct the camera's roll and azimuth in the rig": _value_per_pixel(
+            _flipped(few, flip), threads
+        )
+        - own
+        for name, flip in flips.items()
+    }
+    swaps, gain = _swaps(few, own, threads)
+    if swaps:
+        exchanged = " and ".join(f"{a} and {b} exchanged" for a, b in swaps)
+        better[f"with {exchanged}: check which light is plugged in where"] = gain
     name = max(better, key=lambda key: better[key])
     hint = (
-        f"; they fit far better {name}: turn them, or correct the camera's roll and azimuth in the rig"
+        f"; they fit far better {name}"
         if better[name] > LEAST_IMPROVEMENT
         else "; check that rig, part, placement and postures are those of the images, or try --free shift where the "
         "part lies a little off"
@@ -97,3 +108,33 @@ def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
     levels = [image.levels[flip] for image in samples.images]
     saturated = [image.saturated[flip] for image in samples.images]
     return samples.remeasured(levels, saturated)
+
+
+def _swaps(samples: Samples, own: float, threads: int | None) -> tuple[list[tuple[str, str]], float]:
+    # pairs of lights whose images fit better exchanged, the best first, and what all of them gain
+    swaps: list[tuple[str, str]] = []
+    gain = 0.0
+    seen = {image.light for image in samples.images}
+    lights = [light for light in samples.lights if light in seen]
+    while len(lights) >= 2:
+        values = {
+            pair: _value_per_pixel(_exchanged(samples, [*swaps, pair]), threads) - own
+            for pair in itertools.combinations(lights, 2)
+        }
+        best = max(values, key=lambda pair: values[pair])
+        if values[best] <= gain:
+            break
+        swaps.append(best)
+        gain = values[best]
+        lights = [light for light in lights if light not in best]
+    return swaps, gain
+
+
+def _exchanged(samples: Samples, pairs: list[tuple[str, str]]) -> Samples:
+    other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
+    by_key = {(image.light, image.posture, image.exposure): image for image in samples.images}
+    taken = [
+        by_key.get((other.get(image.light, image.light), image.posture, image.exposure), image)
+        for image in samples.images
+    ]
+    return samples.remeasured([image.levels for image in taken], [image.saturated for image in taken])

@@ -347,6 +347,21 @@ def test_no_diffuse_only_pixel_for_the_papers_method(cli, bench, images):
     refused(cli, bench, images, "no diffuse-only pixel", command="fit-diffuse", options=options)
 
 
+def test_lights_that_were_exchanged_are_told(cli, bench, images):
+    def exchange(manifest):
+        for entry in manifest["images"]:
+            entry["light"] = {"light1": "light3", "light3": "light1"}[entry["light"]]
+        places = {entry["light"]: entry for entry in manifest["images"]}
+        for name, angles in (("light1", (60, 45)), ("light3", (45, 225))):
+            assert name in places
+            for entry in manifest["images"]:
+                if entry["light"] == name:
+                    entry["light_elevation_deg"], entry["light_azimuth_deg"] = angles
+
+    edit_manifest(images, exchange)
+    refused(cli, bench, images, "with light1 and light3 exchanged: check which", options=("--joint",))
+
+
 def test_mirrored_images_are_told(cli, bench, images):
     spoil(images, lambda levels: levels[:, ::-1])
     refused(cli, bench, images, "do not look like this part", "mirrored left to right", options=("--joint",))
