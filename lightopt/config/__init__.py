@@ -5,21 +5,26 @@ into physics.
 """
 
 from lightopt.config._camera import CameraConfig, DistortionConfig, SensorConfig
-from lightopt.config._edit import with_values
+from lightopt.config._defects import CatalogueEntryConfig, DefectConfig, PixelPlaceConfig
+from lightopt.config._edit import with_list, with_mesh_seen_from, with_values
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
-from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, PostureConfig, ReflectanceConfig
+from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, ReflectanceConfig
+from lightopt.config._posture import PostureConfig
 from lightopt.config._rig import RigConfig, StageConfig
 from lightopt.config._schema import json_schema
 from lightopt.config._source import Source
 
 __all__ = [
     "CameraConfig",
+    "CatalogueEntryConfig",
+    "DefectConfig",
     "DistortionConfig",
     "LightConfig",
     "LightSourceConfig",
     "MeshConfig",
     "PartConfig",
+    "PixelPlaceConfig",
     "PlacementConfig",
     "PostureConfig",
     "ReflectanceConfig",
@@ -30,5 +35,7 @@ __all__ = [
     "json_schema",
     "load_part",
     "load_rig",
+    "with_list",
+    "with_mesh_seen_from",
     "with_values",
 ]
