@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from pathlib import Path
 
 import jsonschema
 import pytest
 from test_config_models import KNOWN_ERRORS, PROBES, error_kinds, paths, with_value
 
 from lightopt.config import PartConfig, json_schema, load_part, with_list
-from lightopt.defects import DEFECT_KINDS, depth_of_slope
+from lightopt.defects import BUILT_IN_CATALOGUE, DEFECT_KINDS, depth_of_slope
 from lightopt.errors import InputError
 
 GOOD = [
@@ -176,6 +178,20 @@ def test_a_list_is_added_at_the_end_and_nothing_else_changes():
 def test_a_file_that_nothing_can_be_added_to_is_refused(text):
     with pytest.raises(InputError, match="defects cannot be added at the end"):
         with_list(text, "defects", ["{name: x}"], comment="c")
+
+
+def test_what_the_documentation_shows_is_read(bench):
+    page = (Path(__file__).parents[2] / "docs" / "defects.md").read_text(encoding="utf-8")
+    (snippet,) = re.findall(r"^```yaml\n(.*?)^```", page, re.M | re.S)
+    bench.part.write_text(bench.part.read_text(encoding="utf-8") + snippet, encoding="utf-8")
+    assert [d.shape.kind for d in load_part(bench.part).defects] == ["scratch", "dent", "stain"]
+    for entry in BUILT_IN_CATALOGUE:
+        row = next(
+            line for line in page.splitlines() if line.startswith(f"| {entry.name} |") and "why" not in line
+        )
+        assert row
+        depth = f"{entry.shape.depth * 1000:.2g} µm"
+        assert not entry.shape.slope or depth in page
 
 
 def test_kinds_are_told_in_words():
