@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lightopt.mesh._triangle_mesh import TriangleMesh
 
-__all__ = ["SurfacePlace", "nearest_place", "surface_place"]
+__all__ = ["SurfaceFinder", "SurfacePlace", "surface_place"]
 
 Float64 = NDArray[np.float64]
 
@@ -48,25 +48,39 @@ def surface_place(mesh: TriangleMesh, face: int, u: float, v: float) -> SurfaceP
     )
 
 
-def nearest_place(mesh: TriangleMesh, point: Float64) -> SurfacePlace:
-    """The place of a mesh that is nearest to a point [mm], shape (3,), frame of the mesh.
+class SurfaceFinder:
+    """Finds the place of a mesh that is nearest to a point.
 
-    The distance to a triangle as in C. Ericson, Real-Time Collision Detection (2005), section 5.1.5, which finds the
-    region of the triangle by barycentric coordinates; here the nearest of its inside and its three sides is taken.
+    Parameters
+    ----------
+    mesh
+        The mesh; what is worth knowing of its faces is worked out once.
     """
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    to_corner = np.stack([np.linalg.norm(corner - point, axis=1) for corner in (a, b, c)])
-    # no place of a face is nearer than its nearest corner less its longest side
-    longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
-    near = np.flatnonzero(to_corner.min(axis=0) - longest <= to_corner.min())
-    weights = np.concatenate(
-        [_on_sides(a[near], b[near], c[near], point), _inside(a[near], b[near], c[near], point)]
-    )
-    places = np.einsum("skw,wkj->skj", weights, np.stack([a[near], b[near], c[near]]))
-    distance = np.linalg.norm(places - point, axis=2)
-    side, k = np.unravel_index(int(np.argmin(distance)), distance.shape)
-    _, u, v = weights[side, k]
-    return surface_place(mesh, int(near[k]), float(u), float(v))
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self._mesh = mesh
+        corners = mesh.vertices[mesh.faces]
+        self._middles: Float64 = corners.mean(axis=1)
+        self._radii: Float64 = np.sqrt(((corners - self._middles[:, None]) ** 2).sum(axis=2).max(axis=1))
+
+    def nearest(self, point: Float64) -> SurfacePlace:
+        """The place nearest to a point [mm], shape (3,), frame of the mesh.
+
+        The nearest place of a triangle is one inside, the foot of the perpendicular, or one of its three sides
+        (C. Ericson, Real-Time Collision Detection, 2005, section 5.1.5).
+        """
+        offset = self._middles - point
+        distance = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+        # a face has no place nearer than its middle less its radius, and its middle is one of them
+        near = np.flatnonzero(distance - self._radii <= distance.min())
+        faces = self._mesh.faces[near]
+        a, b, c = (self._mesh.vertices[faces[:, k]] for k in range(3))
+        weights = np.concatenate([_on_sides(a, b, c, point), _inside(a, b, c, point)])
+        places = np.einsum("skw,wkj->skj", weights, np.stack([a, b, c]))
+        off = np.linalg.norm(places - point, axis=2)
+        kind, k = np.unravel_index(int(np.argmin(off)), off.shape)
+        _, u, v = weights[kind, k]
+        return surface_place(self._mesh, int(near[k]), float(u), float(v))
 
 
 def _on_sides(a: Float64, b: Float64, c: Float64, point: Float64) -> Float64:

@@ -109,9 +109,11 @@ def disturbed_samples(
         return ()
     factors = np.stack([marks.R_d_factor, marks.sigma_factor], axis=1)
     different, group = np.unique(factors, axis=0, return_inverse=True)
+    # the back of a face is black, and has no defects
+    front = surface.front[marks.index]
     groups: list[DisturbedSamples] = []
     for number, (R_d_factor, sigma_factor) in enumerate(different.tolist()):
-        own = np.flatnonzero(group.ravel() == number)
+        own = np.flatnonzero((group.ravel() == number) & front)
         index = marks.index[own]
         groups.append(
             DisturbedSamples(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lightopt.mesh import Patches, TriangleMesh
 from lightopt.raycast import Hits, RayCaster
 from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_seeing
-from lightopt.rendering._disturbed import disturbed_samples
+from lightopt.rendering._disturbed import DisturbedSamples, disturbed_samples
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.rendering._threads import available_processors
@@ -284,18 +284,17 @@ class _Job:
         rows = _centres(top * n - self.halo, bottom * n + self.halo) / n
         columns = _centres(left * n, right * n) / n
         hits, surface = self._trace(columns, rows)
+        disturbed = self._disturbed(surface)
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
+        target = (slice(top, bottom), slice(left, right))
         if n == 1:
-            self._store_geometry(hits, surface, grid, own, slice(top, bottom), slice(left, right))
+            self._store_geometry(hits, surface, disturbed, grid, own, target)
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             pixels = (bottom - top, right - left)
-            self._store_geometry(
-                centre_hits, centres, pixels, slice(None), slice(top, bottom), slice(left, right)
-            )
+            self._store_geometry(centre_hits, centres, self._disturbed(centres), pixels, slice(None), target)
         reflectance = self.scene.reflectance
-        disturbed = disturbed_samples(self.scene.defects, surface, reflectance)
         sample = hits.ray.astype(np.intp)
         caster = self.caster if self.shadows else None
         for index, panel in enumerate(self.panels):
@@ -310,7 +309,6 @@ class _Job:
                 samples = np.zeros(grid)
                 samples.ravel()[hits.ray] = values
                 parts.append(_pixel_means(samples[own], n))
-            target = (slice(top, bottom), slice(left, right))
             self.levels[index][target] = parts[0] + parts[1]
             if self.layers:
                 self.layers[index][0][target], self.layers[index][1][target] = parts
@@ -342,6 +340,9 @@ class _Job:
         x, y = np.meshgrid(columns, rows)
         return trace_samples(self.caster, self.scene.mesh, self.view.camera, x.ravel(), y.ravel())
 
+    def _disturbed(self, surface: SurfacePoints) -> tuple[DisturbedSamples, ...]:
+        return disturbed_samples(self.scene.defects, surface, self.scene.reflectance)
+
     def _shade(
         self,
         surface: SurfacePoints,
@@ -363,10 +364,10 @@ class _Job:
         self,
         hits: Hits,
         surface: SurfacePoints,
+        disturbed: tuple[DisturbedSamples, ...],
         grid: tuple[int, int],
         own: slice,
-        rows: slice,
-        columns: slice,
+        target: tuple[slice, slice],
     ) -> None:
         rotation, translation = self.view.rotation, self.view.translation
         patch = np.full(len(hits.ray), -1, np.int32)
@@ -382,14 +383,14 @@ class _Job:
         ]
         if self.defect is not None:
             label = np.full(len(surface), -1, np.int32)
-            for some in disturbed_samples(self.scene.defects, surface, self.scene.reflectance):
+            for some in disturbed:
                 label[some.index] = some.label
             images.append((self.defect, label))
         for image, values in images:
             nothing = -1 if image is self.patch or image is self.defect else 0
             block = np.full((grid[0] * grid[1], *image.shape[2:]), nothing, image.dtype)
             block[hits.ray] = values
-            image[rows, columns] = block.reshape(*grid, *image.shape[2:])[own]
+            image[target] = block.reshape(*grid, *image.shape[2:])[own]
 
 
 def _centres(first: int, end: int) -> Float64:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lightopt.config import PartConfig, RigConfig
 from lightopt.defects import CatalogueEntry, PlacedDefect, tangent_direction
 from lightopt.errors import InputError, counted
-from lightopt.mesh import TriangleMesh, face_areas, nearest_place, surface_place
+from lightopt.mesh import SurfaceFinder, TriangleMesh, face_areas, surface_place
 from lightopt.rendering import cast_rays_at, trace_pixels
 from lightopt.scatter._room import PixelMap, lies_in_the_open
 from lightopt.scene import Placement, Scene, build_catalogue, build_scene
@@ -189,11 +189,12 @@ def _fits(scene: Scene, tries: list[list[_Try]], threads: int | None) -> list[li
                 if not fits[slot][number]:
                     fits[slot][number] = lies_in_the_open(one.defect, pixels)
     # a place that a later reader would take for another, on the other side of an edge, is no place
+    finder = SurfaceFinder(scene.mesh)
     for slot, some in enumerate(tries):
         for number, one in enumerate(some):
             if fits[slot][number]:
                 point = scene.placement.to_part(np.array(one.at_mm))
-                again = nearest_place(scene.mesh, point)
+                again = finder.nearest(point)
                 fits[slot][number] = bool(again.normal @ one.defect.normal > 1.0 - 1e-4)
     return fits
 

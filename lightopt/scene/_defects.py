@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 from lightopt.config import DefectConfig, PartConfig, PixelPlaceConfig, RigConfig
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, PlacedDefect, tangent_direction
 from lightopt.errors import InputError
-from lightopt.mesh import SurfacePlace, nearest_place, surface_place
+from lightopt.mesh import SurfaceFinder, SurfacePlace, surface_place
 from lightopt.raycast import RayCaster, resolve_hits
 from lightopt.scene._camera import pixel_directions
 from lightopt.scene._scene import Placement, Scene, view_from_part
@@ -44,14 +46,12 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
     """
     placed: list[PlacedDefect] = []
     problems: list[str] = []
-    caster: RayCaster | None = None
+    search = _Search(scene, rig, part)
     for index, defect in enumerate(part.defects):
-        if defect.at_pixel is not None and caster is None:
-            caster = RayCaster(scene.mesh.vertices, scene.mesh.faces)
         where = part.source.at("defects", index, "sigma_factor")
         problems += _sigma_problems(part, defect.shape.sigma_factor, where)
         try:
-            place = _find(scene, rig, part, index, defect, caster)
+            place = search.find(index, defect)
         except InputError as error:
             problems += error.messages
             continue
@@ -141,57 +141,69 @@ def outside_stage_range(rig: RigConfig, posture: Posture, *, where: str) -> list
     ]
 
 
-def _find(
-    scene: Scene,
-    rig: RigConfig,
-    part: PartConfig,
-    index: int,
-    defect: DefectConfig,
-    caster: RayCaster | None,
-) -> SurfacePlace:
-    if defect.at_pixel is not None:
-        assert caster is not None
-        return _seen(scene, rig, part.source.at("defects", index, "at_pixel"), defect.at_pixel, caster)
-    assert defect.at_mm is not None
-    point = scene.placement.to_part(np.array(defect.at_mm, dtype=np.float64))
-    place = nearest_place(scene.mesh, point)
-    distance = float(np.linalg.norm(place.point - point))
-    most = min(SNAP_MM, SNAP_SHARE * float(np.max(np.subtract(*scene.mesh.bounds[::-1]))))
-    if distance > most:
-        near = ", ".join(f"{x:.4g}" for x in scene.placement.to_file(place.point))
-        raise InputError(
-            f"{part.source.at('defects', index, 'at_mm')}: expected a place on the part's surface, within "
-            f"{most:.3g} mm; the nearest, [{near}], is {distance:.3g} mm away; positions are in the coordinates of "
-            f"{part.mesh.file}, in mm"
-        )
-    return place
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Finds the places that a part file names on the scene's mesh."""
 
+    scene: Scene
+    rig: RigConfig
+    part: PartConfig
 
-def _seen(scene: Scene, rig: RigConfig, where: str, at: PixelPlaceConfig, caster: RayCaster) -> SurfacePlace:
-    posture = Posture(elevation_deg=at.posture.elevation_deg, rotation_deg=at.posture.rotation_deg)
-    problems = outside_stage_range(rig, posture, where=where)
-    column, row = at.pixel
-    camera = view_from_part(scene, posture).camera
-    if column >= camera.width or row >= camera.height:
-        problems.append(
-            f"{where}: expected a pixel of the image, {camera.width} × {camera.height}, found [{column}, {row}]"
+    @cached_property
+    def finder(self) -> SurfaceFinder:
+        return SurfaceFinder(self.scene.mesh)
+
+    @cached_property
+    def caster(self) -> RayCaster:
+        return RayCaster(self.scene.mesh.vertices, self.scene.mesh.faces)
+
+    def find(self, index: int, defect: DefectConfig) -> SurfacePlace:
+        if defect.at_pixel is not None:
+            return self.seen(self.part.source.at("defects", index, "at_pixel"), defect.at_pixel)
+        assert defect.at_mm is not None
+        return self.nearest(
+            self.part.source.at("defects", index, "at_mm"), np.array(defect.at_mm, np.float64)
         )
-    if problems:
-        raise InputError(*problems)
-    directions = pixel_directions(camera, np.array([column + 0.5]), np.array([row + 0.5]))
-    face = caster.first_hit(camera.position, directions)
-    hits = resolve_hits(face, camera.position, directions, scene.mesh.vertices, scene.mesh.faces)
-    if not len(hits.face):
-        raise InputError(
-            f"{where}: in posture {posture} pixel [{column}, {row}] does not see the part; choose one that does"
-        )
-    place = surface_place(scene.mesh, int(hits.face[0]), float(hits.u[0]), float(hits.v[0]))
-    if place.normal @ directions[0] >= 0.0:
-        raise InputError(
-            f"{where}: in posture {posture} pixel [{column}, {row}] sees the back of a face; choose one that sees the "
-            "outside"
-        )
-    return place
+
+    def nearest(self, where: str, at_mm: Float64) -> SurfacePlace:
+        placement, mesh = self.scene.placement, self.scene.mesh
+        point = placement.to_part(at_mm)
+        place = self.finder.nearest(point)
+        distance = float(np.linalg.norm(place.point - point))
+        most = min(SNAP_MM, SNAP_SHARE * float(np.max(np.subtract(*mesh.bounds[::-1]))))
+        if distance > most:
+            near = ", ".join(f"{x:.4g}" for x in placement.to_file(place.point))
+            raise InputError(
+                f"{where}: expected a place on the part's surface, within {most:.3g} mm; the nearest, [{near}], is "
+                f"{distance:.3g} mm away; positions are in the coordinates of {self.part.mesh.file}, in mm"
+            )
+        return place
+
+    def seen(self, where: str, at: PixelPlaceConfig) -> SurfacePlace:
+        posture = Posture(elevation_deg=at.posture.elevation_deg, rotation_deg=at.posture.rotation_deg)
+        problems = outside_stage_range(self.rig, posture, where=where)
+        column, row = at.pixel
+        camera, mesh = view_from_part(self.scene, posture).camera, self.scene.mesh
+        if column >= camera.width or row >= camera.height:
+            problems.append(
+                f"{where}: expected a pixel of the image, {camera.width} × {camera.height}, found [{column}, {row}]"
+            )
+        if problems:
+            raise InputError(*problems)
+        directions = pixel_directions(camera, np.array([column + 0.5]), np.array([row + 0.5]))
+        face = self.caster.first_hit(camera.position, directions)
+        hits = resolve_hits(face, camera.position, directions, mesh.vertices, mesh.faces)
+        if not len(hits.face):
+            raise InputError(
+                f"{where}: in posture {posture} pixel [{column}, {row}] does not see the part; choose one that does"
+            )
+        place = surface_place(mesh, int(hits.face[0]), float(hits.u[0]), float(hits.v[0]))
+        if place.normal @ directions[0] >= 0.0:
+            raise InputError(
+                f"{where}: in posture {posture} pixel [{column}, {row}] sees the back of a face; choose one that sees "
+                "the outside"
+            )
+        return place
 
 
 def _sigma_problems(part: PartConfig, factor: float, where: str) -> list[str]:

@@ -12,7 +12,7 @@ import trimesh
 from lightopt import build_scene
 from lightopt.defects import BUILT_IN_CATALOGUE, surface_coordinates
 from lightopt.errors import InputError
-from lightopt.mesh import TriangleMesh, nearest_place
+from lightopt.mesh import SurfaceFinder, TriangleMesh
 from lightopt.scene import build_catalogue, defect_facts, project, view_from_part
 from lightopt.transforms import Posture
 
@@ -134,11 +134,12 @@ def test_the_catalogue_is_the_parts_or_the_built_in_one(bench):
 def test_the_nearest_place_is_that_of_dense_samples():
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=10.0)
     mine = TriangleMesh(mesh.vertices, mesh.faces.astype(np.int32), None)
+    finder = SurfaceFinder(mine)
     rng = np.random.default_rng(0)
     weights = rng.dirichlet([1, 1, 1], size=(len(mesh.faces), 400))
     samples = np.einsum("fkw,fwj->fkj", weights, mesh.vertices[mesh.faces]).reshape(-1, 3)
     for point in [*rng.normal(0, 8, (20, 3)), *mesh.vertices[:3] * 1.2, mesh.triangles_center[5]]:
-        place = nearest_place(mine, point)
+        place = finder.nearest(point)
         distance = np.linalg.norm(place.point - point)
         best = np.linalg.norm(samples - point, axis=1).min()
         assert best - 0.1 <= distance <= best + 1e-12
