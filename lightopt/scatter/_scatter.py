@@ -21,7 +21,10 @@ __all__ = ["ScatteredDefect", "scatter_defects"]
 Float64 = NDArray[np.float64]
 
 TRIES = 48
-"""Places that are tried for each defect."""
+"""Places that are tried for each defect in a round."""
+
+ROUNDS = 8
+"""Rounds of tries for those that found no room."""
 
 MOST_DEFECTS = 500
 """More than a part file may name."""
@@ -100,14 +103,18 @@ def scatter_defects(
     scene = build_scene(rig, part, defects=False)
     kinds = [catalogue[slot % len(catalogue)] for slot in range(count)]
     rng = np.random.default_rng(seed)
-    tries = _draw(scene, kinds, rng)
-    fits = _fits(scene, tries, threads)
-    chosen = _apart(tries, fits)
+    chosen: list[_Try | None] = [None] * count
+    for _ in range(ROUNDS):
+        waiting = [slot for slot in range(count) if chosen[slot] is None]
+        if not waiting:
+            break
+        tries = _draw(scene, [kinds[slot] for slot in waiting], rng)
+        _take_apart(chosen, waiting, tries, _fits(scene, tries, threads))
     if any(choice is None for choice in chosen):
         lost = [entry.name for entry, choice in zip(kinds, chosen, strict=True) if choice is None]
         raise InputError(
             f"{part.source.path}: room for {count - len(lost)} of {counted(count, 'defect')}, each seen whole in a "
-            f"posture and apart from the others, was found in {TRIES} tries each; none for "
+            f"posture and apart from the others, was found in {TRIES * ROUNDS} tries each; none for "
             f"{', '.join(dict.fromkeys(lost))}; ask for fewer, or give the part a defect_catalogue with smaller ones"
         )
     taken: dict[str, int] = {}
@@ -199,16 +206,17 @@ def _fits(scene: Scene, tries: list[list[_Try]], threads: int | None) -> list[li
     return fits
 
 
-def _apart(tries: list[list[_Try]], fits: list[list[bool]]) -> list[_Try | None]:
-    chosen: list[_Try | None] = []
-    for some, good in zip(tries, fits, strict=True):
+def _take_apart(
+    chosen: list[_Try | None], waiting: list[int], tries: list[list[_Try]], fits: list[list[bool]]
+) -> None:
+    # each defect that waits takes the first of its places that is apart from those taken
+    for slot, some, good in zip(waiting, tries, fits, strict=True):
         free = (
             one
             for one, fit in zip(some, good, strict=True)
             if fit and not any(other is not None and _meet(one.defect, other.defect) for other in chosen)
         )
-        chosen.append(next(free, None))
-    return chosen
+        chosen[slot] = next(free, None)
 
 
 def _meet(one: PlacedDefect, other: PlacedDefect) -> bool:
