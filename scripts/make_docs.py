@@ -103,6 +103,54 @@ def side_by_side(target: Path, images: list[np.ndarray], gain: float = 1.0) -> N
     Image.fromarray(np.concatenate(row, axis=1)).save(target, optimize=True)
 
 
+# near the highlight of light1 on the cover knob, by pixel of the first posture
+SHOWN_DEFECTS = """
+defects:
+  - {name: scratch-1, kind: scratch, size_mm: [6, 0.25], slope_deg: 6, direction_deg: 25, AT: [925, 520]}
+  - {name: scratch-2, kind: scratch, size_mm: [4, 0.2], slope_deg: 8, direction_deg: 110, AT: [850, 455]}
+  - {name: dent-1, kind: dent, size_mm: 2, slope_deg: 3, AT: [985, 540]}
+  - {name: dent-2, kind: dent, size_mm: 2, slope_deg: 5, AT: [880, 405]}
+  - {name: bump, kind: bump, size_mm: 1, slope_deg: 3, AT: [905, 465]}
+  - {name: blister, kind: blister, size_mm: 1.5, slope_deg: 6, AT: [975, 450]}
+  - {name: pit, kind: pit, size_mm: 0.3, slope_deg: 20, AT: [945, 490]}
+  - {name: stain, kind: stain, size_mm: [2.4, 1.6], R_d_factor: 0.3, direction_deg: 40, AT: [845, 570]}
+  - {name: haze, kind: haze, size_mm: 2.5, sigma_factor: 1.5, AT: [905, 580]}
+"""
+# R_s of chrome reflects as much as that of satin: R_s·σ² is the same
+FINISHES = {"chrome": (4.0, 3.13e6, 0.003), "satin": (45.0, 12500.0, 0.0475)}
+DEFECTS_CROP = slice(370, 630), slice(800, 1060)
+
+
+def defects_picture(target: Path, folder: Path) -> None:
+    """The good part, the part with defects, and where they are; a row for each finish. Fourth root of the level."""
+    posture = "at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel:"
+    rows = []
+    for finish, (diffuse, specular, sigma) in FINISHES.items():
+        text = (PARTS / "cover-knob.yaml").read_text(encoding="utf-8")
+        text = text.replace("file: cover-knob.step", f"file: '{(PARTS / 'cover-knob.step').as_posix()}'")
+        for key, value in (("R_d", diffuse), ("R_s", specular), ("sigma_rad", sigma)):
+            text = re.sub(rf"^  {key}: \S+", f"  {key}: {value}", text, flags=re.MULTILINE)
+        part = folder / f"{finish}.yaml"
+        shown = re.sub(r"AT: (\[\d+, \d+\])", rf"{posture} \1}}", SHOWN_DEFECTS)
+        part.write_text(text + shown, encoding="utf-8")
+        images = []
+        for options in (("--no-defects",), ()):
+            out = folder / f"{finish}-{len(options)}"
+            lightopt(
+                "render", RIGS / "four-panel.yaml", part, "-o", out, "-q", "--light", "light1", "--posture", "0,0",
+                "--points", "auto", "--supersample", "2", "--patches", "500", *options,
+            )  # fmt: skip
+            level = read_exr(out / "posture_0_0" / "light1.exr")["Y"][DEFECTS_CROP]
+            images.append((level / max(level.max(), 1.0)) ** 0.25 * 255.0)
+        label = read_exr(out / "posture_0_0" / "geometry.exr")["defect"][DEFECTS_CROP]
+        images.append(np.where(label >= 0, 255.0 - 18.0 * label, 0.35 * images[0]))
+        gap = np.full((images[0].shape[0], 6), 255.0)
+        rows += [np.concatenate([images[0], gap, images[1], gap, images[2]], axis=1)]
+    gap = np.full((6, rows[0].shape[1]), 255.0)
+    pixels = np.concatenate([rows[0], gap, rows[1]]).astype(np.uint8)
+    Image.fromarray(np.kron(pixels, np.ones((2, 2), np.uint8))).save(target, optimize=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="pictures only, no tables")
@@ -126,6 +174,7 @@ def main() -> None:
             )  # fmt: skip
             crops.append(read_exr(target / "posture_0_0" / "light2.exr")["Y"][100:1100, 200:1400][::2, ::2])
         side_by_side(PICTURES / "spout-4-auto.png", crops, gain=3.0)
+        defects_picture(PICTURES / "defects.png", out)
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:

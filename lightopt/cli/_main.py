@@ -9,6 +9,7 @@ from lightopt.cli._bench import bench
 from lightopt.cli._capture import capture
 from lightopt.cli._check import check
 from lightopt.cli._compare import compare
+from lightopt.cli._defects import defects
 from lightopt.cli._fit import fit_diffuse, fit_specular
 from lightopt.cli._init import init
 from lightopt.cli._optimize import optimize
@@ -51,6 +52,7 @@ app.command(short_help="Write a commented rig, part and mesh to start from.")(in
 app.command(short_help="Say what is wrong with the files, and what they amount to.")(check)
 app.command(short_help="Render what the camera would see.")(render)
 app.command(short_help="Capture images on the rig, or on the virtual bench.")(capture)
+app.command(short_help="Strew defects over a part, for trials.")(defects)
 app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.")(fit_diffuse)
 app.command("fit-specular", short_help="Fit the specular coefficients to images.")(fit_specular)
 app.command(short_help="Find where the lights go, exactly.")(optimize)

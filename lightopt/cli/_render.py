@@ -48,6 +48,9 @@ def render(
         bool, typer.Option("--layers", help="EXR channels diffuse.Y and specular.Y as well.")
     ] = False,
     no_shadows: NoShadows = False,
+    no_defects: Annotated[
+        bool, typer.Option("--no-defects", help="The good part, without the defects that PART names.")
+    ] = False,
     supersample: Annotated[int, typer.Option(metavar="N", help="N × N rays per pixel.")] = 1,
     patches: Patches = None,
     sheet: Annotated[
@@ -64,8 +67,8 @@ def render(
     """Render what the camera would see of PART on RIG: every light, every posture.
 
     Writes a linear EXR and the camera's PNG per light and posture, the geometry of each posture (points, normals,
-    depth, patch), patches.npz, and manifest.json. Running the same command again continues where it was
-    interrupted.
+    depth, patch, and defect where PART names any), patches.npz, and manifest.json. Running the same command again
+    continues where it was interrupted.
 
     Example: lightopt render rig.yaml part.yaml -o out --exposure 1 --exposure 1/16
     """
@@ -86,6 +89,7 @@ def render(
         layers=layers,
         shadows=not no_shadows,
         supersample=supersample,
+        defects=not no_defects,
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
         threads=threads,
     )

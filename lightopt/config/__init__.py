@@ -5,7 +5,8 @@ into physics.
 """
 
 from lightopt.config._camera import CameraConfig, DistortionConfig, SensorConfig
-from lightopt.config._edit import with_values
+from lightopt.config._defects import CatalogueEntryConfig, DefectConfig, PixelPlaceConfig
+from lightopt.config._edit import with_list, with_values
 from lightopt.config._hardware import (
     AxisConfig,
     CameraDeviceConfig,
@@ -18,7 +19,8 @@ from lightopt.config._hardware import (
 )
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
-from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, PostureConfig, ReflectanceConfig
+from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, ReflectanceConfig
+from lightopt.config._posture import PostureConfig
 from lightopt.config._relocate import relocated
 from lightopt.config._rig import RigConfig, StageConfig
 from lightopt.config._schema import json_schema
@@ -28,14 +30,17 @@ __all__ = [
     "AxisConfig",
     "CameraConfig",
     "CameraDeviceConfig",
+    "CatalogueEntryConfig",
     "ChannelConfig",
     "ControllerConfig",
+    "DefectConfig",
     "DistortionConfig",
     "HardwareConfig",
     "LightConfig",
     "LightSourceConfig",
     "MeshConfig",
     "PartConfig",
+    "PixelPlaceConfig",
     "PlacementConfig",
     "PostureConfig",
     "ReflectanceConfig",
@@ -50,5 +55,6 @@ __all__ = [
     "load_part",
     "load_rig",
     "relocated",
+    "with_list",
     "with_values",
 ]

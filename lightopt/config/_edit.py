@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import yaml
@@ -11,7 +11,7 @@ from lightopt.config._document import YamlError, parse
 from lightopt.config._source import Keys, dotted
 from lightopt.errors import InputError
 
-__all__ = ["with_values"]
+__all__ = ["with_list", "with_values"]
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,41 @@ def with_values(text: str, values: Mapping[Keys, str]) -> str:
             f"the values cannot be put into the file: {error.problem.message}; write anchors and aliases out"
         ) from None
     return text
+
+
+def with_list(text: str, key: str, entries: Sequence[str], *, comment: str) -> str:
+    """The text of a YAML file with a list of its own added at the end.
+
+    Parameters
+    ----------
+    text
+        A YAML document that has no such key.
+    key
+        Of the list, at the top of the file.
+    entries
+        Text of each entry, as it is to stand in the file.
+    comment
+        To stand above the list.
+
+    Raises
+    ------
+    InputError
+        The file is written so that nothing can be added at its end: in braces, or closed.
+    """
+    lines = [f"# {comment}", f"{key}:", *(f"  - {entry}" for entry in entries)]
+    longer = text.rstrip() + "\n\n" + "\n".join(lines) + "\n"
+    try:
+        document = parse(longer)
+    except YamlError as error:
+        raise InputError(
+            f"{key} cannot be added at the end of the file: {error.problem.message}; write the file without braces "
+            "around it all and without an end mark"
+        ) from None
+    if document.problems or (key, len(entries) - 1) not in document.lines:
+        raise InputError(
+            f"{key} cannot be added at the end of the file: it has such a key, or ends in a text block"
+        )
+    return longer
 
 
 def _index(text: str) -> tuple[dict[Keys, tuple[int, int]], dict[Keys, tuple[int, bool, int]]]:

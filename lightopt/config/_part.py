@@ -1,4 +1,4 @@
-"""What a part file says: mesh, placement, postures and reflectance."""
+"""What a part file says: mesh, placement, postures, reflectance and defects."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
+from lightopt.config._defects import CatalogueEntryConfig, DefectConfig, same_names
 from lightopt.config._fields import (
     Azimuth,
     Coefficient,
@@ -18,16 +19,16 @@ from lightopt.config._fields import (
     Frozen,
     Positive,
     Text,
-    Tilt,
     absent,
     complaint,
     expecting,
     with_complaints,
 )
+from lightopt.config._posture import PostureConfig
 from lightopt.config._source import Source
 from lightopt.units import step_units_mm, unit_name
 
-__all__ = ["MeshConfig", "PartConfig", "PlacementConfig", "PostureConfig", "ReflectanceConfig"]
+__all__ = ["MeshConfig", "PartConfig", "PlacementConfig", "ReflectanceConfig"]
 
 _UNITLESS = (".stl", ".ply", ".obj")
 _STEP = (".step", ".stp")
@@ -123,13 +124,6 @@ class PlacementConfig(Frozen):
     )
 
 
-class PostureConfig(Frozen):
-    """One posture of the stage."""
-
-    elevation_deg: Tilt = Field(description="Tilt of the cradle about X [deg].")
-    rotation_deg: Azimuth = Field(description="Rotation of the part about the stage's own axis [deg].")
-
-
 class ReflectanceConfig(Frozen):
     """Reflection of the surface: Lambert's diffuse part and Torrance and Sparrow's specular lobe."""
 
@@ -164,6 +158,15 @@ class PartConfig(Frozen):
         )
     )
     reflectance: ReflectanceConfig = Field(description="Reflection of the part's surface.")
+    defects: Annotated[tuple[DefectConfig, ...], Field(strict=False, max_length=500)] = Field(
+        default=(), description="Defects that are on this part; renders show them. None if absent."
+    )
+    defect_catalogue: (
+        Annotated[tuple[CatalogueEntryConfig, ...], Field(strict=False, min_length=1, max_length=100)] | None
+    ) = Field(
+        default=None,
+        description="Kinds of defect that the inspection is planned for; the built-in ones if absent.",
+    )
     _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
 
     @property
@@ -177,6 +180,15 @@ class PartConfig(Frozen):
         if not isinstance(value, (list, tuple)):
             return handler(value)
         return with_complaints(value, handler, _same_postures(value))
+
+    @field_validator("defects", "defect_catalogue", mode="wrap")
+    @classmethod
+    def _have_names_of_their_own(
+        cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> Any:
+        if not isinstance(value, (list, tuple)):
+            return handler(value)
+        return with_complaints(value, handler, same_names(value, str(info.field_name)))
 
 
 def _same_postures(postures: list[object] | tuple[object, ...]) -> Iterator[Complaint]:

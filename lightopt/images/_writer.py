@@ -248,8 +248,8 @@ class ImageSetWriter:
         posture
             The stage's posture.
         channels
-            ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray], ``patch``;
-            float32 (H, W).
+            ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray], ``patch``
+            and, for parts with defects, ``defect``; float32 (H, W).
         metadata
             More to say in the file, JSON-able.
 

@@ -7,6 +7,7 @@ the frame of the part's file, in mm, Z up.
 from __future__ import annotations
 
 from lightopt.mesh._load import MESH_SUFFIXES, UNITLESS_SUFFIXES, LoadedMesh, MeshDescription, load_mesh
+from lightopt.mesh._nearest import SurfaceFinder, SurfacePlace, surface_place
 from lightopt.mesh._patches import Patches, estimate_patch_count, refine
 from lightopt.mesh._triangle_mesh import TriangleMesh, face_areas, face_normals, transformed
 from lightopt.mesh._winding import winding_number
@@ -17,12 +18,15 @@ __all__ = [
     "LoadedMesh",
     "MeshDescription",
     "Patches",
+    "SurfaceFinder",
+    "SurfacePlace",
     "TriangleMesh",
     "estimate_patch_count",
     "face_areas",
     "face_normals",
     "load_mesh",
     "refine",
+    "surface_place",
     "transformed",
     "winding_number",
 ]

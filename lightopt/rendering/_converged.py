@@ -28,7 +28,14 @@ from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
 
-__all__ = ["ConvergedPanel", "converged_panel", "shade_converged"]
+__all__ = [
+    "ConvergedPanel",
+    "PanelSight",
+    "converged_panel",
+    "shade_again",
+    "shade_converged",
+    "shade_seeing",
+]
 
 Float64 = NDArray[np.float64]
 
@@ -62,6 +69,22 @@ class ConvergedPanel:
     light: PanelLight
     nodes: int
     rules: tuple[Float64, Float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PanelSight:
+    """What k surface points see of a panel.
+
+    Attributes
+    ----------
+    verdict
+        By the coarse rays, shape (k,).
+    penumbra
+        Whether the point was shaded as one in a penumbra, shape (k,).
+    """
+
+    verdict: NDArray[np.uint8]
+    penumbra: NDArray[np.bool_]
 
 
 def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> ConvergedPanel:
@@ -124,43 +147,133 @@ def shade_converged(
     caster
         For shadows; None for none.
     """
-    panel = panel_numbers(converged.light)
-    inverse = 0.5 / reflectance.sigma**2
-    nodes, weights = converged.rules
+    diffuse, specular, _ = shade_seeing(
+        surface, converged, sample=sample, shape=shape, reflectance=reflectance, caster=caster
+    )
+    return diffuse, specular
+
+
+def shade_seeing(
+    surface: SurfacePoints,
+    converged: ConvergedPanel,
+    *,
+    sample: NDArray[np.intp],
+    shape: tuple[int, int],
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+) -> tuple[Float64, Float64, PanelSight]:
+    """As :func:`shade_converged`, and what the points see of the panel, for :func:`shade_again`."""
     if caster is None:
         verdict = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
         uncertain = np.zeros(len(surface), np.bool_)
     else:
         verdict = _coarse_verdict(surface, converged.light, caster)
         uncertain = _disagreeing(verdict, sample, shape)
-    diffuse, specular = _whole_panel(
+    diffuse, specular = _unshadowed(surface, converged, verdict, reflectance)
+    looked_at = np.zeros(len(surface), np.bool_)
+    if caster is not None:
+        light = _penumbra_light(converged, reflectance)
+        while uncertain.any():
+            penumbra = _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
+            # a penumbra goes on until its neighbours, too, see the whole panel or none of it
+            looked_at |= uncertain
+            uncertain = _neighbours(penumbra, sample, shape) & ~looked_at & (verdict != _DARK)
+    total = converged.light.total_weight
+    return total * diffuse, total * specular, PanelSight(verdict, looked_at)
+
+
+def shade_again(
+    surface: SurfacePoints,
+    converged: ConvergedPanel,
+    *,
+    index: NDArray[np.intp],
+    sight: PanelSight,
+    sample: NDArray[np.intp],
+    shape: tuple[int, int],
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+) -> tuple[Float64, Float64]:
+    """Shade some points of a surface with other normals or another reflectance; two arrays of shape (j,).
+
+    Where the points as they were are in a penumbra, these are, too; so are those whose own horizon, the turned one,
+    makes them differ from their neighbours.
+
+    Parameters
+    ----------
+    surface
+        The j points with their own normals, part frame.
+    converged
+        The panel and its quadrature.
+    index
+        Of each among the k points of the surface, shape (j,).
+    sight
+        What the surface sees, from :func:`shade_seeing`.
+    sample, shape
+        Of the k points, as :func:`shade_converged` takes them.
+    reflectance
+        Of the j points.
+    caster
+        For shadows; None for none.
+    """
+    verdict = sight.verdict.copy()
+    if caster is None:
+        verdict[index] = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
+    else:
+        verdict[index] = _coarse_verdict(surface, converged.light, caster)
+    own = verdict[index]
+    diffuse, specular = _unshadowed(surface, converged, own, reflectance)
+    if caster is not None:
+        uncertain = (_disagreeing(verdict, sample, shape) | sight.penumbra)[index] & (own != _DARK)
+        light = _penumbra_light(converged, reflectance)
+        _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
+    total = converged.light.total_weight
+    return total * diffuse, total * specular
+
+
+def _unshadowed(
+    surface: SurfacePoints, converged: ConvergedPanel, verdict: NDArray[np.uint8], reflectance: Reflectance
+) -> tuple[Float64, Float64]:
+    # light of the whole panel, of weight 1, where nothing is in the way
+    return _whole_panel(
         surface.points,
         surface.normals,
         surface.views,
         verdict,
-        panel,
+        panel_numbers(converged.light),
         converged.nodes,
-        inverse,
-        nodes,
-        weights,
+        0.5 / reflectance.sigma**2,
+        *converged.rules,
     )
+
+
+def _penumbra_light(converged: ConvergedPanel, reflectance: Reflectance) -> PenumbraLight:
     total = converged.light.total_weight
-    if caster is not None:
-        light = PenumbraLight(
-            panel, total * reflectance.R_d, total * reflectance.R_s, inverse, converged.nodes, converged.rules
-        )
-        looked_at = np.zeros(len(surface), np.bool_)
-        while uncertain.any():
-            penumbra = np.zeros(len(surface), np.bool_)
-            index = np.flatnonzero(uncertain)
-            for start in range(0, len(index), PENUMBRA_BATCH):
-                batch = index[start : start + PENUMBRA_BATCH]
-                some = surface.take(batch)
-                diffuse[batch], specular[batch], penumbra[batch] = shade_penumbra(some, light, caster)
-            # a penumbra goes on until its neighbours, too, see the whole panel or none of it
-            looked_at |= uncertain
-            uncertain = _neighbours(penumbra, sample, shape) & ~looked_at & (verdict != _DARK)
-    return total * diffuse, total * specular
+    return PenumbraLight(
+        panel_numbers(converged.light),
+        total * reflectance.R_d,
+        total * reflectance.R_s,
+        0.5 / reflectance.sigma**2,
+        converged.nodes,
+        converged.rules,
+    )
+
+
+def _add_penumbrae(
+    surface: SurfacePoints,
+    uncertain: NDArray[np.bool_],
+    light: PenumbraLight,
+    caster: RayCaster,
+    diffuse: Float64,
+    specular: Float64,
+) -> NDArray[np.bool_]:
+    # works out the uncertain points into the two arrays; returns which of them see the panel in part
+    penumbra = np.zeros(len(surface), np.bool_)
+    index = np.flatnonzero(uncertain)
+    for start in range(0, len(index), PENUMBRA_BATCH):
+        batch = index[start : start + PENUMBRA_BATCH]
+        some = surface.take(batch)
+        diffuse[batch], specular[batch], penumbra[batch] = shade_penumbra(some, light, caster)
+    return penumbra
 
 
 def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> NDArray[np.uint8]:

@@ -25,7 +25,7 @@ from lightopt.rendering._images import (
     render_posture,
 )
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
-from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings
+from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
 from lightopt.sensor import expose, image_rng
 from lightopt.transforms import Posture
 
@@ -38,6 +38,13 @@ Report = Callable[[Posture, float, int], None]
 BACK_FACE_SHARE = 1e-4
 """Share of the part's pixels that may see back faces without a warning: at the silhouette of a closed mesh, where a ray
 only grazes a face, rounding turns one now and then."""
+
+
+MOST_SUPERSAMPLE = 16
+"""Rays a side of a pixel."""
+
+LEAST_RAYS_ACROSS = 3
+"""Rays across a defect from which on its share of a pixel is about right."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +71,8 @@ class RenderOptions:
         n² rays per pixel.
     patch_budget
         About how many patches may be visible.
+    defects
+        Whether the part's defects are shown; the good part otherwise.
     threads
         Number of threads; all the machine's by default. The files do not depend on it.
     """
@@ -77,6 +86,7 @@ class RenderOptions:
     shadows: bool = True
     supersample: int = 1
     patch_budget: int = DEFAULT_PATCH_BUDGET
+    defects: bool = True
     threads: int | None = None
 
 
@@ -150,7 +160,14 @@ def render_image_set(
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
-    scene = build_scene(rig, part, postures=options.postures, lights=options.lights, points=options.points)
+    scene = build_scene(
+        rig,
+        part,
+        postures=options.postures,
+        lights=options.lights,
+        points=options.points,
+        defects=options.defects,
+    )
     caster = cast_rays_at(scene)
     refuse_hopeless(scene, rig, part, caster)
     plan = [
@@ -163,6 +180,7 @@ def render_image_set(
     warnings = _Warnings(writer, warn)
     warnings.add(*scene.warnings)
     warnings.add(*coarse_warnings(scene.lights, scene.reflectance.sigma))
+    warnings.add(*_narrow_defects(scene, rig, options.supersample))
     resumed = sum(writer.done(*key) for key in plan)
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=warnings.texts)
@@ -237,8 +255,8 @@ def _check_options(options: RenderOptions) -> None:
     ]
     if len(set(options.exposures)) < len(options.exposures):
         problems.append("exposure: the same exposure was given twice")
-    if not 1 <= options.supersample <= 16:
-        problems.append(f"supersample: expected 1 to 16, found {options.supersample}")
+    if not 1 <= options.supersample <= MOST_SUPERSAMPLE:
+        problems.append(f"supersample: expected 1 to {MOST_SUPERSAMPLE}, found {options.supersample}")
     if options.patch_budget < 1:
         problems.append(f"patch budget: expected at least 1, found {options.patch_budget}")
     if options.threads is not None and options.threads < 1:
@@ -269,6 +287,10 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
             name: version(name) for name in ("cascadio", "embreex", "numba", "numpy", "OpenImageIO")
         },
     }
+    # sets of parts without defects say nothing about them
+    if part.defects and not options.defects:
+        asked["defects"] = False
+    shown = {"defects": defect_facts(scene.defects, scene.placement)} if scene.defects else {}
     return Manifest(
         kind="simulated",
         bit_depth=scene.sensor.bit_depth,
@@ -280,7 +302,24 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
         rig=SourceFile(rig.source.path.name, rig.source.sha256),
         part=SourceFile(part.source.path.name, part.source.sha256),
         options=asked,
+        extra=shown,
     )
+
+
+def _narrow_defects(scene: Scene, rig: RigConfig, supersample: int) -> tuple[str, ...]:
+    # defects between whose neighbouring rays there is room to be missed
+    spacing = pixel_footprint(scene.camera, rig.camera.distance_mm) / supersample
+    names = [defect.name for defect in scene.defects if defect.shape.width < spacing]
+    if not names:
+        return ()
+    least = min(defect.shape.width for defect in scene.defects)
+    enough = math.ceil(LEAST_RAYS_ACROSS * spacing * supersample / least)
+    text = (
+        f"{counted(len(names), 'defect')} narrower than the {spacing:.3g} mm between rays "
+        f"({', '.join(names[:3])}{', …' if len(names) > 3 else ''}): some pixels miss what they would show; "
+        f"--supersample {min(enough, MOST_SUPERSAMPLE)} shows how far they fill each pixel"
+    )
+    return (text,)
 
 
 def _add_image(
@@ -333,8 +372,10 @@ def _degrees(angle: float) -> float:
 def _geometry_channels(geometry: Geometry) -> dict[str, NDArray[np.float32]]:
     channels = {f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")}
     channels |= {f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")}
+    labels = {} if geometry.defect is None else {"defect": geometry.defect.astype(np.float32)}
     return {
         **{name: np.ascontiguousarray(values) for name, values in channels.items()},
         "Z": geometry.distance,
         "patch": geometry.patch.astype(np.float32),
+        **labels,
     }

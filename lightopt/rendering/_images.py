@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.mesh import Patches, TriangleMesh
 from lightopt.raycast import Hits, RayCaster
-from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
+from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_seeing
+from lightopt.rendering._disturbed import DisturbedSamples, disturbed_samples
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.rendering._threads import available_processors, run_all
@@ -66,13 +68,16 @@ class Geometry:
     points
         [mm], shape (height, width, 3).
     normals
-        Interpolated unit normals, shape (height, width, 3).
+        Interpolated unit normals of the surface without its defects, shape (height, width, 3).
     distance
         From the pinhole along the ray [mm], shape (height, width).
     patch
         Patch seen, −1 where none; all −1 without patches; shape (height, width).
     hit
         Whether the ray meets the part, shape (height, width).
+    defect
+        Index among the scene's defects of the one seen, −1 where none, shape (height, width); None for a part without
+        defects.
     """
 
     points: Float32
@@ -80,6 +85,7 @@ class Geometry:
     distance: Float32
     patch: NDArray[np.int32]
     hit: NDArray[np.bool_]
+    defect: NDArray[np.int32] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +141,7 @@ def render(
     patches: Patches | None = None,
     threads: int | None = None,
 ) -> Iterator[PostureImages]:
-    """Render all postures of a scene under all its lights, one posture after the other.
+    """Render all postures of a scene under all its lights, one posture after the other; its defects are shown.
 
     Parameters
     ----------
@@ -248,6 +254,7 @@ class _Job:
         self.distance = np.zeros(shape, np.float32)
         self.patch = np.full(shape, -1, np.int32)
         self.hit = np.zeros(shape, np.bool_)
+        self.defect = np.full(shape, -1, np.int32) if scene.defects else None
         self.back = np.zeros(shape, np.bool_)
         self.panels: list[PanelLight | ConvergedPanel] = [
             converged_panel(light, centre=caster.centre, radius=caster.radius)
@@ -272,25 +279,31 @@ class _Job:
         rows = _centres(top * n - self.halo, bottom * n + self.halo) / n
         columns = _centres(left * n, right * n) / n
         hits, surface = self._trace(columns, rows)
+        disturbed = self._disturbed(surface)
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
+        target = (slice(top, bottom), slice(left, right))
         if n == 1:
-            self._store_geometry(hits, surface, grid, own, slice(top, bottom), slice(left, right))
+            self._store_geometry(hits, surface, disturbed, grid, own, target)
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             pixels = (bottom - top, right - left)
-            self._store_geometry(
-                centre_hits, centres, pixels, slice(None), slice(top, bottom), slice(left, right)
-            )
+            self._store_geometry(centre_hits, centres, self._disturbed(centres), pixels, slice(None), target)
         reflectance = self.scene.reflectance
+        sample = hits.ray.astype(np.intp)
+        caster = self.caster if self.shadows else None
         for index, panel in enumerate(self.panels):
-            d, s = self._shade(surface, panel, hits.ray.astype(np.intp), grid)
+            d, s, sight = self._shade(surface, panel, sample, grid)
+            light = reflectance.R_d * d, reflectance.R_s * s
+            for some in disturbed:
+                light[0][some.index], light[1][some.index] = some.light(
+                    panel, sight, sample=sample, shape=grid, caster=caster
+                )
             parts = []
-            for coefficient, values in ((reflectance.R_d, d), (reflectance.R_s, s)):
+            for values in light:
                 samples = np.zeros(grid)
-                samples.ravel()[hits.ray] = coefficient * values
+                samples.ravel()[hits.ray] = values
                 parts.append(_pixel_means(samples[own], n))
-            target = (slice(top, bottom), slice(left, right))
             self.levels[index][target] = parts[0] + parts[1]
             if self.layers:
                 self.layers[index][0][target], self.layers[index][1][target] = parts
@@ -312,6 +325,7 @@ class _Job:
                 distance=self.distance,
                 patch=self.patch,
                 hit=self.hit,
+                defect=self.defect,
             ),
             back_faces=int(self.back.sum()),
             rays=rays,
@@ -321,48 +335,57 @@ class _Job:
         x, y = np.meshgrid(columns, rows)
         return trace_samples(self.caster, self.scene.mesh, self.view.camera, x.ravel(), y.ravel())
 
+    def _disturbed(self, surface: SurfacePoints) -> tuple[DisturbedSamples, ...]:
+        return disturbed_samples(self.scene.defects, surface, self.scene.reflectance)
+
     def _shade(
         self,
         surface: SurfacePoints,
         panel: PanelLight | ConvergedPanel,
         sample: NDArray[np.intp],
         grid: tuple[int, int],
-    ) -> tuple[Float64, Float64]:
+    ) -> tuple[Float64, Float64, PanelSight | None]:
         caster = self.caster if self.shadows else None
         reflectance = self.scene.reflectance
         if isinstance(panel, ConvergedPanel):
-            return shade_converged(
+            return shade_seeing(
                 surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster
             )
         assert panel.points != "auto"
-        return shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=caster)
+        d, s = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=caster)
+        return d, s, None
 
     def _store_geometry(
         self,
         hits: Hits,
         surface: SurfacePoints,
+        disturbed: tuple[DisturbedSamples, ...],
         grid: tuple[int, int],
         own: slice,
-        rows: slice,
-        columns: slice,
+        target: tuple[slice, slice],
     ) -> None:
         rotation, translation = self.view.rotation, self.view.translation
         patch = np.full(len(hits.ray), -1, np.int32)
         if self.patches is not None:
             patch = self.patches.patch_at(hits.face, hits.u, hits.v)
-        for image, values in (
+        images: list[tuple[NDArray[Any], Any]] = [
             (self.points, surface.points @ rotation.T + translation),
             (self.normals, surface.normals @ rotation.T),
             (self.distance, hits.distance),
             (self.patch, patch),
             (self.hit, True),
             (self.back, ~surface.front),
-        ):
-            block = np.full(
-                (grid[0] * grid[1], *image.shape[2:]), -1 if image is self.patch else 0, image.dtype
-            )
+        ]
+        if self.defect is not None:
+            label = np.full(len(surface), -1, np.int32)
+            for some in disturbed:
+                label[some.index] = some.label
+            images.append((self.defect, label))
+        for image, values in images:
+            nothing = -1 if image is self.patch or image is self.defect else 0
+            block = np.full((grid[0] * grid[1], *image.shape[2:]), nothing, image.dtype)
             block[hits.ray] = values
-            image[rows, columns] = block.reshape(*grid, *image.shape[2:])[own]
+            image[target] = block.reshape(*grid, *image.shape[2:])[own]
 
 
 def _centres(first: int, end: int) -> Float64:

@@ -12,6 +12,7 @@ from lightopt.scene._camera import (
     place_camera,
     project,
 )
+from lightopt.scene._defects import SNAP_MM, build_catalogue, defect_facts
 from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
 from lightopt.scene._part_size import UnitGuess, guess_unit, is_absurd, view_size
@@ -25,25 +26,29 @@ from lightopt.scene._sampling import (
     point_spacing,
     points_advice,
 )
-from lightopt.scene._scene import PartView, Scene, view_from_part
+from lightopt.scene._scene import PartView, Placement, Scene, view_from_part
 from lightopt.transforms import Posture
 
 __all__ = [
     "COARSE_SHARE",
+    "SNAP_MM",
     "Distortion",
     "Framing",
     "PanelLight",
     "PartView",
     "PinholeCamera",
+    "Placement",
     "PointSpacing",
     "Posture",
     "Scene",
     "UnitGuess",
     "build_camera",
+    "build_catalogue",
     "build_lights",
     "build_scene",
     "coarse_points",
     "coarse_warnings",
+    "defect_facts",
     "frame_part",
     "guess_unit",
     "image_area",

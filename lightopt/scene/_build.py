@@ -22,10 +22,11 @@ from lightopt.errors import InputError
 from lightopt.mesh import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, transformed
 from lightopt.reflectance import Reflectance
 from lightopt.scene._camera import Distortion, PinholeCamera, pixel_directions, pixel_footprint, place_camera
+from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._framing import frame_part, inside_mesh
 from lightopt.scene._light import PanelLight, place_light
 from lightopt.scene._part_size import guess_unit, view_size
-from lightopt.scene._scene import Scene, view_from_part
+from lightopt.scene._scene import Placement, Scene, view_from_part
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.units import MM_PER_UNIT
@@ -44,6 +45,7 @@ def build_scene(
     postures: Sequence[Posture] | None = None,
     lights: Sequence[str] | None = None,
     points: int | Literal["auto"] | None = None,
+    defects: bool = True,
 ) -> Scene:
     """Place a rig's camera and lights and a part in the world frame.
 
@@ -57,20 +59,22 @@ def build_scene(
         Names of the lights to keep, instead of all.
     points
         Point lights per panel, instead of the rig's.
+    defects
+        Whether the part has the defects that its file names, or is a good one.
 
     Raises
     ------
     InputError
         A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part wholly outside the
         view or a camera inside the part (with what another unit of the mesh file would make of it, where that explains
-        it), a lens that folds the image over.
+        it), a lens that folds the image over, a defect that is not on the part.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
     camera = build_camera(rig)
     chosen = _postures(rig, part, postures)
     placed = build_lights(rig, lights, points)
-    mesh, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
+    mesh, placement, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
     reflectance = part.reflectance
     scene = Scene(
         camera=camera,
@@ -85,9 +89,10 @@ def build_scene(
         sensor=_sensor(rig.camera),
         pivot=np.array(rig.stage.pivot_mm, dtype=np.float64),
         postures=chosen,
+        placement=placement,
     )
     warnings += _check_view(scene, rig, part)
-    return replace(scene, warnings=warnings)
+    return replace(scene, warnings=warnings, defects=place_defects(scene, rig, part) if defects else ())
 
 
 def build_camera(rig: RigConfig) -> PinholeCamera:
@@ -150,16 +155,8 @@ def _postures(rig: RigConfig, part: PartConfig, asked: Sequence[Posture] | None)
         ]
     else:
         named = [(posture, "posture") for posture in asked]
-    limits = (
-        ("elevation", "elevation_range_deg", rig.stage.elevation_range_deg),
-        ("rotation", "rotation_range_deg", rig.stage.rotation_range_deg),
-    )
     problems = [
-        f"{where}: {axis} {getattr(posture, axis + '_deg'):g}° is outside the stage's range "
-        f"{low:g}° to {high:g}° ({rig.source.at('stage', key)})"
-        for posture, where in named
-        for axis, key, (low, high) in limits
-        if not low <= getattr(posture, axis + "_deg") <= high
+        problem for posture, where in named for problem in outside_stage_range(rig, posture, where=where)
     ]
     if problems:
         raise InputError(*problems)
@@ -223,7 +220,7 @@ def _is_square(points: object) -> bool:
     return isinstance(points, int) and points > 0 and math.isqrt(points) ** 2 == points
 
 
-def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, tuple[str, ...]]:
+def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, tuple[str, ...]]:
     m = part.mesh
     path = part.source.resolve(m.file)
     loaded = load_mesh(
@@ -235,19 +232,21 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, tuple[str, 
         chord_tolerance_mm=min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint),
         max_triangles=m.max_triangles,
     )
-    return _place(loaded.mesh, part.placement), loaded.warnings
+    return *_place(loaded.mesh, part.placement), loaded.warnings
 
 
-def _place(mesh: TriangleMesh, placement: PlacementConfig) -> TriangleMesh:
+def _place(mesh: TriangleMesh, placement: PlacementConfig) -> tuple[TriangleMesh, Placement]:
     rx, ry, rz = (math.radians(angle) for angle in placement.rotate_deg)
-    turned = transformed(mesh, rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx), np.zeros(3))
+    rotation = rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx)
+    turned = transformed(mesh, rotation, np.zeros(3))
     low, high = turned.bounds
     shift = np.zeros(3)
     if placement.anchor == "rest_on_table":
         shift = -np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     elif placement.anchor == "centred":
         shift = -0.5 * (low + high)
-    return transformed(turned, np.eye(3), shift + np.array(placement.translate_mm, dtype=np.float64))
+    shift = shift + np.array(placement.translate_mm, dtype=np.float64)
+    return transformed(turned, np.eye(3), shift), Placement(rotation=rotation, translation=shift)
 
 
 def unit_hint(part: PartConfig, scene: Scene) -> tuple[str, ...]:

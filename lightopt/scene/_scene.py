@@ -1,10 +1,11 @@
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.defects import PlacedDefect
 from lightopt.mesh import TriangleMesh
 from lightopt.reflectance import Reflectance
 from lightopt.scene._camera import PinholeCamera
@@ -12,9 +13,41 @@ from lightopt.scene._light import PanelLight
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
-__all__ = ["PartView", "Scene", "view_from_part"]
+__all__ = ["PartView", "Placement", "Scene", "view_from_part"]
 
 Float64 = NDArray[np.float64]
+
+
+def _identity() -> Float64:
+    return np.eye(3)
+
+
+def _origin() -> Float64:
+    return np.zeros(3)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Placement:
+    """Where the mesh file's coordinates are in the part frame: x_part = rotation·x_file + translation.
+
+    Attributes
+    ----------
+    rotation
+        Shape (3, 3).
+    translation
+        [mm], shape (3,).
+    """
+
+    rotation: Float64 = field(default_factory=_identity)
+    translation: Float64 = field(default_factory=_origin)
+
+    def to_part(self, point: Float64) -> Float64:
+        """A point of the file [mm], shape (3,), in the part frame."""
+        return self.rotation @ point + self.translation
+
+    def to_file(self, point: Float64) -> Float64:
+        """A point of the part frame [mm], shape (3,), in the file's coordinates."""
+        return self.rotation.T @ (point - self.translation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +70,10 @@ class Scene:
         The postures to look at.
     warnings
         What was repaired or is partly wrong, for the person at the machine.
+    placement
+        From the mesh file's coordinates, in mm, to those of the mesh.
+    defects
+        On the part, frame of the mesh; images show them, the mesh does not.
     """
 
     camera: PinholeCamera
@@ -47,6 +84,8 @@ class Scene:
     pivot: Float64
     postures: tuple[Posture, ...]
     warnings: tuple[str, ...] = ()
+    placement: Placement = field(default_factory=Placement)
+    defects: tuple[PlacedDefect, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

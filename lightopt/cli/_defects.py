@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lightopt.cli._inputs import load_inputs
+from lightopt.cli._options import Force, PartFile, Quiet, RigFile, make_folder
+from lightopt.cli._terminal import say
+from lightopt.errors import counted
+
+__all__ = ["defects"]
+
+
+def defects(
+    rig: RigFile,
+    part: PartFile,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing."
+        ),
+    ],
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="Of the random numbers: the same, the same defects.")
+    ],
+    count: Annotated[int, typer.Option(metavar="K", help="How many defects, 1 to 500.")],
+    threads: Annotated[
+        int | None, typer.Option(metavar="N", help="Threads; all by default. The file does not depend on it.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Strew defects over the surface of PART that the camera of RIG sees in at least one posture, for trials.
+
+    The entries of the part's defect_catalogue, or of the built-in one (docs/defects.md), take turns; places are even by
+    area, off silhouettes and creases, and apart from each other. Writes PART with a list of defects at its end,
+    comments kept; render shows them.
+
+    Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
+    """
+    from lightopt.scatter import defects_text, scatter_defects, write_defects
+
+    loaded_rig, loaded_part = load_inputs(rig, part)
+    assert loaded_part is not None
+    comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
+    scattered = scatter_defects(loaded_rig, loaded_part, count=count, seed=seed, threads=threads)
+    text = defects_text(loaded_part, scattered, folder=out.parent, comment=comment)
+    make_folder(out.parent)
+    write_defects(out, text, force=force)
+    if not quiet:
+        kinds = Counter(defect.entry.name for defect in scattered)
+        say(f"{counted(len(scattered), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")
+        say(f"{out}")

@@ -1,0 +1,207 @@
+"""What a part file says about defects: the kinds to plan for, and those that are on this part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from lightopt.config._fields import Complaint, Coordinates, Frozen, Text, absent, complaint, expecting
+from lightopt.config._posture import PostureConfig
+from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, DefectKind, DefectShape, depth_of_slope, slope_of_depth
+
+__all__ = ["CatalogueEntryConfig", "DefectConfig", "PixelPlaceConfig", "same_names"]
+
+_Extent = Annotated[float, Field(ge=1e-3, le=1e3, allow_inf_nan=False)]
+_Size = Annotated[
+    _Extent | Annotated[tuple[_Extent, _Extent], Field(strict=False)],
+    expecting("a diameter, or [length, width], in mm from 0.001 to 1000"),
+]
+_Slope = Annotated[
+    float,
+    Field(gt=0, le=60, allow_inf_nan=False),
+    expecting("a number above 0, up to 60 (degrees)"),
+]
+_Factor = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False), expecting("a number from 0 to 100")]
+_WidthFactor = Annotated[
+    float, Field(ge=0.01, le=100, allow_inf_nan=False), expecting("a number from 0.01 to 100")
+]
+_Turn = Annotated[
+    float, Field(ge=-360, le=360, allow_inf_nan=False), expecting("a number from -360 to 360 (degrees)")
+]
+_PixelIndex = Annotated[int, Field(ge=0, le=65535)]
+
+
+class PixelPlaceConfig(Frozen):
+    """A place on the part as a pixel of the rig's camera sees it."""
+
+    posture: PostureConfig = Field(description="Posture that the part is seen in.")
+    pixel: Annotated[
+        tuple[_PixelIndex, _PixelIndex],
+        Field(strict=False),
+        expecting("[column, row], two whole numbers from 0 to 65535; the top left pixel is [0, 0]"),
+    ] = Field(description="Column and row of the pixel, counted from 0 at the top left; its centre is meant.")
+
+
+class CatalogueEntryConfig(Frozen):
+    """A kind of defect that the inspection is planned for; it may lie anywhere and in any direction."""
+
+    name: Text = Field(description="Name of the defect, for people; no two in the list are the same.")
+    kind: Annotated[DefectKind, expecting("scratch, dent, bump, pit, blister, stain or haze")] = Field(
+        description="scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d changed) or "
+        "haze (sigma changed)."
+    )
+    size_mm: _Size = Field(
+        description="Diameter, or [length, width] with the length along the direction, at least the width [mm]. A "
+        "scratch has both."
+    )
+    slope_deg: _Slope | None = Field(
+        default=None,
+        description="Steepest slope of the walls [deg], up to 60. Shapes have this or depth_mm; the other follows.",
+        validate_default=True,
+    )
+    depth_mm: (
+        Annotated[
+            float, Field(gt=0, le=1e3, allow_inf_nan=False), expecting("a number above 0, up to 1000 (mm)")
+        ]
+        | None
+    ) = Field(
+        default=None,
+        description="Depth, or height of bumps and blisters [mm]. Shapes have this or slope_deg; the other follows.",
+        validate_default=True,
+    )
+    R_d_factor: _Factor | None = Field(
+        default=None, description="Stains: by which R_d is multiplied; not 1.", validate_default=True
+    )
+    sigma_factor: _WidthFactor | None = Field(
+        default=None,
+        description="Hazes: by which sigma is multiplied; not 1. R_s is divided by its square, so that the lobe "
+        "reflects as much light as before.",
+        validate_default=True,
+    )
+
+    @field_validator("size_mm")
+    @classmethod
+    def _longer_first(
+        cls, size: float | tuple[float, float], info: ValidationInfo
+    ) -> float | tuple[float, float]:
+        if isinstance(size, tuple) and size[0] < size[1]:
+            raise complaint(
+                f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]; "
+                "direction_deg turns the length"
+            )
+        if info.data.get("kind") == "scratch" and (not isinstance(size, tuple) or size[0] == size[1]):
+            raise complaint("expected [length, width] of a scratch, the length above the width")
+        return size
+
+    @field_validator("slope_deg")
+    @classmethod
+    def _of_a_shape(cls, slope: float | None, info: ValidationInfo) -> float | None:
+        _refuse_where_foreign(slope, info, SHAPE_KINDS)
+        return slope
+
+    @field_validator("depth_mm")
+    @classmethod
+    def _one_of_two(cls, depth: float | None, info: ValidationInfo) -> float | None:
+        _refuse_where_foreign(depth, info, SHAPE_KINDS)
+        kind, size = info.data.get("kind"), info.data.get("size_mm")
+        if kind not in SHAPE_KINDS or "slope_deg" not in info.data:
+            return depth
+        slope = info.data["slope_deg"]
+        if slope is None and depth is None:
+            raise absent('missing key "slope_deg" or "depth_mm": give one of them', "slope_deg", "depth_mm")
+        if slope is not None and depth is not None:
+            raise complaint("given together with slope_deg; expected one of the two")
+        if depth is not None and size is not None:
+            width = _extents(size)[1]
+            slope_found = slope_of_depth(kind, width, depth)
+            if slope_found > MAX_SLOPE:
+                raise complaint(
+                    f"a {kind} {width:g} mm wide and {depth:g} mm deep has walls of "
+                    f"{math.degrees(slope_found):.0f} degrees; expected at most "
+                    f"{depth_of_slope(kind, width, MAX_SLOPE):.3g} mm, which is 60 degrees"
+                )
+        return depth
+
+    @field_validator("R_d_factor", "sigma_factor")
+    @classmethod
+    def _of_its_kind(cls, factor: float | None, info: ValidationInfo) -> float | None:
+        name = str(info.field_name)
+        owner = "stain" if name == "R_d_factor" else "haze"
+        _refuse_where_foreign(factor, info, (owner,))
+        if info.data.get("kind") == owner and factor is None:
+            raise absent(f'missing key "{name}": a {owner} is nothing without it', name)
+        if factor == 1.0:
+            raise complaint(f"expected another number than 1, which makes no {owner}")
+        return factor
+
+    @property
+    def shape(self) -> DefectShape:
+        """The defect without its place, in mm and radians."""
+        length, width = _extents(self.size_mm)
+        slope = 0.0 if self.slope_deg is None else math.radians(self.slope_deg)
+        if self.depth_mm is not None:
+            slope = slope_of_depth(self.kind, width, self.depth_mm)
+        return DefectShape(
+            kind=self.kind,
+            length=length,
+            width=width,
+            slope=slope,
+            R_d_factor=1.0 if self.R_d_factor is None else self.R_d_factor,
+            sigma_factor=1.0 if self.sigma_factor is None else self.sigma_factor,
+        )
+
+
+class DefectConfig(CatalogueEntryConfig):
+    """A defect that is on the part: what it is, and where."""
+
+    at_mm: Coordinates | None = Field(
+        default=None,
+        description="Its centre in the coordinates of the mesh file, in mm; the nearest point of the surface is taken, "
+        "which must be near. Give this or at_pixel.",
+    )
+    at_pixel: PixelPlaceConfig | None = Field(
+        default=None,
+        description="Its centre as the pixel of a posture that sees it. Give this or at_mm.",
+        validate_default=True,
+    )
+    direction_deg: _Turn = Field(
+        default=0.0,
+        description="Direction of its length in the tangent plane, counterclockwise seen from outside, from the mesh "
+        "file's X axis projected onto that plane, or from Y where the surface faces along X [deg].",
+    )
+
+    @field_validator("at_pixel")
+    @classmethod
+    def _one_place(cls, pixel: PixelPlaceConfig | None, info: ValidationInfo) -> PixelPlaceConfig | None:
+        if "at_mm" not in info.data:
+            return pixel
+        if pixel is None and info.data["at_mm"] is None:
+            raise absent('missing key "at_mm" or "at_pixel": say where the defect is', "at_mm", "at_pixel")
+        if pixel is not None and info.data["at_mm"] is not None:
+            raise complaint("given together with at_mm; expected one of the two")
+        return pixel
+
+
+def same_names(entries: list[object] | tuple[object, ...], where: str) -> Iterator[Complaint]:
+    """Complaints about entries of a list that have the name of an earlier one."""
+    first: dict[Any, int] = {}
+    for i, entry in enumerate(entries):
+        name = entry.get("name") if isinstance(entry, dict) else getattr(entry, "name", None)
+        if not isinstance(name, str):
+            continue
+        if name in first:
+            yield (i, "name"), name, complaint(f'the name of {where}[{first[name]}], too: "{name}"')
+        first.setdefault(name, i)
+
+
+def _extents(size: float | tuple[float, float]) -> tuple[float, float]:
+    return size if isinstance(size, tuple) else (size, size)
+
+
+def _refuse_where_foreign(value: float | None, info: ValidationInfo, owners: tuple[str, ...]) -> None:
+    kind = info.data.get("kind")
+    if value is not None and kind is not None and kind not in owners:
+        raise complaint(f"a {kind} has none; it belongs to {', '.join(owners)}; remove this key")
