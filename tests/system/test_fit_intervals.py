@@ -103,18 +103,18 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("freed", "sensor", "exposures"),
+    ("freed", "sensor", "exposures", "seeds"),
     [
-        (Freed(), SENSOR, (1.0,)),
-        (Freed(), SENSOR, (1.0, 1 / 16)),
-        (Freed(), SENSORS["12 bit"], (1.0,)),
-        (Freed(gain=True, dark=True), SENSOR, (1.0,)),
+        (Freed(), SENSOR, (1.0,), 100),
+        (Freed(), SENSOR, (1.0, 1 / 16), 40),
+        (Freed(), SENSORS["12 bit"], (1.0,), 40),
+        (Freed(gain=True, dark=True), SENSOR, (1.0,), 40),
     ],
     ids=["8 bit", "two exposures", "12 bit", "gain and dark freed"],
 )
-def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures):
-    """Of 100 seeds, at least 90 per parameter, and standard errors are those of the scatter."""
-    samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=20_000)
+def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures, seeds):
+    """Of 100 seeds, at least 90 per parameter (of 40, 34), and standard errors are those of the scatter."""
+    samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=1000)
     truth = dict(TRUTH)
     if freed.gain:
         truth |= {DARK: 0.0, FIRST_GAIN + 1: 0.0, FIRST_GAIN + 2: 0.0}
@@ -122,7 +122,7 @@ def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures):
     z = {place: [] for place in truth}
     widths = {place: [] for place in truth}
     values = {place: [] for place in truth}
-    for seed in range(100):
+    for seed in range(seeds):
         found = estimate(remeasured(samples, deliver(seed)), freed=freed)
         for place, value in truth.items():
             low, high = profile_interval(found, place)
@@ -132,14 +132,14 @@ def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures):
             values[place].append(found.x[place])
     for place in truth:
         spread, scatter = np.std(z[place]), np.std(values[place])
-        print(f"{place}: {held[place]} of 100, z {np.mean(z[place]):+.2f} ± {spread:.2f}, ", end="")
+        print(f"{place}: {held[place]} of {seeds}, z {np.mean(z[place]):+.2f} ± {spread:.2f}, ", end="")
         print(
             f"interval over scatter {np.mean(widths[place]) / scatter:.2f}, most {np.max(widths[place]) / scatter:.2f}"
         )
     for place in truth:
-        assert held[place] >= 90
+        assert held[place] >= (90 if seeds == 100 else 34)
         assert 0.8 <= np.std(z[place]) <= 1.25
         assert abs(np.mean(z[place])) < 0.4
         assert np.max(widths[place]) < 2.0 * 1.96 * 1.5 * np.std(values[place])
     # were all of them held by all, they would be too wide: 95 % is expected
-    assert sum(held.values()) < 99 * len(held)
+    assert sum(held.values()) < (99 if seeds == 100 else seeds) * len(held)
