@@ -78,10 +78,9 @@ def test_a_mesh_finer_than_the_budget_is_not_coarsened(scene):
 def test_the_message_says_what_was_reached(scene):
     table = build_patches(scene, caster=cast_rays_at(scene), budget=4_000)
     visible = int(table.visible.any(axis=0).sum())
-    assert table.message.startswith(f"{visible:,} visible patches of {len(table.patches):,}, edges up to ")
-    assert (
-        f"{table.max_edge:.3g} mm, {table.max_edge / table.footprint:.2g} × the pixel's footprint"
-        in table.message
+    assert table.message == (
+        f"{visible:,} visible patches of {len(table.patches):,}; edges up to {table.max_edge:.3g} mm "
+        f"({table.max_edge / table.footprint:.3g} times the pixel's footprint of {table.footprint:.3g} mm)"
     )
 
 
