@@ -47,6 +47,7 @@ def connect_devices(
     truth: BenchTruth | None = None,
     bench: BenchProcess | None = None,
     touch_lights: bool = True,
+    warn: Callable[[str], None] | None = None,
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
 
@@ -68,6 +69,8 @@ def connect_devices(
         A virtual bench that runs already; it is left running.
     touch_lights
         False for a mere look at the devices: nothing is switched.
+    warn
+        Called if the serial log ends early, which ends nothing else.
 
     Raises
     ------
@@ -82,7 +85,7 @@ def connect_devices(
     signals.install()
     with ExitStack() as stack:
         stack.callback(signals.restore)
-        log = None if serial_log is None else SerialLog(serial_log)
+        log = None if serial_log is None else SerialLog(serial_log, warn=warn)
         closing: list[Callable[[], None]] = []
         if log is not None:
             stack.callback(log.close)
@@ -109,7 +112,7 @@ def connect_devices(
             controllers=controllers,
             stage=stage,
             camera=seen,
-            events=lambda: _events([*controllers.values(), *([stage] if stage else [])]),
+            events=lambda: _events([*controllers.values(), stage, log]),
             closing=closing,
             signals=signals,
             touch_lights=touch_lights,

@@ -95,14 +95,18 @@ class Devices:
         try:
             with self._signals.shielded():
                 state = self._make_safe(failed=error is not None)
-                self._close()
+                unclosed = self._close()
         finally:
             self._signals.restore()
         lights_are_off = not state[0]
         if isinstance(error, HardwareError) or (error is not None and not lights_are_off):
-            raise self._told(error, state) from error
+            raise self._told(error, state, unclosed) from error
         if error is None and not lights_are_off:
-            raise HardwareError(f"while switching all lights off at the end: {state[0][0]}", *state[0][1:])
+            raise HardwareError(
+                f"while switching all lights off at the end: {state[0][0]}", *state[0][1:], *unclosed
+            )
+        if error is None and unclosed:
+            raise HardwareError(*unclosed, *(["all lights are off"] if self._touch_lights else []))
         if error is None and self._signals.pending is not None:
             raise KeyboardInterrupt(self._signals.pending)
 
@@ -182,17 +186,16 @@ class Devices:
         alarm = f", alarm: {state.alarm}" if state.alarm else ""
         return burning, f"{stopped} and stands at {state.posture}{alarm}"
 
-    def _close(self) -> None:
-        if self._camera is not None:
-            self._camera.close()
-        if self.stage is not None:
-            self.stage.close()
-        for controller in self.controllers.values():
-            controller.close()
-        for close in self._closing:
-            close()
+    def _close(self) -> list[str]:
+        """Close all, each even if another fails; returns what failed, in words."""
+        devices = (self._camera, self.stage, *self.controllers.values())
+        closing = [device.close for device in devices if device is not None]
+        attempts = [_attempt(close) for close in (*closing, *self._closing)]
+        return [f"closing a device failed: {problem}" for problem in attempts if problem is not None]
 
-    def _told(self, error: BaseException, state: tuple[list[str], str | None]) -> HardwareError:
+    def _told(
+        self, error: BaseException, state: tuple[list[str], str | None], unclosed: Sequence[str]
+    ) -> HardwareError:
         burning, stage = state
         cause = error.messages if isinstance(error, LightoptError) else (f"ended by {type(error).__name__}",)
         # what all_off said at the start and again at the end is said once
@@ -200,8 +203,17 @@ class Devices:
         if self._touch_lights and not burning:
             lights = ["all lights are off"]
         return HardwareError(
-            f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else [])
+            f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else []), *unclosed
         )
+
+
+def _attempt(action: Callable[[], None]) -> str | None:
+    """Do it; why that failed, or None."""
+    try:
+        action()
+    except Exception as error:  # noqa: BLE001  (whatever fails here, the rest must be done, too)
+        return str(error) or type(error).__name__
+    return None
 
 
 def check_camera(devices: Devices, *, resolution_px: tuple[int, int], bit_depth: int, where: str) -> None:

@@ -9,7 +9,7 @@ import typer
 from lightopt.cli._capture import SerialLog
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, RigFile, parse_exposure
-from lightopt.cli._terminal import say, show_table
+from lightopt.cli._terminal import say, say_warning, show_table
 from lightopt.errors import HardwareError, InputError
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def snap(
         raise InputError("--part: the virtual camera needs to know which part lies on the bench")
     if light is not None:
         check_level(wiring, loaded, light, None)
-    devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log)
+    devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, warn=say_warning)
     with devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
     say(f"levels {low} to {high}, mean {mean:.1f}")
@@ -208,7 +208,7 @@ def _open(
     if needs_stage and wiring.hardware.stage is None:
         raise InputError(f"{loaded.source.at('hardware')}: this rig has no stage")
     return loaded, connect_devices(
-        loaded, wiring, camera=False, serial_log=serial_log, touch_lights=touch_lights
+        loaded, wiring, camera=False, serial_log=serial_log, touch_lights=touch_lights, warn=say_warning
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import os
 import re
 import socket
@@ -410,3 +411,40 @@ def test_log_survives_a_kill(tmp_path: Path) -> None:
 def test_log_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the serial log cannot be written"):
         SerialLog(tmp_path / "nowhere" / "serial.log")
+
+
+class FullDisk:
+    """A file on a disk that is full after the first entry."""
+
+    closed = False
+
+    def __init__(self) -> None:
+        self.written: list[str] = []
+
+    def write(self, text: str) -> None:
+        if self.written:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self.written.append(text)
+
+    def flush(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed = True
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_ends_the_log_and_nothing_else(far: Far, tmp_path: Path) -> None:
+    said: list[str] = []
+    log = SerialLog(tmp_path / "serial.log", warn=said.append)
+    log._file.close()
+    log._file = FullDisk()  # type: ignore[assignment]
+    link = far.link(log=log)  # the first entry
+    for _ in range(3):
+        link.write(b"off")
+        assert far.hear() == b"off"
+    assert [event.what for event in log.events] == said
+    assert len(said) == 1
+    assert "the serial log ends here, it can no longer be written: No space left" in said[0]
+    link.close()
+    log.close()
