@@ -11,6 +11,7 @@ from lightopt.capture._merge import merge_bracket
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan import Plan, PostureTask, Step, make_plan
 from lightopt.capture._run import Captured, CaptureReport, Connect, capture
+from lightopt.capture._switch_off import switch_off
 from lightopt.capture._timing import Timing
 from lightopt.capture._virtual import start_bench
 from lightopt.capture._wiring import Wiring, wiring_of
@@ -42,5 +43,6 @@ __all__ = [
     "predict",
     "snap",
     "start_bench",
+    "switch_off",
     "wiring_of",
 ]

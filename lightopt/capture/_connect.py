@@ -9,25 +9,19 @@ from typing import Any
 
 from lightopt.capture._devices import Devices
 from lightopt.capture._folder_camera import FolderCamera
+from lightopt.capture._open_lights import open_lights
 from lightopt.capture._plan import Plan
 from lightopt.capture._signals import EndSignals
 from lightopt.capture._virtual import STAGE, start_bench
 from lightopt.capture._wiring import VIRTUAL, Wiring
-from lightopt.config import (
-    ControllerConfig,
-    PartConfig,
-    RigConfig,
-)
-from lightopt.errors import InputError
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import InputError, LightoptError
 from lightopt.hardware import (
     Axis,
     Camera,
     Event,
-    LightController,
-    LightSettings,
     SerialLog,
     Stage,
-    light_drivers,
     open_stage,
     serial_ports,
 )
@@ -50,6 +44,9 @@ def connect_devices(
     warn: Callable[[str], None] | None = None,
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
+
+    Lights are opened first, and each controller goes dark as it opens: after a run that was killed this is the only
+    way to darken what burns while another device is out of order.
 
     Parameters
     ----------
@@ -77,7 +74,8 @@ def connect_devices(
     InputError
         When a port is not there or in use, or a folder lacks images of the plan.
     HardwareError
-        When a device does not answer.
+        When a device does not answer. By then every controller that can be reached was darkened, unless `touch_lights`
+        is false, and the message names the lights that may still burn.
     """
     replay = _folder_camera(rig, wiring, plan) if camera else None
     _check_ports(rig, wiring)
@@ -95,30 +93,49 @@ def connect_devices(
             stack.callback(bench.close)
             closing.append(bench.close)
         ports: Mapping[str, str] = {} if bench is None else bench.ports
-        controllers: dict[str, LightController] = {}
-        for name, config in wiring.hardware.controllers.items():
-            port = ports[name] if config.port == VIRTUAL else config.port
-            controllers[name] = _controller(name, config, port, log)
-            stack.callback(controllers[name].close)
-        stage = _stage(rig, wiring, ports, log)
-        if stage is not None:
-            stack.callback(stage.close)
+        lights = open_lights(
+            wiring,
+            wiring.hardware.controllers,
+            ports={name: ports[name] for name in ports if _virtual(wiring, name)},
+            log=log,
+            darken=touch_lights,
+            opened=lambda controller: stack.callback(controller.close),
+        )
+        if lights.problems:
+            raise lights.raised()
+        try:
+            stage = _stage(rig, wiring, ports, log)
+            if stage is not None:
+                stack.callback(stage.close)
+        except LightoptError as error:
+            raise (lights.raised(error) if touch_lights else error) from error
         seen: Camera | None = replay
         if camera and replay is None:
             assert bench is not None
             seen = VirtualCamera(bench)
         devices = Devices(
             wiring=wiring,
-            controllers=controllers,
+            controllers=lights.controllers,
             stage=stage,
             camera=seen,
-            events=lambda: _events([*controllers.values(), stage, log]),
+            events=lambda: _events([*lights.controllers.values(), stage, log]),
             closing=closing,
             signals=signals,
             touch_lights=touch_lights,
+            dark=touch_lights,
         )
+        if plan is not None and not plan.home:
+            try:
+                devices.check_referenced()
+            except LightoptError as error:
+                raise lights.raised(error) from error
         stack.pop_all()  # from here on the devices close themselves
     return devices
+
+
+def _virtual(wiring: Wiring, name: str) -> bool:
+    config = wiring.hardware.controllers.get(name)
+    return config is not None and config.port == VIRTUAL
 
 
 def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderCamera | None:
@@ -158,20 +175,6 @@ def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
         raise InputError(*problems)
 
 
-def _controller(name: str, config: ControllerConfig, port: str, log: SerialLog | None) -> LightController:
-    settings = LightSettings(
-        name=name,
-        port=port,
-        baud=config.baud,
-        channels=config.channels,
-        top_level=config.top_level,
-        dialect=config.dialect,
-        template=None if config.template is None else config.template.model_dump(),
-        timeout_s=config.timeout_s,
-    )
-    return light_drivers()[config.driver](settings, log)
-
-
 def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog | None) -> Stage | None:
     config = wiring.hardware.stage
     if config is None:
@@ -185,6 +188,7 @@ def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: Serial
             steps_per_deg=axis.steps_per_deg,
             zero=axis.zero,
             speed_deg_per_s=axis.speed_deg_per_s,
+            home_sense=axis.home_sense,
         )
         for name, axis in (("elevation", config.elevation), ("rotation", config.rotation))
         if axis is not None
@@ -195,6 +199,7 @@ def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: Serial
         axes=axes,
         baud=config.baud,
         timeout_s=config.timeout_s,
+        home_timeout_s=config.home_timeout_s,
         log=log,
     )
 

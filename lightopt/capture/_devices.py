@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
+from lightopt.capture._open_lights import NONE_OF_THE_RIG, lights_on
 from lightopt.capture._signals import EndSignals
-from lightopt.capture._wiring import Wiring
+from lightopt.capture._wiring import VIRTUAL, Wiring
 from lightopt.errors import HardwareError, InputError, LightoptError
-from lightopt.hardware import Camera, Event, LightController, Stage, StageState, all_off
+from lightopt.hardware import Camera, Event, LightController, LightsStillOnError, Stage, StageState, all_off
 from lightopt.transforms import Posture
 
 __all__ = ["Devices"]
@@ -39,6 +40,8 @@ class Devices:
         Installed already where devices were opened under their protection.
     touch_lights
         False for a mere look at the devices: what burns then burns on.
+    dark
+        Whether every channel has been switched off since it was opened.
     """
 
     def __init__(
@@ -52,6 +55,7 @@ class Devices:
         closing: Sequence[Callable[[], None]] = (),
         signals: EndSignals | None = None,
         touch_lights: bool = True,
+        dark: bool = False,
     ) -> None:
         self.wiring = wiring
         self.controllers = dict(controllers)
@@ -62,7 +66,9 @@ class Devices:
         self._closing = tuple(closing)
         self._signals = signals
         self._stage_may_move = False
+        self._homed = False
         self._touch_lights = touch_lights
+        self._dark = dark
 
     @property
     def camera(self) -> Camera:
@@ -80,7 +86,7 @@ class Devices:
             self._signals = EndSignals()
             self._signals.install()
         try:
-            if self._touch_lights and (failures := self.all_off()):
+            if self._touch_lights and not self._dark and (failures := self.all_off()):
                 raise HardwareError(*failures)
         except BaseException as error:
             self.__exit__(type(error), error, error.__traceback__)
@@ -132,19 +138,47 @@ class Devices:
         """Switch every channel off, each tried even if another fails; returns what failed, in words."""
         try:
             all_off(self.controllers)
-        except HardwareError as error:
-            return list(error.messages)
+        except LightsStillOnError as error:
+            lights = lights_on(self.wiring, error.channels)
+            return [*error.messages, f"lights that may still burn: {', '.join(lights) or NONE_OF_THE_RIG}"]
         return []
+
+    def check_referenced(self) -> None:
+        """Refuse a real stage of which nobody knows whether it was homed since it was switched on; moves nothing.
+
+        Raises
+        ------
+        HardwareError
+            When it says that it was not, or cannot say it and the rig file does not vouch for it.
+        """
+        config = self.wiring.hardware.stage
+        if self.stage is None or config is None or config.port == VIRTUAL:
+            return
+        referenced = self.stage.state().referenced
+        if referenced is False:
+            raise HardwareError(
+                "the stage does not know where its origin is, so it was not moved; home it: lightopt bench home RIG, "
+                "or --home with this command"
+            )
+        if referenced is None and not config.assume_referenced:
+            raise HardwareError(
+                f"a stage with driver {config.driver} cannot say whether it was homed since it was switched on, so it "
+                "was not moved; home it with this command (--home), or home it (lightopt bench home RIG) and write "
+                "assume_referenced: true under hardware.stage where it is homed by hand after switching on"
+            )
 
     def home(self) -> None:
         """Let the stage seek its origin."""
         assert self.stage is not None
         with self._moving():
             self.stage.home()
+        self._homed = True
 
     def move_to(self, posture: Posture) -> StageState:
         """Move the stage and verify where it stands."""
         assert self.stage is not None
+        if not self._homed:
+            self.check_referenced()
         with self._moving():
             return self.stage.move_to(posture)
 

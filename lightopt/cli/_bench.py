@@ -75,11 +75,15 @@ def light(
 
 @bench.command()
 def off(rig: RigFile, serial_log: SerialLog = None) -> None:
-    """Switch every channel of every controller off."""
-    loaded, devices = _open(rig, serial_log)
-    with devices:
-        pass
-    say(f"all lights of {loaded.name} are off")
+    """Switch every channel of every controller off, whatever state stage and camera are in."""
+    from lightopt.capture import switch_off, wiring_of
+
+    loaded, _ = load_inputs(rig, None)
+    told = switch_off(loaded, wiring_of(loaded), serial_log=serial_log, warn=say_warning)
+    if told:
+        say(f"all lights of {loaded.name} were told to be off; {', '.join(told)} cannot be read back: look")
+    else:
+        say(f"all lights of {loaded.name} are off")
 
 
 @bench.command()

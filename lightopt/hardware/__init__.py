@@ -3,7 +3,7 @@
 from lightopt.hardware._axes import Axis
 from lightopt.hardware._drivers import light_drivers
 from lightopt.hardware._errors import LinkLostError, RefusedError, ReplyError
-from lightopt.hardware._lights import LightSettings, all_off
+from lightopt.hardware._lights import LightSettings, LightsStillOnError, all_off
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import Event, SerialLog
 from lightopt.hardware._ports import Port, serial_ports
@@ -18,6 +18,7 @@ __all__ = [
     "Identity",
     "LightController",
     "LightSettings",
+    "LightsStillOnError",
     "LinkLostError",
     "Port",
     "RefusedError",

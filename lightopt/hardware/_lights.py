@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lightopt.errors import HardwareError, InputError, LightoptError
 from lightopt.hardware._roles import LightController
 
-__all__ = ["LightSettings", "all_off", "check_light"]
+__all__ = ["LightSettings", "LightsStillOnError", "all_off", "check_light"]
+
+
+class LightsStillOnError(HardwareError):
+    """Channels could not be switched off.
+
+    Parameters
+    ----------
+    *messages
+        What failed.
+    channels
+        Those that may still be lit, by the name of the controller.
+    """
+
+    def __init__(self, *messages: str, channels: Mapping[str, Sequence[int]]) -> None:
+        super().__init__(*messages)
+        self.channels = dict(channels)
 
 
 @dataclass(frozen=True)
@@ -69,7 +85,7 @@ def all_off(controllers: Mapping[str, LightController]) -> None:
 
     Raises
     ------
-    lightopt.errors.HardwareError
+    LightsStillOnError
         Once all were tried, with a message per controller and reason that names the channels that may still be lit.
     """
     reasons: dict[tuple[str, str], list[int]] = {}
@@ -79,12 +95,16 @@ def all_off(controllers: Mapping[str, LightController]) -> None:
             if reason is not None:
                 reasons.setdefault((name, reason), []).append(channel)
     if reasons:
-        raise HardwareError(
+        lit: dict[str, list[int]] = {}
+        for (name, _), channels in reasons.items():
+            lit.setdefault(name, []).extend(channels)
+        raise LightsStillOnError(
             *(
                 f"controller {name}, channel{'s' if len(channels) > 1 else ''} {', '.join(map(str, channels))}: "
                 f"not switched off, may still be lit: {reason}"
                 for (name, reason), channels in reasons.items()
-            )
+            ),
+            channels=lit,
         )
 
 
