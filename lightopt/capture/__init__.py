@@ -6,7 +6,16 @@ The only room that chooses between the virtual bench and real devices.
 from lightopt.capture._connect import connect_devices
 from lightopt.capture._devices import Devices
 from lightopt.capture._lit import LitCheck, Predictions, check_lit, lights_left_on, predict
-from lightopt.capture._manual import DeviceRow, burn, check_angles, check_level, device_rows, snap
+from lightopt.capture._manual import (
+    DeviceRow,
+    burn,
+    check_angles,
+    check_burning,
+    check_level,
+    device_rows,
+    snap,
+    snap_s,
+)
 from lightopt.capture._merge import merge_bracket
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan import Plan, PostureTask, Step, make_plan
@@ -33,6 +42,7 @@ __all__ = [
     "burn",
     "capture",
     "check_angles",
+    "check_burning",
     "check_level",
     "check_lit",
     "connect_devices",
@@ -42,6 +52,7 @@ __all__ = [
     "merge_bracket",
     "predict",
     "snap",
+    "snap_s",
     "start_bench",
     "switch_off",
     "wiring_of",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
+from lightopt.capture._burning import BurnWatch
 from lightopt.capture._open_lights import NONE_OF_THE_RIG, lights_on
 from lightopt.capture._signals import EndSignals
 from lightopt.capture._wiring import VIRTUAL, Wiring
@@ -67,8 +69,10 @@ class Devices:
         self._signals = signals
         self._stage_may_move = False
         self._homed = False
+        self._watch = BurnWatch(self._darken)
         self._touch_lights = touch_lights
         self._dark = dark
+        self._left = False
 
     @property
     def camera(self) -> Camera:
@@ -85,6 +89,8 @@ class Devices:
         if self._signals is None:
             self._signals = EndSignals()
             self._signals.install()
+        self._signals.hold_in(Devices.__exit__.__code__)
+        atexit.register(self._last_resort)
         try:
             if self._touch_lights and not self._dark and (failures := self.all_off()):
                 raise HardwareError(*failures)
@@ -102,7 +108,9 @@ class Devices:
             with self._signals.shielded():
                 state = self._make_safe(failed=error is not None)
                 unclosed = self._close()
+                self._left = True
         finally:
+            atexit.unregister(self._last_resort)
             self._signals.restore()
         lights_are_off = not state[0]
         if isinstance(error, HardwareError) or (error is not None and not lights_are_off):
@@ -117,20 +125,57 @@ class Devices:
             raise KeyboardInterrupt(self._signals.pending)
 
     def light_on(self, name: str, level: int | None = None) -> int | None:
-        """Light a panel, at its level unless another is given; returns what is read back, None where nothing can be."""
+        """Light a panel, at its level unless another is given; returns what is read back, None where nothing can be.
+
+        From here on the channel burns for its `max_on_s` at most, whatever hangs: see :meth:`check_burning`.
+
+        Raises
+        ------
+        InputError
+            When the level is above the channel's `max_level`; nothing was sent.
+        HardwareError
+            When the controller holds another level.
+        """
         channel = self.wiring.light(name)
         controller = self.controllers[channel.controller]
         asked = channel.level if level is None else level
+        if channel.max_level is not None and asked > channel.max_level:
+            raise InputError(
+                f"{name}: level {asked} is above its max_level {channel.max_level}; nothing was sent"
+            )
+        if channel.max_on_s is not None:
+            self._watch.begin(name, channel.max_on_s)
         controller.set_level(channel.channel, asked)
         held = controller.read_level(channel.channel)
         if held is not None and held != asked:
+            self.check_burning(name)
             raise HardwareError(
                 f"{name} ({channel.controller}, channel {channel.channel}): set to level {asked}, but it holds {held}"
             )
         return held
 
     def light_off(self, name: str) -> None:
-        """Darken a panel."""
+        """Darken a panel.
+
+        Raises
+        ------
+        HardwareError
+            When it had to be darkened before, because it had burned for its `max_on_s`.
+        """
+        self._darken(name)
+        self._watch.end(name)
+        self.check_burning(name)
+
+    def may_burn_s(self, name: str) -> float | None:
+        """How long a panel that is lit may burn on [s]; None where nothing limits it."""
+        return self._watch.left_s(name)
+
+    def check_burning(self, name: str) -> None:
+        """Raise a :class:`HardwareError` when a panel was darkened because it had burned for its `max_on_s`."""
+        if problem := self._watch.ended(name):
+            raise HardwareError(problem)
+
+    def _darken(self, name: str) -> None:
         channel = self.wiring.light(name)
         self.controllers[channel.controller].set_level(channel.channel, 0)
 
@@ -204,6 +249,7 @@ class Devices:
     def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:
         """Lights first, then the stage; returns lights that may burn and how the stage is."""
         burning = self.all_off() if self._touch_lights else []
+        self._watch.end_all()
         if self.stage is None or not failed:
             return burning, None
         if not self._stage_may_move:
@@ -219,6 +265,11 @@ class Devices:
             return burning, f"{stopped}; where it stands is unknown: {error}"
         alarm = f", alarm: {state.alarm}" if state.alarm else ""
         return burning, f"{stopped} and stands at {state.posture}{alarm}"
+
+    def _last_resort(self) -> None:
+        """At the end of the program, if it ended without leaving these devices."""
+        if self._touch_lights and not self._left:
+            self.all_off()
 
     def _close(self) -> list[str]:
         """Close all, each even if another fails; returns what failed, in words."""

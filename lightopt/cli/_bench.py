@@ -51,20 +51,25 @@ def light(
     ] = None,
     serial_log: SerialLog = None,
 ) -> None:
-    """Light one panel until Enter is pressed, or for some seconds; never longer than its max_on_s."""
-    from lightopt.capture import burn, check_level, wiring_of
+    """Light one panel until Enter is pressed, or for some seconds; longer than its max_on_s is refused."""
+    from lightopt.capture import burn, check_burning, check_level, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
         raise InputError(
             "--seconds: expected how long the light should burn, because nobody can press Enter here"
         )
     loaded, _ = load_inputs(rig, None)
-    asked = check_level(wiring_of(loaded), loaded, name, level)
+    wiring = wiring_of(loaded)
+    asked = check_level(wiring, loaded, name, level)
+    if seconds is not None:
+        check_burning(wiring, loaded, name, seconds)
+    longest = wiring.light(name).max_on_s
+    at_most = "" if longest is None else f", {longest:g} s at most (max_on_s)"
     loaded, devices = _open(rig, serial_log)
     with devices:
         say(
             f"{name} burns at level {asked}"
-            + (" until Enter is pressed" if seconds is None else f" for {seconds:g} s")
+            + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
         )
         held = burn(devices, name, asked, seconds=seconds, wait=_wait)
     say(
@@ -151,7 +156,7 @@ def snap(
     force: Force = False,
 ) -> None:
     """Take one frame where the stage stands."""
-    from lightopt.capture import check_level, connect_devices, wiring_of
+    from lightopt.capture import check_burning, check_level, connect_devices, snap_s, wiring_of
     from lightopt.capture import snap as take
 
     relative = parse_exposure(exposure)
@@ -161,6 +166,7 @@ def snap(
         raise InputError("--part: the virtual camera needs to know which part lies on the bench")
     if light is not None:
         check_level(wiring, loaded, light, None)
+        check_burning(wiring, loaded, light, snap_s(wiring, relative))
     devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, warn=say_warning)
     with devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)

@@ -147,10 +147,19 @@ def test_a_light_burns_for_the_time_given(cli, wired):
         (("move", "RIG"), "expected --elevation, --rotation or both"),
         (("move", "RIG", "--rotation", "400"), "rotation 400° is outside the stage's range"),
         (("snap", "RIG", "frame.png"), "--part: the virtual camera needs to know"),
+        (
+            ("light", "RIG", "light1", "--seconds", "6"),
+            "light1 would burn 6 s, longer than its max_on_s of 5 s (",
+        ),
+        (
+            ("snap", "RIG", "frame.png", "--part", "PART", "--light", "light1", "--exposure", "700"),
+            "longer than its max_on_s of 5 s (",
+        ),
     ],
 )
 def test_bench_refuses_before_anything_is_opened(cli, wired, sealed, arguments, says):
-    ran = cli("bench", *(wired.rig if argument == "RIG" else argument for argument in arguments))
+    files = {"RIG": wired.rig, "PART": wired.part}
+    ran = cli("bench", *(files.get(argument, argument) for argument in arguments))
     assert (ran.status, ran.out) == (2, "")
     assert says in ran.err
 
