@@ -108,6 +108,11 @@ def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | No
         dialect=config.dialect,
         template=None if config.template is None else config.template.model_dump(),
         timeout_s=config.timeout_s,
+        max_levels={
+            channel.channel: channel.max_level
+            for channel in wiring.hardware.lights.values()
+            if channel.controller == name and channel.max_level is not None
+        },
     )
     return light_drivers()[config.driver](settings, log)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from lightopt.errors import HardwareError, InputError, LightoptError
 from lightopt.hardware._roles import LightController
@@ -49,6 +49,8 @@ class LightSettings:
         template: commands and patterns of replies, by the words of the rig file.
     timeout_s
         Longest wait for a reply [s].
+    max_levels
+        Intensities never exceeded, by channel; where none is given it is `top_level`.
     """
 
     name: str
@@ -59,10 +61,19 @@ class LightSettings:
     dialect: str = "lan"
     template: Mapping[str, str | None] | None = None
     timeout_s: float = 1.0
+    max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
 
 
-def check_light(device: str, channel: int, level: int, *, channels: int, top_level: int) -> None:
-    """Refuse a channel or an intensity that a controller does not have, before anything is sent.
+def check_light(
+    device: str,
+    channel: int,
+    level: int,
+    *,
+    channels: int,
+    top_level: int,
+    max_levels: Mapping[int, int] | None = None,
+) -> None:
+    """Refuse a channel or an intensity that a controller does not have or may not be set to, before anything is sent.
 
     Raises
     ------
@@ -73,6 +84,11 @@ def check_light(device: str, channel: int, level: int, *, channels: int, top_lev
         raise InputError(f"{device}: expected a channel from 1 to {channels}, found {channel}")
     if not 0 <= level <= top_level:
         raise InputError(f"{device}: expected an intensity from 0 to {top_level}, found {level}")
+    if max_levels is not None and level > max_levels.get(channel, level):
+        raise InputError(
+            f"{device}: channel {channel} may have an intensity of {max_levels[channel]} at most (max_level), "
+            f"found {level}; nothing was sent"
+        )
 
 
 def all_off(controllers: Mapping[str, LightController]) -> None:
