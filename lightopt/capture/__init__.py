@@ -3,7 +3,7 @@
 The only room that chooses between the virtual bench and real devices.
 """
 
-from lightopt.capture._connect import connect_devices
+from lightopt.capture._connect import check_devices, connect_devices
 from lightopt.capture._devices import Devices
 from lightopt.capture._lit import LitCheck, Predictions, check_lit, lights_left_on, predict
 from lightopt.capture._manual import (
@@ -43,6 +43,7 @@ __all__ = [
     "capture",
     "check_angles",
     "check_burning",
+    "check_devices",
     "check_level",
     "check_lit",
     "connect_devices",

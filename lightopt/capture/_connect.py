@@ -14,7 +14,7 @@ from lightopt.capture._plan import Plan
 from lightopt.capture._signals import EndSignals
 from lightopt.capture._virtual import STAGE, start_bench
 from lightopt.capture._wiring import VIRTUAL, Wiring
-from lightopt.config import PartConfig, RigConfig
+from lightopt.config import PartConfig, RigConfig, StageDeviceConfig
 from lightopt.errors import InputError, LightoptError
 from lightopt.hardware import (
     Axis,
@@ -22,12 +22,13 @@ from lightopt.hardware import (
     Event,
     SerialLog,
     Stage,
+    check_stage,
     open_stage,
-    serial_ports,
+    port_problem,
 )
 from lightopt.virtualbench import BenchProcess, BenchTruth, VirtualCamera
 
-__all__ = ["connect_devices"]
+__all__ = ["check_devices", "connect_devices"]
 
 
 def connect_devices(
@@ -77,8 +78,7 @@ def connect_devices(
         When a device does not answer. By then every controller that can be reached was darkened, unless `touch_lights`
         is false, and the message names the lights that may still burn.
     """
-    replay = _folder_camera(rig, wiring, plan) if camera else None
-    _check_ports(rig, wiring)
+    replay = check_devices(rig, wiring, plan, camera=camera)
     signals = EndSignals()
     signals.install()
     with ExitStack() as stack:
@@ -133,6 +133,41 @@ def connect_devices(
     return devices
 
 
+def check_devices(
+    rig: RigConfig, wiring: Wiring, plan: Plan | None = None, *, camera: bool = True
+) -> FolderCamera | None:
+    """Check what can be known of devices before any is opened: ports, axes and speeds, the folder to replay.
+
+    Returns
+    -------
+    FolderCamera or None
+        The folder that is replayed, where one is.
+
+    Raises
+    ------
+    InputError
+        With all that is wrong.
+    """
+    problems: list[str] = []
+    replay: FolderCamera | None = None
+    try:
+        replay = _folder_camera(rig, wiring, plan) if camera else None
+    except InputError as error:
+        problems += error.messages
+    try:
+        _check_ports(rig, wiring)
+    except InputError as error:
+        problems += error.messages
+    if (stage := wiring.hardware.stage) is not None:
+        try:
+            check_stage(stage.driver, _axes(rig, stage))
+        except InputError as error:
+            problems += [f"{rig.source.at('hardware', 'stage')}: {message}" for message in error.messages]
+    if problems:
+        raise InputError(*problems)
+    return replay
+
+
 def _virtual(wiring: Wiring, name: str) -> bool:
     config = wiring.hardware.controllers.get(name)
     return config is not None and config.port == VIRTUAL
@@ -164,12 +199,10 @@ def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
     ]
     if hardware.stage is not None:
         named.append((rig.source.at("hardware", "stage", "port"), hardware.stage.port))
-    there = [port.name for port in serial_ports()]
     problems = [
-        f"{where}: no port {port} on this computer; there {'is' if len(there) == 1 else 'are'} "
-        f"{', '.join(there) or 'none'}"
+        f"{where}: {problem}"
         for where, port in named
-        if port != VIRTUAL and "://" not in port and port not in there and not Path(port).exists()
+        if port != VIRTUAL and (problem := port_problem(port)) is not None
     ]
     if problems:
         raise InputError(*problems)
@@ -179,8 +212,20 @@ def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: Serial
     config = wiring.hardware.stage
     if config is None:
         return None
+    return open_stage(
+        config.driver,
+        port=ports[STAGE] if config.port == VIRTUAL else config.port,
+        axes=_axes(rig, config),
+        baud=config.baud,
+        timeout_s=config.timeout_s,
+        home_timeout_s=config.home_timeout_s,
+        log=log,
+    )
+
+
+def _axes(rig: RigConfig, config: StageDeviceConfig) -> list[Axis]:
     ranges = {"elevation": rig.stage.elevation_range_deg, "rotation": rig.stage.rotation_range_deg}
-    axes = [
+    return [
         Axis(
             name=name,
             device=axis.axis,
@@ -193,15 +238,6 @@ def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: Serial
         for name, axis in (("elevation", config.elevation), ("rotation", config.rotation))
         if axis is not None
     ]
-    return open_stage(
-        config.driver,
-        port=ports[STAGE] if config.port == VIRTUAL else config.port,
-        axes=axes,
-        baud=config.baud,
-        timeout_s=config.timeout_s,
-        home_timeout_s=config.home_timeout_s,
-        log=log,
-    )
 
 
 def _events(drivers: list[Any]) -> list[Event]:

@@ -195,17 +195,27 @@ def list_devices(
     if rig is None:
         return
     from lightopt.capture import wiring_of
+    from lightopt.hardware import port_problem
 
     loaded, _ = load_inputs(rig, None)
     hardware = wiring_of(loaded).hardware
+
+    def here(port: str) -> str:
+        if port == "virtual":
+            return "simulated"
+        if "://" in port:
+            return "not tried"
+        return "yes" if (problem := port_problem(port)) is None else f"NO: {problem.partition('; ')[0]}"
+
     rows = [
-        (f"controller {name}", config.driver, config.port) for name, config in hardware.controllers.items()
+        (f"controller {name}", config.driver, config.port, here(config.port))
+        for name, config in hardware.controllers.items()
     ]
     if hardware.stage is not None:
-        rows.append(("stage", hardware.stage.driver, hardware.stage.port))
-    rows.append(("camera", hardware.camera.driver, hardware.camera.folder or ""))
+        rows.append(("stage", hardware.stage.driver, hardware.stage.port, here(hardware.stage.port)))
+    rows.append(("camera", hardware.camera.driver, hardware.camera.folder or "", ""))
     say("")
-    show_table(("device", "driver", "port"), rows, numbers_from=3)
+    show_table(("device", "driver", "port", "there"), rows, numbers_from=4)
 
 
 def _open(

@@ -33,7 +33,7 @@ from lightopt.hardware._grbl_words import (
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._retry import Persistence
 
-__all__ = ["GrblDialogue"]
+__all__ = ["GrblDialogue", "check_grbl"]
 
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
@@ -49,6 +49,13 @@ _HELD = {
     "Sleep": "asleep; reset it",
     "Alarm": "locked; home it (lightopt bench home RIG), or find out why and unlock it with $X",
 }
+
+
+def check_grbl(axes: Sequence[Axis]) -> None:
+    """Refuse axes that Grbl does not have; the speeds that it allows are known once it is asked."""
+    names = [axis.device for axis in axes]
+    if any(name not in _AXES for name in names) or len(set(names)) < len(names):
+        raise InputError(f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}")
 
 
 class GrblDialogue:
@@ -72,11 +79,7 @@ class GrblDialogue:
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:
-        names = [axis.device for axis in axes]
-        if any(name not in _AXES for name in names) or len(set(names)) < len(names):
-            raise InputError(
-                f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}"
-            )
+        check_grbl(axes)
         self.link = link
         self.homes_to_end = True
         self._patience = Persistence(link)

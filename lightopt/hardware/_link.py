@@ -63,7 +63,9 @@ class SerialLink:
     Raises
     ------
     lightopt.errors.InputError
-        When the port is not there (the message lists those that are), is in use, or may not be opened.
+        When the port is not there (the message lists those that are), is none, or may not be opened.
+    lightopt.errors.HardwareError
+        When another program has it.
     """
 
     def __init__(

@@ -221,13 +221,13 @@ def test_a_cable_pulled_is_exit_3_and_says_in_which_step(outside, tmp_path):
 
 
 @posix
-def test_a_port_in_use_is_exit_2_and_nothing_moves(outside, tmp_path):
+def test_a_port_in_use_is_exit_3_and_nothing_moves(outside, tmp_path):
     bench, rig, part = outside
     process = start(rig, part, tmp_path / "out")
     until_lit(bench, process)
     second = start(rig, part, tmp_path / "second")
     _, errors = second.communicate(timeout=60)
-    assert second.returncode == 2, errors
+    assert second.returncode == 3, errors
     assert "in use by another program" in errors
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=30)

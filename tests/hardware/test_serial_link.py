@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from lightopt.errors import InputError
+from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import LinkLostError, ReplyError, SerialLink, SerialLog, serial_ports
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
@@ -254,7 +254,7 @@ def test_dialogues_of_threads_do_not_mix(far: Far) -> None:
 def test_one_process_per_port() -> None:
     far = Far("pty")
     link = far.link()
-    with pytest.raises(InputError, match=rf"laser: port {far.port} is in use by another program"):
+    with pytest.raises(HardwareError, match=rf"laser: port {far.port} is in use by another program"):
         SerialLink(far.port, device="laser", baud=9600)
     program = (
         "from lightopt.hardware import SerialLink\n"
@@ -262,7 +262,7 @@ def test_one_process_per_port() -> None:
         "except Exception as error: print(type(error).__name__, error)\n"
     )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    assert said.startswith("InputError x: port")
+    assert said.startswith("HardwareError x: port")
     assert "in use" in said
     link.close()
     far.link().close()

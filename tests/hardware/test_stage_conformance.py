@@ -190,7 +190,7 @@ def test_one_program_at_a_time(pool: Pool) -> None:
     for kind in KINDS:
         name = pool.take(kind)
         stage = open_kind(kind, pool.of(name).ports[name])
-        with pytest.raises(InputError, match="in use"):
+        with pytest.raises(HardwareError, match="in use"):
             open_kind(kind, pool.of(name).ports[name])
         stage.close()
         open_kind(kind, pool.of(name).ports[name]).close()

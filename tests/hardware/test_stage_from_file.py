@@ -55,7 +55,7 @@ def wired(tmp_path, monkeypatch):
 
         monkeypatch.setattr("serial.serial_for_url", open_url)
         there = tuple(Port(name, "") for name in ports)
-        monkeypatch.setattr("lightopt.capture._connect.serial_ports", lambda: there)
+        monkeypatch.setattr("lightopt.hardware._ports.serial_ports", lambda: there)
         return load_rig(path), load_part(part), ports["COM9"]
 
     return wired
