@@ -9,31 +9,26 @@ from typing import Any
 
 from lightopt.capture._devices import Devices
 from lightopt.capture._folder_camera import FolderCamera
+from lightopt.capture._open_lights import open_lights
 from lightopt.capture._plan import Plan
 from lightopt.capture._signals import EndSignals
 from lightopt.capture._virtual import STAGE, start_bench
 from lightopt.capture._wiring import VIRTUAL, Wiring
-from lightopt.config import (
-    ControllerConfig,
-    PartConfig,
-    RigConfig,
-)
-from lightopt.errors import InputError
+from lightopt.config import PartConfig, RigConfig, StageDeviceConfig
+from lightopt.errors import InputError, LightoptError
 from lightopt.hardware import (
     Axis,
     Camera,
     Event,
-    LightController,
-    LightSettings,
     SerialLog,
     Stage,
-    light_drivers,
+    check_stage,
     open_stage,
-    serial_ports,
+    port_problem,
 )
 from lightopt.virtualbench import BenchProcess, BenchTruth, VirtualCamera
 
-__all__ = ["connect_devices"]
+__all__ = ["check_devices", "connect_devices"]
 
 
 def connect_devices(
@@ -47,8 +42,12 @@ def connect_devices(
     truth: BenchTruth | None = None,
     bench: BenchProcess | None = None,
     touch_lights: bool = True,
+    warn: Callable[[str], None] | None = None,
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
+
+    Lights are opened first, and each controller goes dark as it opens: after a run that was killed this is the only
+    way to darken what burns while another device is out of order.
 
     Parameters
     ----------
@@ -68,21 +67,23 @@ def connect_devices(
         A virtual bench that runs already; it is left running.
     touch_lights
         False for a mere look at the devices: nothing is switched.
+    warn
+        Called if the serial log ends early, which ends nothing else.
 
     Raises
     ------
     InputError
         When a port is not there or in use, or a folder lacks images of the plan.
     HardwareError
-        When a device does not answer.
+        When a device does not answer. By then every controller that can be reached was darkened, unless `touch_lights`
+        is false, and the message names the lights that may still burn.
     """
-    replay = _folder_camera(rig, wiring, plan) if camera else None
-    _check_ports(rig, wiring)
+    replay = check_devices(rig, wiring, plan, camera=camera)
     signals = EndSignals()
     signals.install()
     with ExitStack() as stack:
         stack.callback(signals.restore)
-        log = None if serial_log is None else SerialLog(serial_log)
+        log = None if serial_log is None else SerialLog(serial_log, warn=warn)
         closing: list[Callable[[], None]] = []
         if log is not None:
             stack.callback(log.close)
@@ -92,30 +93,84 @@ def connect_devices(
             stack.callback(bench.close)
             closing.append(bench.close)
         ports: Mapping[str, str] = {} if bench is None else bench.ports
-        controllers: dict[str, LightController] = {}
-        for name, config in wiring.hardware.controllers.items():
-            port = ports[name] if config.port == VIRTUAL else config.port
-            controllers[name] = _controller(name, config, port, log)
-            stack.callback(controllers[name].close)
-        stage = _stage(rig, wiring, ports, log)
-        if stage is not None:
-            stack.callback(stage.close)
+        lights = open_lights(
+            wiring,
+            wiring.hardware.controllers,
+            ports={name: ports[name] for name in ports if _virtual(wiring, name)},
+            log=log,
+            darken=touch_lights,
+            opened=lambda controller: stack.callback(controller.close),
+        )
+        if lights.problems:
+            raise lights.raised()
+        try:
+            stage = _stage(rig, wiring, ports, log)
+            if stage is not None:
+                stack.callback(stage.close)
+        except LightoptError as error:
+            raise (lights.raised(error) if touch_lights else error) from error
         seen: Camera | None = replay
         if camera and replay is None:
             assert bench is not None
             seen = VirtualCamera(bench)
         devices = Devices(
             wiring=wiring,
-            controllers=controllers,
+            controllers=lights.controllers,
             stage=stage,
             camera=seen,
-            events=lambda: _events([*controllers.values(), *([stage] if stage else [])]),
+            events=lambda: _events([*lights.controllers.values(), stage, log]),
             closing=closing,
             signals=signals,
             touch_lights=touch_lights,
+            dark=touch_lights,
         )
+        if plan is not None and not plan.home:
+            try:
+                devices.check_referenced()
+            except LightoptError as error:
+                raise lights.raised(error) from error
         stack.pop_all()  # from here on the devices close themselves
     return devices
+
+
+def check_devices(
+    rig: RigConfig, wiring: Wiring, plan: Plan | None = None, *, camera: bool = True
+) -> FolderCamera | None:
+    """Check what can be known of devices before any is opened: ports, axes and speeds, the folder to replay.
+
+    Returns
+    -------
+    FolderCamera or None
+        The folder that is replayed, where one is.
+
+    Raises
+    ------
+    InputError
+        With all that is wrong.
+    """
+    problems: list[str] = []
+    replay: FolderCamera | None = None
+    try:
+        replay = _folder_camera(rig, wiring, plan) if camera else None
+    except InputError as error:
+        problems += error.messages
+    try:
+        _check_ports(rig, wiring)
+    except InputError as error:
+        problems += error.messages
+    if (stage := wiring.hardware.stage) is not None:
+        try:
+            check_stage(stage.driver, _axes(rig, stage))
+        except InputError as error:
+            problems += [f"{rig.source.at('hardware', 'stage')}: {message}" for message in error.messages]
+    if problems:
+        raise InputError(*problems)
+    return replay
+
+
+def _virtual(wiring: Wiring, name: str) -> bool:
+    config = wiring.hardware.controllers.get(name)
+    return config is not None and config.port == VIRTUAL
 
 
 def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderCamera | None:
@@ -144,37 +199,33 @@ def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
     ]
     if hardware.stage is not None:
         named.append((rig.source.at("hardware", "stage", "port"), hardware.stage.port))
-    there = [port.name for port in serial_ports()]
     problems = [
-        f"{where}: no port {port} on this computer; there {'is' if len(there) == 1 else 'are'} "
-        f"{', '.join(there) or 'none'}"
+        f"{where}: {problem}"
         for where, port in named
-        if port != VIRTUAL and "://" not in port and port not in there and not Path(port).exists()
+        if port != VIRTUAL and (problem := port_problem(port)) is not None
     ]
     if problems:
         raise InputError(*problems)
-
-
-def _controller(name: str, config: ControllerConfig, port: str, log: SerialLog | None) -> LightController:
-    settings = LightSettings(
-        name=name,
-        port=port,
-        baud=config.baud,
-        channels=config.channels,
-        top_level=config.top_level,
-        dialect=config.dialect,
-        template=None if config.template is None else config.template.model_dump(),
-        timeout_s=config.timeout_s,
-    )
-    return light_drivers()[config.driver](settings, log)
 
 
 def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog | None) -> Stage | None:
     config = wiring.hardware.stage
     if config is None:
         return None
+    return open_stage(
+        config.driver,
+        port=ports[STAGE] if config.port == VIRTUAL else config.port,
+        axes=_axes(rig, config),
+        baud=config.baud,
+        timeout_s=config.timeout_s,
+        home_timeout_s=config.home_timeout_s,
+        log=log,
+    )
+
+
+def _axes(rig: RigConfig, config: StageDeviceConfig) -> list[Axis]:
     ranges = {"elevation": rig.stage.elevation_range_deg, "rotation": rig.stage.rotation_range_deg}
-    axes = [
+    return [
         Axis(
             name=name,
             device=axis.axis,
@@ -182,18 +233,11 @@ def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: Serial
             steps_per_deg=axis.steps_per_deg,
             zero=axis.zero,
             speed_deg_per_s=axis.speed_deg_per_s,
+            home_sense=axis.home_sense,
         )
         for name, axis in (("elevation", config.elevation), ("rotation", config.rotation))
         if axis is not None
     ]
-    return open_stage(
-        config.driver,
-        port=ports[STAGE] if config.port == VIRTUAL else config.port,
-        axes=axes,
-        baud=config.baud,
-        timeout_s=config.timeout_s,
-        log=log,
-    )
 
 
 def _events(drivers: list[Any]) -> list[Event]:

@@ -13,10 +13,23 @@ from lightopt.capture._timing import utc
 from lightopt.capture._wiring import Wiring
 from lightopt.config import RigConfig
 from lightopt.errors import InputError, LightoptError
+from lightopt.hardware import Frame
 from lightopt.images import write_png
 from lightopt.transforms import Posture
 
-__all__ = ["DeviceRow", "burn", "check_angles", "check_level", "device_rows", "snap"]
+__all__ = [
+    "DeviceRow",
+    "burn",
+    "check_angles",
+    "check_burning",
+    "check_level",
+    "device_rows",
+    "snap",
+    "snap_s",
+]
+
+_DARKENING_S = 0.3
+"""A light that may not burn longer is told to be off so long before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +112,28 @@ def check_angles(rig: RigConfig, *, elevation: float | None, rotation: float | N
         raise InputError(*problems)
 
 
+def check_burning(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> None:
+    """Refuse to let a light burn longer [s] than its `max_on_s`; nothing is opened.
+
+    Raises
+    ------
+    InputError
+        When it would.
+    """
+    longest = wiring.light(name).max_on_s
+    if longest is not None and seconds > longest:
+        raise InputError(
+            f"{name} would burn {seconds:.3g} s, longer than its max_on_s of {longest:g} s "
+            f"({rig.source.at('hardware', 'lights', name)}); nothing was opened"
+        )
+
+
+def snap_s(wiring: Wiring, exposure: float) -> float:
+    """How long a light burns for one frame at a relative exposure [s]: settling, and the frames' exposures."""
+    timing = wiring.hardware.timing
+    return timing.light_ms / 1e3 + (1 + timing.discard_frames) * exposure * wiring.exposure_us / 1e6
+
+
 def burn(
     devices: Devices, name: str, level: int, *, seconds: float | None, wait: Callable[[float | None], None]
 ) -> int | None:
@@ -120,10 +155,11 @@ def burn(
     int or None
         Level that the controller held.
     """
-    longest = devices.wiring.light(name).max_on_s
-    limits = [limit for limit in (seconds, longest) if limit is not None]
     devices.step = f"lighting {name}"
     held = devices.light_on(name, level)
+    left_s = devices.may_burn_s(name)
+    longest_s = None if left_s is None else max(0.0, left_s - min(_DARKENING_S, 0.1 * left_s))
+    limits = [limit for limit in (seconds, longest_s) if limit is not None]
     wait(min(limits) if limits else None)
     devices.light_off(name)
     return held
@@ -172,13 +208,23 @@ def snap(
         camera.show(light, posture or Posture(0.0, 0.0), exposure)
     if not camera.triggered:
         for _ in range(timing.discard_frames):
-            camera.grab(timeout_s=held / 1e6 + timing.frame_timeout_s)
-    frame = camera.grab(timeout_s=held / 1e6 + timing.frame_timeout_s)
+            _grab(devices, held, light)
+    frame = _grab(devices, held, light)
     if light is not None:
         devices.light_off(light)
     facts = {"time": utc(), "exposure_us": frame.exposure_us, "light": light, "bit_depth": camera.bit_depth}
     write_png(path, frame.levels, metadata=facts, overwrite=overwrite)
     return int(frame.levels.min()), int(frame.levels.max()), float(frame.levels.mean())
+
+
+def _grab(devices: Devices, exposure_us: float, light: str | None) -> Frame:
+    """Wait for a frame no longer than the light may burn."""
+    limit_s = exposure_us / 1e6 + devices.wiring.hardware.timing.frame_timeout_s
+    left_s = None if light is None else devices.may_burn_s(light)
+    frame = devices.camera.grab(timeout_s=limit_s if left_s is None else max(0.0, min(limit_s, left_s)))
+    if light is not None:
+        devices.check_burning(light)
+    return frame
 
 
 def _row(name: str, ask: Callable[[], str]) -> DeviceRow:

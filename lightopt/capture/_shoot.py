@@ -11,7 +11,7 @@ from lightopt.capture._folder_camera import FolderCamera
 from lightopt.capture._frames import Exposed, mean_of_frames
 from lightopt.capture._plan import Plan
 from lightopt.capture._timing import Timing, utc
-from lightopt.errors import HardwareError
+from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import Frame
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
@@ -49,11 +49,23 @@ class Shooter:
         Who the devices are, for the manifest.
     timing
         Where the time that is spent is counted.
+
+    Raises
+    ------
+    InputError
+        When the camera cannot expose as long or as short as the plan wants; nothing was lit or moved.
     """
 
     def __init__(
         self, devices: Devices, plan: Plan, *, sensor: Sensor, identities: dict[str, Any], timing: Timing
     ) -> None:
+        low, high = devices.camera.exposure_range_us
+        for time_us in map(plan.exposure_us, plan.exposures):
+            if not low * (1 - EXPOSURE_TOLERANCE) <= time_us <= high * (1 + EXPOSURE_TOLERANCE):
+                raise InputError(
+                    f"an exposure of {time_us:g} µs is outside the camera's {low:g} to {high:g} µs; choose others "
+                    "(--exposures), or another camera.exposure_us in the rig"
+                )
         self._devices = devices
         self._plan = plan
         self._sensor = sensor
@@ -61,7 +73,7 @@ class Shooter:
         self._timing = timing
         self._stage: dict[str, Any] | None = None
         self._stage_settled = 0.0
-        self._lit: tuple[str, dict[str, Any], float] | None = None
+        self._lit: tuple[str, dict[str, Any]] | None = None
         self._light_settled = 0.0
         self._held_us: float | None = None
         self._changed = True
@@ -91,7 +103,6 @@ class Shooter:
         self._wait_until(self._stage_settled - light_s)
         channel = self._plan.wiring.light(name)
         with self._timing.spent("lights_s"):
-            begun = time.monotonic()
             held = self._devices.light_on(name)
         self._light_settled = time.monotonic() + light_s
         facts = {
@@ -99,7 +110,7 @@ class Shooter:
             "channel": channel.channel,
             "level": {"asked": channel.level, "read": held},
         }
-        self._lit = (name, facts, begun)
+        self._lit = (name, facts)
         self._changed = True
 
     def light_off(self) -> None:
@@ -133,6 +144,8 @@ class Shooter:
         """Take an image under the light that burns, or in the dark."""
         light = self._lit[0] if self._lit else None
         self._devices.step = f"exposing {light or 'dark'} {posture} at exposure {exposure:g}"
+        if light is not None:
+            self._devices.check_burning(light)
         camera = self._devices.camera
         if isinstance(camera, FolderCamera):
             camera.show(light, posture, exposure)
@@ -184,6 +197,8 @@ class Shooter:
         taken_s = time.monotonic() - begun
         self._timing.exposing_s += min(exposure_s, taken_s)
         self._timing.transfer_s += max(0.0, taken_s - exposure_s)
+        if self._lit is not None:
+            self._devices.check_burning(self._lit[0])
         self._check_frame(frame)
         return frame
 
@@ -202,11 +217,7 @@ class Shooter:
 
     def _may_burn_s(self) -> float | None:
         """How long the light may burn on [s]; None where nothing limits it."""
-        if self._lit is None:
-            return None
-        name, _, begun = self._lit
-        most = self._plan.wiring.light(name).max_on_s
-        return None if most is None else begun + most - time.monotonic()
+        return None if self._lit is None else self._devices.may_burn_s(self._lit[0])
 
     def _burns_too_long(self, left_s: float) -> None:
         assert self._lit is not None

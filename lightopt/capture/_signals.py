@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 __all__ = ["EndSignals"]
@@ -17,14 +17,16 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 class EndSignals:
     """While active, SIGINT, SIGTERM, SIGHUP and Windows' SIGBREAK raise :class:`KeyboardInterrupt` in the main thread.
 
-    A signal that is ignored (as SIGHUP under nohup) stays ignored. In a thread other than the main one nothing is
-    changed.
+    The first one that unwinds holds those after it back, so that none gets in between while the rig is made safe, which
+    takes a bounded time. A signal that is ignored (as SIGHUP under nohup) stays ignored. In a thread other than the
+    main one nothing is changed.
     """
 
     def __init__(self) -> None:
         self._before: dict[int, Any] = {}
         self._shielded = False
         self._pending: str | None = None
+        self._holding: set[CodeType] = set()
 
     def install(self) -> None:
         """Take the signals over."""
@@ -50,15 +52,26 @@ class EndSignals:
         finally:
             self._shielded = False
 
+    def hold_in(self, code: CodeType) -> None:
+        """Hold signals back from the first instruction of a function on: before it can ask for :meth:`shielded`."""
+        self._holding.add(code)
+
     @property
     def pending(self) -> str | None:
         """Name of the signal that came while shielded."""
         return self._pending
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        del frame
         name = signal.Signals(number).name
-        if self._shielded:
+        if self._shielded or self._held_in(frame):
             self._pending = name
             return
+        self._shielded = True  # here, because a second signal may come before anybody catches this one
         raise KeyboardInterrupt(name)
+
+    def _held_in(self, frame: FrameType | None) -> bool:
+        while frame is not None:
+            if frame.f_code in self._holding:
+                return True
+            frame = frame.f_back
+        return False

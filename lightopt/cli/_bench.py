@@ -9,7 +9,7 @@ import typer
 from lightopt.cli._capture import SerialLog
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, RigFile, parse_exposure
-from lightopt.cli._terminal import say, show_table
+from lightopt.cli._terminal import say, say_warning, show_table
 from lightopt.errors import HardwareError, InputError
 
 if TYPE_CHECKING:
@@ -51,20 +51,25 @@ def light(
     ] = None,
     serial_log: SerialLog = None,
 ) -> None:
-    """Light one panel until Enter is pressed, or for some seconds; never longer than its max_on_s."""
-    from lightopt.capture import burn, check_level, wiring_of
+    """Light one panel until Enter is pressed, or for some seconds; longer than its max_on_s is refused."""
+    from lightopt.capture import burn, check_burning, check_level, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
         raise InputError(
             "--seconds: expected how long the light should burn, because nobody can press Enter here"
         )
     loaded, _ = load_inputs(rig, None)
-    asked = check_level(wiring_of(loaded), loaded, name, level)
+    wiring = wiring_of(loaded)
+    asked = check_level(wiring, loaded, name, level)
+    if seconds is not None:
+        check_burning(wiring, loaded, name, seconds)
+    longest = wiring.light(name).max_on_s
+    at_most = "" if longest is None else f", {longest:g} s at most (max_on_s)"
     loaded, devices = _open(rig, serial_log)
     with devices:
         say(
             f"{name} burns at level {asked}"
-            + (" until Enter is pressed" if seconds is None else f" for {seconds:g} s")
+            + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
         )
         held = burn(devices, name, asked, seconds=seconds, wait=_wait)
     say(
@@ -75,11 +80,15 @@ def light(
 
 @bench.command()
 def off(rig: RigFile, serial_log: SerialLog = None) -> None:
-    """Switch every channel of every controller off."""
-    loaded, devices = _open(rig, serial_log)
-    with devices:
-        pass
-    say(f"all lights of {loaded.name} are off")
+    """Switch every channel of every controller off, whatever state stage and camera are in."""
+    from lightopt.capture import switch_off, wiring_of
+
+    loaded, _ = load_inputs(rig, None)
+    told = switch_off(loaded, wiring_of(loaded), serial_log=serial_log, warn=say_warning)
+    if told:
+        say(f"all lights of {loaded.name} were told to be off; {', '.join(told)} cannot be read back: look")
+    else:
+        say(f"all lights of {loaded.name} are off")
 
 
 @bench.command()
@@ -147,7 +156,7 @@ def snap(
     force: Force = False,
 ) -> None:
     """Take one frame where the stage stands."""
-    from lightopt.capture import check_level, connect_devices, wiring_of
+    from lightopt.capture import check_burning, check_level, connect_devices, snap_s, wiring_of
     from lightopt.capture import snap as take
 
     relative = parse_exposure(exposure)
@@ -157,7 +166,8 @@ def snap(
         raise InputError("--part: the virtual camera needs to know which part lies on the bench")
     if light is not None:
         check_level(wiring, loaded, light, None)
-    devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log)
+        check_burning(wiring, loaded, light, snap_s(wiring, relative))
+    devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, warn=say_warning)
     with devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
     say(f"levels {low} to {high}, mean {mean:.1f}")
@@ -185,17 +195,27 @@ def list_devices(
     if rig is None:
         return
     from lightopt.capture import wiring_of
+    from lightopt.hardware import port_problem
 
     loaded, _ = load_inputs(rig, None)
     hardware = wiring_of(loaded).hardware
+
+    def here(port: str) -> str:
+        if port == "virtual":
+            return "simulated"
+        if "://" in port:
+            return "not tried"
+        return "yes" if (problem := port_problem(port)) is None else f"NO: {problem.partition('; ')[0]}"
+
     rows = [
-        (f"controller {name}", config.driver, config.port) for name, config in hardware.controllers.items()
+        (f"controller {name}", config.driver, config.port, here(config.port))
+        for name, config in hardware.controllers.items()
     ]
     if hardware.stage is not None:
-        rows.append(("stage", hardware.stage.driver, hardware.stage.port))
-    rows.append(("camera", hardware.camera.driver, hardware.camera.folder or ""))
+        rows.append(("stage", hardware.stage.driver, hardware.stage.port, here(hardware.stage.port)))
+    rows.append(("camera", hardware.camera.driver, hardware.camera.folder or "", ""))
     say("")
-    show_table(("device", "driver", "port"), rows, numbers_from=3)
+    show_table(("device", "driver", "port", "there"), rows, numbers_from=4)
 
 
 def _open(
@@ -208,7 +228,7 @@ def _open(
     if needs_stage and wiring.hardware.stage is None:
         raise InputError(f"{loaded.source.at('hardware')}: this rig has no stage")
     return loaded, connect_devices(
-        loaded, wiring, camera=False, serial_log=serial_log, touch_lights=touch_lights
+        loaded, wiring, camera=False, serial_log=serial_log, touch_lights=touch_lights, warn=say_warning
     )
 
 

@@ -70,7 +70,7 @@ def capture(
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
 
-    from lightopt.capture import CaptureOptions, make_plan
+    from lightopt.capture import CaptureOptions, check_devices, make_plan
     from lightopt.capture import capture as run
 
     loaded_rig, loaded_part = load_inputs(rig, part)
@@ -85,7 +85,9 @@ def capture(
         check=not no_check,
     )
     if dry_run:
-        _show_plan(make_plan(loaded_rig, loaded_part, options))
+        plan = make_plan(loaded_rig, loaded_part, options)
+        _show_plan(plan)
+        check_devices(loaded_rig, plan.wiring, plan)  # a plan can be read where the devices are not
         return
     assert out is not None
     with show_share(quiet=quiet) as report:

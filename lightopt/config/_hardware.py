@@ -194,6 +194,10 @@ class StageDeviceConfig(Frozen):
     )
     timeout_s: Positive = Field(default=1.0, description="Longest wait for a reply [s].")
     home_timeout_s: Positive = Field(default=180.0, description="Longest time that homing may take [s].")
+    assume_referenced: bool = Field(
+        default=False,
+        description="Whether a stage that cannot say whether it was homed is moved without --home.",
+    )
 
     @field_validator("elevation", "rotation")
     @classmethod

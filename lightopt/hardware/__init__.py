@@ -3,12 +3,12 @@
 from lightopt.hardware._axes import Axis
 from lightopt.hardware._drivers import light_drivers
 from lightopt.hardware._errors import LinkLostError, RefusedError, ReplyError
-from lightopt.hardware._lights import LightSettings, all_off
+from lightopt.hardware._lights import LightSettings, LightsStillOnError, all_off
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import Event, SerialLog
-from lightopt.hardware._ports import Port, serial_ports
+from lightopt.hardware._ports import Port, port_problem, serial_ports
 from lightopt.hardware._roles import Camera, Frame, Identity, LightController, Stage, StageState
-from lightopt.hardware._stages import StageDriver, open_stage, stage_drivers
+from lightopt.hardware._stages import StageDriver, check_stage, open_stage, stage_drivers
 
 __all__ = [
     "Axis",
@@ -18,6 +18,7 @@ __all__ = [
     "Identity",
     "LightController",
     "LightSettings",
+    "LightsStillOnError",
     "LinkLostError",
     "Port",
     "RefusedError",
@@ -28,8 +29,10 @@ __all__ = [
     "StageDriver",
     "StageState",
     "all_off",
+    "check_stage",
     "light_drivers",
     "open_stage",
+    "port_problem",
     "serial_ports",
     "stage_drivers",
 ]

@@ -8,6 +8,7 @@ channel, ``O`` with data or ``N`` with the number of an error, and a checksum.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 from lightopt.hardware._errors import RefusedError, ReplyError, printable
 from lightopt.hardware._lights import LightSettings, check_light
@@ -42,21 +43,30 @@ class CcsController:
         Number of channels.
     top_level
         Highest intensity.
+    max_levels
+        Intensities never exceeded, by channel.
     dialect
         ``lan``: frames without unit number; ``serial``: with it.
 
     Raises
     ------
     lightopt.errors.HardwareError
-        When the controller does not answer.
+        When the controller does not answer, be it only to ``M``; one that refuses ``M`` cannot be read back.
     """
 
     def __init__(
-        self, link: SerialLink, *, channels: int = 4, top_level: int = 255, dialect: str = "lan"
+        self,
+        link: SerialLink,
+        *,
+        channels: int = 4,
+        top_level: int = 255,
+        dialect: str = "lan",
+        max_levels: Mapping[int, int] | None = None,
     ) -> None:
         self._link = link
         self._channels = channels
         self._top_level = top_level
+        self._max_levels = max_levels
         self._unit = "00" if dialect == "serial" else ""
         self._digits = max(3, len(str(top_level)))
         self._persistence = Persistence(link)
@@ -85,7 +95,14 @@ class CcsController:
 
     def set_level(self, channel: int, level: int) -> None:
         """Set the intensity, then switch: a light comes on at its level, and goes dark twice over."""
-        check_light(self._link.device, channel, level, channels=self._channels, top_level=self._top_level)
+        check_light(
+            self._link.device,
+            channel,
+            level,
+            channels=self._channels,
+            top_level=self._top_level,
+            max_levels=self._max_levels,
+        )
         on = int(level > 0)
         with self._link.lock:
             try:
@@ -116,7 +133,7 @@ class CcsController:
     def _can_read(self) -> bool:
         try:
             self._settings(1)
-        except (RefusedError, ReplyError) as error:
+        except RefusedError as error:  # a lost reply says nothing of what the controller can
             self._link.note(f"lights cannot be read back: {error}")
             return False
         return True
@@ -187,7 +204,11 @@ def open_ccs(settings: LightSettings, log: SerialLog | None = None) -> CcsContro
     )
     try:
         return CcsController(
-            link, channels=settings.channels, top_level=settings.top_level, dialect=settings.dialect
+            link,
+            channels=settings.channels,
+            top_level=settings.top_level,
+            max_levels=settings.max_levels,
+            dialect=settings.dialect,
         )
     except BaseException:
         link.close()

@@ -33,7 +33,7 @@ from lightopt.hardware._grbl_words import (
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._retry import Persistence
 
-__all__ = ["GrblDialogue"]
+__all__ = ["GrblDialogue", "check_grbl"]
 
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
@@ -49,6 +49,13 @@ _HELD = {
     "Sleep": "asleep; reset it",
     "Alarm": "locked; home it (lightopt bench home RIG), or find out why and unlock it with $X",
 }
+
+
+def check_grbl(axes: Sequence[Axis]) -> None:
+    """Refuse axes that Grbl does not have; the speeds that it allows are known once it is asked."""
+    names = [axis.device for axis in axes]
+    if any(name not in _AXES for name in names) or len(set(names)) < len(names):
+        raise InputError(f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}")
 
 
 class GrblDialogue:
@@ -72,11 +79,7 @@ class GrblDialogue:
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:
-        names = [axis.device for axis in axes]
-        if any(name not in _AXES for name in names) or len(set(names)) < len(names):
-            raise InputError(
-                f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}"
-            )
+        check_grbl(axes)
         self.link = link
         self.homes_to_end = True
         self._patience = Persistence(link)
@@ -86,6 +89,7 @@ class GrblDialogue:
         self._here: dict[str, float] = {}
         self._critical: str | None = None
         self._restarted = False
+        self._homing = False
         self._greet()
 
     def says(self) -> dict[str, str]:
@@ -163,7 +167,9 @@ class GrblDialogue:
                 "homing is not enabled ($22=0): with limit switches wired, set $22=1 in Grbl", sent=b"$H\n"
             )
         self._restarted = False
+        self._homing = True  # until it says ok: while it seeks, it reports nothing and knows no hold
         self._line("$H", deadline_s=self._home_timeout_s)
+        self._homing = False
 
     def homed(self, reading: Reading) -> str | None:
         """Grbl says ok when it is done, so it need only stand idle."""
@@ -172,16 +178,19 @@ class GrblDialogue:
     def halt(self) -> None:
         """Hold, and when it stands still reset, which forgets the rest of the way and keeps the position.
 
+        While it seeks its switches it knows no hold, and is reset at once; it is then locked until it is homed.
         After an alarm that silences Grbl the motors are off already, and a reset would clear what a person should see.
         """
         if self._critical is not None:
             return
-        self.link.write(b"!")
-        until = time.monotonic() + _HOLD_S
-        while time.monotonic() < until and self._moves():
-            pass
-        if self._critical is not None:
-            return
+        if not self._homing:
+            self.link.write(b"!")
+            until = time.monotonic() + _HOLD_S
+            while time.monotonic() < until and self._moves():
+                pass
+            if self._critical is not None:
+                return
+        self._homing = False
         self.link.write(_RESET)
         try:
             self._await_banner(_BANNER_S)
@@ -256,6 +265,7 @@ class GrblDialogue:
                 if line.startswith(b"<"):
                     raise ReplyError(self.link.words("a broken status report", sent=b"?", reply=line))
                 continue
+            self._homing = False  # it reports again
             self._here = dict(zip(_AXES, report.position, strict=False))
             state = report.state
             held = _HELD.get(state) or ("the door is open" if state.startswith("Door") else None)

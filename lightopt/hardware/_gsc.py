@@ -28,10 +28,16 @@ from lightopt.hardware._sigmakoki import (
     signed,
 )
 
-__all__ = ["GscDialogue"]
+__all__ = ["GscDialogue", "check_gsc"]
 
 _RANGES = {1: (1, 200), 2: (50, 20_000)}  # speed ranges of D: [pulses/s]
 _FARTHEST = 16_777_214  # longest relative move [pulses]
+
+
+def check_gsc(axes: Sequence[Axis]) -> None:
+    """Refuse axes and speeds that the controller cannot have."""
+    check_axes(axes, slowest=_RANGES[1][0], fastest=_RANGES[2][1])
+    _speed_command(axes)
 
 
 class GscDialogue:
@@ -44,7 +50,7 @@ class GscDialogue:
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
-        check_axes(axes, slowest=_RANGES[1][0], fastest=_RANGES[2][1])
+        check_gsc(axes)
         self.link = link
         self.homes_to_end = False
         self._patience = Persistence(link)

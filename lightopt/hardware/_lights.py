@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from lightopt.errors import HardwareError, InputError, LightoptError
 from lightopt.hardware._roles import LightController
 
-__all__ = ["LightSettings", "all_off", "check_light"]
+__all__ = ["LightSettings", "LightsStillOnError", "all_off", "check_light"]
+
+
+class LightsStillOnError(HardwareError):
+    """Channels could not be switched off.
+
+    Parameters
+    ----------
+    *messages
+        What failed.
+    channels
+        Those that may still be lit, by the name of the controller.
+    """
+
+    def __init__(self, *messages: str, channels: Mapping[str, Sequence[int]]) -> None:
+        super().__init__(*messages)
+        self.channels = dict(channels)
 
 
 @dataclass(frozen=True)
@@ -33,6 +49,8 @@ class LightSettings:
         template: commands and patterns of replies, by the words of the rig file.
     timeout_s
         Longest wait for a reply [s].
+    max_levels
+        Intensities never exceeded, by channel; where none is given it is `top_level`.
     """
 
     name: str
@@ -43,10 +61,19 @@ class LightSettings:
     dialect: str = "lan"
     template: Mapping[str, str | None] | None = None
     timeout_s: float = 1.0
+    max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
 
 
-def check_light(device: str, channel: int, level: int, *, channels: int, top_level: int) -> None:
-    """Refuse a channel or an intensity that a controller does not have, before anything is sent.
+def check_light(
+    device: str,
+    channel: int,
+    level: int,
+    *,
+    channels: int,
+    top_level: int,
+    max_levels: Mapping[int, int] | None = None,
+) -> None:
+    """Refuse a channel or an intensity that a controller does not have or may not be set to, before anything is sent.
 
     Raises
     ------
@@ -57,6 +84,11 @@ def check_light(device: str, channel: int, level: int, *, channels: int, top_lev
         raise InputError(f"{device}: expected a channel from 1 to {channels}, found {channel}")
     if not 0 <= level <= top_level:
         raise InputError(f"{device}: expected an intensity from 0 to {top_level}, found {level}")
+    if max_levels is not None and level > max_levels.get(channel, level):
+        raise InputError(
+            f"{device}: channel {channel} may have an intensity of {max_levels[channel]} at most (max_level), "
+            f"found {level}; nothing was sent"
+        )
 
 
 def all_off(controllers: Mapping[str, LightController]) -> None:
@@ -69,7 +101,7 @@ def all_off(controllers: Mapping[str, LightController]) -> None:
 
     Raises
     ------
-    lightopt.errors.HardwareError
+    LightsStillOnError
         Once all were tried, with a message per controller and reason that names the channels that may still be lit.
     """
     reasons: dict[tuple[str, str], list[int]] = {}
@@ -79,12 +111,16 @@ def all_off(controllers: Mapping[str, LightController]) -> None:
             if reason is not None:
                 reasons.setdefault((name, reason), []).append(channel)
     if reasons:
-        raise HardwareError(
+        lit: dict[str, list[int]] = {}
+        for (name, _), channels in reasons.items():
+            lit.setdefault(name, []).extend(channels)
+        raise LightsStillOnError(
             *(
                 f"controller {name}, channel{'s' if len(channels) > 1 else ''} {', '.join(map(str, channels))}: "
                 f"not switched off, may still be lit: {reason}"
                 for (name, reason), channels in reasons.items()
-            )
+            ),
+            channels=lit,
         )
 
 

@@ -63,7 +63,9 @@ class SerialLink:
     Raises
     ------
     lightopt.errors.InputError
-        When the port is not there (the message lists those that are), is in use, or may not be opened.
+        When the port is not there (the message lists those that are), is none, or may not be opened.
+    lightopt.errors.HardwareError
+        When another program has it.
     """
 
     def __init__(
@@ -142,9 +144,12 @@ class SerialLink:
     def write(self, data: bytes) -> None:
         """Send bytes and leave the input as it is: for single bytes that a device obeys in the midst of a dialogue."""
         with self.lock:
-            if self._log is not None:
-                self._log.write(self.port, "out", data)
-            self._guarded(lambda: self._serial.write(data), data)
+            moment = now()
+            try:
+                self._guarded(lambda: self._serial.write(data), data)
+            finally:  # bytes first: whatever becomes of the log, a light is switched off
+                if self._log is not None:
+                    self._log.write(self.port, "out", data, moment)
             self._quiet_since = time.monotonic()
 
     def read(

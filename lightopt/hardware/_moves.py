@@ -89,14 +89,6 @@ class MovingStage:
         with self._link.lock:
             return self._state(self._dialogue.read())
 
-    def travel_s(self, start: Posture, end: Posture) -> float:
-        """Time [s] that the move between two postures should take: that of the axis which takes longest."""
-        first, last = _angles(start), _angles(end)
-        return max(
-            (abs(last[axis.name] - first[axis.name]) / axis.speed_deg_per_s for axis in self._axes),
-            default=0.0,
-        )
-
     def check(self, posture: Posture) -> None:
         """Raise what :meth:`move_to` would raise for a posture that it cannot take; sends nothing."""
         angles = _angles(posture)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import errno
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
-from lightopt.errors import InputError
+from lightopt.errors import HardwareError, InputError, LightoptError
 
-__all__ = ["Port", "cannot_open", "serial_ports"]
+__all__ = ["Port", "cannot_open", "port_problem", "serial_ports"]
 
 _NETWORK = ("socket://", "rfc2217://")
 
@@ -46,13 +47,27 @@ def serial_ports() -> tuple[Port, ...]:
     return tuple(ports)
 
 
-def cannot_open(port: str, device: str, error: BaseException) -> InputError:
-    """Why a port could not be opened, and what to do."""
+def port_problem(port: str) -> str | None:
+    """Why a name can be no port of this computer; None where it is one, or a URL, which shows when it is opened."""
+    there = [known.name for known in serial_ports()]
+    if "://" in port or port in there:
+        return None
+    path = Path(port)
+    if not path.exists():
+        are = f"there {'is' if len(there) == 1 else 'are'} {', '.join(there) or 'none'}"
+        return f"no port {port} on this computer; {are}"
+    if not path.is_char_device():
+        return f"{port} is not a serial port, but a {'folder' if path.is_dir() else 'file'}"
+    return None
+
+
+def cannot_open(port: str, device: str, error: BaseException) -> LightoptError:
+    """Why a port could not be opened, and what to do: a :class:`HardwareError` where another program has it."""
     reason = str(error)
     number = getattr(error, "errno", None)
     head = f"{device}: port {port}"
     if "exclusively lock" in reason or number == errno.EBUSY or "Access is denied" in reason:
-        return InputError(f"{head} is in use by another program; close it, or wait for it to end")
+        return HardwareError(f"{head} is in use by another program; close it, or wait for it to end")
     if number == errno.EACCES or "Permission denied" in reason:
         return InputError(
             f"{head} may not be opened by this user; on Linux add the user to the group that owns it (dialout)"
@@ -68,6 +83,8 @@ def cannot_open(port: str, device: str, error: BaseException) -> InputError:
         )
     if isinstance(error, ValueError):
         return InputError(f"{head} is not a port or URL that can be opened: {_short(reason)}")
+    if (problem := port_problem(port)) is not None and "is not a serial port" in problem:
+        return InputError(f"{device}: {problem}")
     there = ", ".join(p.name + (f" ({p.description})" if p.description else "") for p in serial_ports())
     return InputError(f"{head} cannot be opened: {_short(reason)}; ports on this computer: {there or 'none'}")
 

@@ -127,10 +127,6 @@ class Stage(Protocol):
         """
         ...
 
-    def travel_s(self, start: Posture, end: Posture) -> float:
-        """Time [s] that the move between two postures should take."""
-        ...
-
     def stop(self) -> None:
         """Stop all axes at once."""
         ...

@@ -8,6 +8,7 @@ checksum.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 from lightopt.errors import InputError
 from lightopt.hardware._errors import RefusedError, ReplyError
@@ -39,6 +40,8 @@ class SaController:
         Number of channels, up to 6.
     top_level
         Highest intensity, up to 9999.
+    max_levels
+        Intensities never exceeded, by channel.
 
     Raises
     ------
@@ -48,7 +51,14 @@ class SaController:
         When the controller does not answer.
     """
 
-    def __init__(self, link: SerialLink, *, channels: int = 4, top_level: int = 255) -> None:
+    def __init__(
+        self,
+        link: SerialLink,
+        *,
+        channels: int = 4,
+        top_level: int = 255,
+        max_levels: Mapping[int, int] | None = None,
+    ) -> None:
         if channels > len(_LETTERS) or top_level > _TOP:
             raise InputError(
                 f"{link.device}: the protocol has {len(_LETTERS)} channels and intensities up to {_TOP}, "
@@ -57,6 +67,7 @@ class SaController:
         self._link = link
         self._channels = channels
         self._top_level = top_level
+        self._max_levels = max_levels
         self._persistence = Persistence(link)
         self._reads = True
         try:
@@ -88,7 +99,14 @@ class SaController:
 
     def set_level(self, channel: int, level: int) -> None:
         """Set the intensity, and read it back."""
-        check_light(self._link.device, channel, level, channels=self._channels, top_level=self._top_level)
+        check_light(
+            self._link.device,
+            channel,
+            level,
+            channels=self._channels,
+            top_level=self._top_level,
+            max_levels=self._max_levels,
+        )
         letter = _LETTERS[channel - 1]
         with self._link.lock:
             self._persistence.ask(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
@@ -147,7 +165,9 @@ def open_sa(settings: LightSettings, log: SerialLog | None = None) -> SaControll
         log=log,
     )
     try:
-        return SaController(link, channels=settings.channels, top_level=settings.top_level)
+        return SaController(
+            link, channels=settings.channels, top_level=settings.top_level, max_levels=settings.max_levels
+        )
     except BaseException:
         link.close()
         raise

@@ -26,9 +26,14 @@ from lightopt.hardware._sigmakoki import (
     signed,
 )
 
-__all__ = ["ShotDialogue"]
+__all__ = ["ShotDialogue", "check_shot"]
 
 _SLOWEST, _FASTEST = 1, 500_000  # [pulses/s]
+
+
+def check_shot(axes: Sequence[Axis]) -> None:
+    """Refuse axes and speeds that the controller cannot have."""
+    check_axes(axes, slowest=_SLOWEST, fastest=_FASTEST)
 
 
 class ShotDialogue:
@@ -41,7 +46,7 @@ class ShotDialogue:
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
-        check_axes(axes, slowest=_SLOWEST, fastest=_FASTEST)
+        check_shot(axes)
         self.link = link
         self.homes_to_end = False
         self._patience = Persistence(link)

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from lightopt.errors import InputError, LightoptError
 from lightopt.hardware._axes import Axis
 from lightopt.hardware._dialogue import Dialogue
-from lightopt.hardware._grbl import GrblDialogue
-from lightopt.hardware._gsc import GscDialogue
+from lightopt.hardware._grbl import GrblDialogue, check_grbl
+from lightopt.hardware._gsc import GscDialogue, check_gsc
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import SerialLog
 from lightopt.hardware._moves import Clock, MovingStage
-from lightopt.hardware._shot import ShotDialogue
-from lightopt.hardware._zaber import ZaberDialogue
+from lightopt.hardware._shot import ShotDialogue, check_shot
+from lightopt.hardware._zaber import ZaberDialogue, check_zaber
 
-__all__ = ["StageDriver", "open_stage", "stage_drivers"]
+__all__ = ["StageDriver", "check_stage", "open_stage", "stage_drivers"]
 
 _Speak = Callable[[SerialLink, Sequence[Axis], float], Dialogue]
 
@@ -33,6 +33,8 @@ class StageDriver:
         The protocol's usual baud rate.
     rtscts
         Whether the device paces the line.
+    check
+        Refuses axes and speeds that it cannot have, as far as that is known without the device.
     speak
         Makes the language's dialogue from link, axes, and the longest time [s] that homing may take.
     """
@@ -40,18 +42,41 @@ class StageDriver:
     name: str
     baud: int
     rtscts: bool
+    check: Callable[[Sequence[Axis]], None]
     speak: _Speak
 
 
 def stage_drivers() -> dict[str, StageDriver]:
     """The stage drivers by name."""
     drivers = (
-        StageDriver("shot", 9600, True, lambda link, axes, _: ShotDialogue(link, axes)),
-        StageDriver("gsc", 9600, False, lambda link, axes, _: GscDialogue(link, axes)),
-        StageDriver("grbl", 115200, False, lambda link, axes, s: GrblDialogue(link, axes, home_timeout_s=s)),
-        StageDriver("zaber", 115200, False, lambda link, axes, _: ZaberDialogue(link, axes)),
+        StageDriver("shot", 9600, True, check_shot, lambda link, axes, _: ShotDialogue(link, axes)),
+        StageDriver("gsc", 9600, False, check_gsc, lambda link, axes, _: GscDialogue(link, axes)),
+        StageDriver(
+            "grbl",
+            115200,
+            False,
+            check_grbl,
+            lambda link, axes, s: GrblDialogue(link, axes, home_timeout_s=s),
+        ),
+        StageDriver("zaber", 115200, False, check_zaber, lambda link, axes, _: ZaberDialogue(link, axes)),
     )
     return {driver.name: driver for driver in drivers}
+
+
+def check_stage(driver: str, axes: Sequence[Axis]) -> None:
+    """Check what a stage is asked to be against what its driver can say; nothing is opened.
+
+    Raises
+    ------
+    lightopt.errors.InputError
+        For an unknown driver, or axes or speeds that it cannot have.
+    """
+    known = stage_drivers()
+    if driver not in known:
+        raise InputError(f"unknown stage driver {driver}; there are: {', '.join(known)}")
+    if not axes:
+        raise InputError("the stage has no axis: hardware.stage needs elevation, rotation, or both")
+    known[driver].check(axes)
 
 
 def open_stage(
@@ -93,12 +118,8 @@ def open_stage(
     lightopt.errors.HardwareError
         When the device does not answer where the protocol has it speak first.
     """
-    known = stage_drivers()
-    if driver not in known:
-        raise InputError(f"unknown stage driver {driver}; there are: {', '.join(known)}")
-    if not axes:
-        raise InputError("the stage has no axis: hardware.stage needs elevation, rotation, or both")
-    kind = known[driver]
+    check_stage(driver, axes)
+    kind = stage_drivers()[driver]
     link = SerialLink(
         port,
         device=f"stage ({driver})",

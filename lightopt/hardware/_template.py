@@ -39,6 +39,8 @@ class TemplateController:
         Number of channels.
     top_level
         Highest intensity.
+    max_levels
+        Intensities never exceeded, by channel.
 
     Raises
     ------
@@ -49,11 +51,18 @@ class TemplateController:
     """
 
     def __init__(
-        self, link: SerialLink, template: Mapping[str, str | None], *, channels: int = 4, top_level: int = 255
+        self,
+        link: SerialLink,
+        template: Mapping[str, str | None],
+        *,
+        channels: int = 4,
+        top_level: int = 255,
+        max_levels: Mapping[int, int] | None = None,
     ) -> None:
         self._link = link
         self._channels = channels
         self._top_level = top_level
+        self._max_levels = max_levels
         self._words = {key: text for key, text in template.items() if text is not None}
         self._end = self._words.get("end", "").encode("latin-1")
         self._patterns: dict[str, re.Pattern[bytes]] = {}
@@ -85,7 +94,14 @@ class TemplateController:
 
     def set_level(self, channel: int, level: int) -> None:
         """Set the intensity, or darken by the template's own command; read back where it can."""
-        check_light(self._link.device, channel, level, channels=self._channels, top_level=self._top_level)
+        check_light(
+            self._link.device,
+            channel,
+            level,
+            channels=self._channels,
+            top_level=self._top_level,
+            max_levels=self._max_levels,
+        )
         verb = "off" if level == 0 and "off" in self._words else "set"
         with self._link.lock:
             self._persistence.ask(lambda: self._say(verb, channel, level))
@@ -174,7 +190,11 @@ def open_template(settings: LightSettings, log: SerialLog | None = None) -> Temp
     )
     try:
         return TemplateController(
-            link, settings.template, channels=settings.channels, top_level=settings.top_level
+            link,
+            settings.template,
+            channels=settings.channels,
+            top_level=settings.top_level,
+            max_levels=settings.max_levels,
         )
     except BaseException:
         link.close()

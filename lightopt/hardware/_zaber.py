@@ -27,7 +27,7 @@ from lightopt.hardware._zaber_messages import (
     warning_words,
 )
 
-__all__ = ["ZaberDialogue"]
+__all__ = ["ZaberDialogue", "check_zaber"]
 
 _SPEED_UNIT = 1.6384  # maxspeed per microstep per second
 _STOPS = frozenset({"WL"})  # warnings after which the position is not to be trusted
@@ -38,6 +38,12 @@ _ADDRESS = re.compile(r"(?:(?P<device>[1-9]\d?)/)?(?P<axis>[1-9])")
 class _Address:
     device: int
     axis: int
+
+
+def check_zaber(axes: Sequence[Axis]) -> None:
+    """Refuse axes that the protocol cannot address."""
+    if len({_address(axis) for axis in axes}) < len(axes):
+        raise InputError("stage: elevation and rotation are the same axis of the controller")
 
 
 class ZaberDialogue:
@@ -61,9 +67,8 @@ class ZaberDialogue:
         self.homes_to_end = False
         self._patience = Persistence(link)
         self._axes = tuple(axes)
+        check_zaber(axes)
         self._addresses = {axis.device: _address(axis) for axis in axes}
-        if len(set(self._addresses.values())) < len(self._axes):
-            raise InputError("stage: elevation and rotation are the same axis of the controller")
         self._number = 0
         self._limits: dict[str, tuple[int, int]] = {}
         self._told: set[str] = set()

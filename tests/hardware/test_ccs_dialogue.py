@@ -251,16 +251,14 @@ def test_a_channel_that_waits_for_triggers(monkeypatch: pytest.MonkeyPatch) -> N
         CcsController(link).set_level(2, 125)
 
 
-@pytest.mark.parametrize("reply", [checked(b"@00N01"), None], ids=["refused", "silent"])
-def test_without_settings_lights_are_set_unverified_and_that_is_told(
-    monkeypatch: pytest.MonkeyPatch, reply: bytes | None
+def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_told(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    attempts = 1 if reply else 3
     link, port = scripted_link(
         monkeypatch,
         [
             STATUS,
-            *[(b"@00MED\r\n", reply)] * attempts,
+            (b"@00MED\r\n", checked(b"@00N01")),
             (b"@00F25582\r\n", OK1),
             (b"@00L11D\r\n", OK1),
             STATUS,
@@ -272,6 +270,13 @@ def test_without_settings_lights_are_set_unverified_and_that_is_told(
     assert controller.identify().says["read_back"] == "no"
     assert any("cannot be read back" in e.what for e in controller.events)
     assert port.dialogue == []
+
+
+def test_settings_that_do_not_come_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three lost replies must not switch the verification off for the rest of the run."""
+    link, _ = scripted_link(monkeypatch, [STATUS, *[(b"@00MED\r\n", None)] * 3])
+    with pytest.raises(ReplyError, match=r"no reply after .*sent 3 times"):
+        CcsController(link)
 
 
 @pytest.mark.parametrize(("channel", "level"), [(0, 1), (5, 1), (1, -1), (1, 256)])

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from test_light_conformance import TEMPLATE
 
-from lightopt.errors import HardwareError
+from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import (
     LightController,
     LightSettings,
@@ -176,3 +176,20 @@ def test_cable_pulled_at_every_command_of_a_set(after: int, obeyed: bool) -> Non
         controller.close()
         dark = bench.levels("ccs")[1] == 0
         assert dark == (after > 0 or obeyed)
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_no_level_above_the_channel_s_is_sent(name: str) -> None:
+    with BenchProcess({name: {"kind": name, "options": OPTIONS[name]}}) as bench:
+        settings = LightSettings(name, bench.ports[name], max_levels={2: 90}, **OPTIONS[name])
+        controller = light_drivers()[name](settings, None)
+        controller.set_level(2, 90)
+        heard = bench.state()["deliveries"][name]
+        with pytest.raises(
+            InputError, match=r"channel 2 may have an intensity of 90 at most \(max_level\), found 91"
+        ):
+            controller.set_level(2, 91)
+        assert bench.state()["deliveries"][name] == heard
+        controller.set_level(1, 91)
+        all_off({name: controller})
+        controller.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import os
 import re
 import socket
@@ -15,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from lightopt.errors import InputError
+from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import LinkLostError, ReplyError, SerialLink, SerialLog, serial_ports
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
@@ -253,7 +254,7 @@ def test_dialogues_of_threads_do_not_mix(far: Far) -> None:
 def test_one_process_per_port() -> None:
     far = Far("pty")
     link = far.link()
-    with pytest.raises(InputError, match=rf"laser: port {far.port} is in use by another program"):
+    with pytest.raises(HardwareError, match=rf"laser: port {far.port} is in use by another program"):
         SerialLink(far.port, device="laser", baud=9600)
     program = (
         "from lightopt.hardware import SerialLink\n"
@@ -261,7 +262,7 @@ def test_one_process_per_port() -> None:
         "except Exception as error: print(type(error).__name__, error)\n"
     )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    assert said.startswith("InputError x: port")
+    assert said.startswith("HardwareError x: port")
     assert "in use" in said
     link.close()
     far.link().close()
@@ -410,3 +411,40 @@ def test_log_survives_a_kill(tmp_path: Path) -> None:
 def test_log_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the serial log cannot be written"):
         SerialLog(tmp_path / "nowhere" / "serial.log")
+
+
+class FullDisk:
+    """A file on a disk that is full after the first entry."""
+
+    closed = False
+
+    def __init__(self) -> None:
+        self.written: list[str] = []
+
+    def write(self, text: str) -> None:
+        if self.written:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self.written.append(text)
+
+    def flush(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed = True
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_ends_the_log_and_nothing_else(far: Far, tmp_path: Path) -> None:
+    said: list[str] = []
+    log = SerialLog(tmp_path / "serial.log", warn=said.append)
+    log._file.close()
+    log._file = FullDisk()  # type: ignore[assignment]
+    link = far.link(log=log)  # the first entry
+    for _ in range(3):
+        link.write(b"off")
+        assert far.hear() == b"off"
+    assert [event.what for event in log.events] == said
+    assert len(said) == 1
+    assert "the serial log ends here, it can no longer be written: No space left" in said[0]
+    link.close()
+    log.close()

@@ -136,8 +136,7 @@ def test_between_two_steps_is_told(homed: World) -> None:
 def test_travel_time(homed: World) -> None:
     start, end = Posture(-40.0, 10.0), Posture(40.0, 40.0)
     homed.stage.move_to(start)
-    expected = homed.stage.travel_s(start, end)
-    assert expected == pytest.approx(80 / 800)
+    expected = 80 / 800
     began = time.monotonic()
     homed.stage.move_to(end)
     assert 0.8 * expected < time.monotonic() - began < expected + 1.0
@@ -191,7 +190,7 @@ def test_one_program_at_a_time(pool: Pool) -> None:
     for kind in KINDS:
         name = pool.take(kind)
         stage = open_kind(kind, pool.of(name).ports[name])
-        with pytest.raises(InputError, match="in use"):
+        with pytest.raises(HardwareError, match="in use"):
             open_kind(kind, pool.of(name).ports[name])
         stage.close()
         open_kind(kind, pool.of(name).ports[name]).close()

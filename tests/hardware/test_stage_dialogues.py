@@ -308,6 +308,35 @@ def test_grbl_homes_where_homing_is_enabled(monkeypatch: pytest.MonkeyPatch) -> 
     assert script.ended()
 
 
+def test_grbl_is_reset_at_once_while_it_seeks_its_switches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would neither report nor hold: asking first would let it run on for a second."""
+    script = play(
+        monkeypatch,
+        [
+            (b"?", report("Alarm", 0, 0)),
+            (b"?", report("Alarm", 0, 0)),
+            (b"$$\n", SETTINGS),
+            (b"$H\n", b"error:"),  # cut short by Ctrl-C
+            (b"\x18", b"ALARM:6\r\n\r\nGrbl 1.1h ['$' for help]\r\n"),
+            (b"?", report("Alarm", -3, -5)),
+        ],
+    )
+    grbl = stage("grbl", degrees())
+    link, read = grbl._link, grbl._link.read
+
+    def interrupted(**options: object) -> bytes:
+        if options.get("after") == b"$H\n":
+            link.discard()
+            raise KeyboardInterrupt
+        return read(**options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(link, "read", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        grbl.home()
+    assert script.ended()
+    assert grbl._lost is not None
+
+
 def test_grbl_does_not_home_where_homing_is_not_enabled(monkeypatch: pytest.MonkeyPatch) -> None:
     script = play(
         monkeypatch,

@@ -75,9 +75,6 @@ class Stage:
         self.world.posture = posture
         return self.state()
 
-    def travel_s(self, start, end):
-        return 0.0
-
     def stop(self):
         self.world.note("stop")
 

@@ -147,10 +147,19 @@ def test_a_light_burns_for_the_time_given(cli, wired):
         (("move", "RIG"), "expected --elevation, --rotation or both"),
         (("move", "RIG", "--rotation", "400"), "rotation 400° is outside the stage's range"),
         (("snap", "RIG", "frame.png"), "--part: the virtual camera needs to know"),
+        (
+            ("light", "RIG", "light1", "--seconds", "6"),
+            "light1 would burn 6 s, longer than its max_on_s of 5 s (",
+        ),
+        (
+            ("snap", "RIG", "frame.png", "--part", "PART", "--light", "light1", "--exposure", "700"),
+            "longer than its max_on_s of 5 s (",
+        ),
     ],
 )
 def test_bench_refuses_before_anything_is_opened(cli, wired, sealed, arguments, says):
-    ran = cli("bench", *(wired.rig if argument == "RIG" else argument for argument in arguments))
+    files = {"RIG": wired.rig, "PART": wired.part}
+    ran = cli("bench", *(files.get(argument, argument) for argument in arguments))
     assert (ran.status, ran.out) == (2, "")
     assert says in ran.err
 
@@ -176,3 +185,31 @@ def test_devices_lists_ports_without_opening_one(cli, wired, sealed):
     ran = cli("bench", "devices", wired.rig)
     assert (ran.status, ran.err) == (0, "")
     assert "controller main  ccs" in ran.out
+    assert "NO" not in ran.out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("port: virtual, channels", "port: /dev/nowhere, channels", "no port /dev/nowhere on this computer"),
+        ("port: virtual, channels", "port: PLAIN, channels", "is not a serial port, but a file"),
+        ("camera: {driver: virtual}", "camera: {driver: folder, folder: nowhere}", "nowhere"),
+        ('"1", steps_per_deg: 100,', '"1", steps_per_deg: 10000,', "the controller takes 1 to 500000"),
+    ],
+)
+def test_a_dry_run_sees_devices_that_cannot_be(cli, wired, sealed, old, new, says):
+    wired.edit("rig.yaml", old, new.replace("PLAIN", str(wired.part)))
+    ran = cli("capture", wired.rig, wired.part, "--dry-run")
+    assert ran.status == 2
+    assert "nothing was opened or moved" in ran.out  # the plan is shown all the same
+    assert says in ran.err
+    whole = cli("capture", wired.rig, wired.part, "-o", wired.out)
+    assert (whole.status, whole.out) == (2, "")
+    assert says in whole.err
+
+
+def test_devices_marks_ports_that_are_not_there(cli, wired, sealed):
+    wired.edit("rig.yaml", "port: virtual, channels", "port: /dev/nowhere, channels")
+    ran = cli("bench", "devices", wired.rig)
+    assert ran.status == 0
+    assert "NO: no port /dev/nowhere on this computer" in ran.out
