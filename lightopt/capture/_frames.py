@@ -28,8 +28,8 @@ class Exposed:
     saturated
         Where any of the frames reached the saturation level, so that the mean says too little.
     png
-        What is kept as PNG [sensor level]: the frame as delivered; of several the mean, rounded half up, and the
-        highest level of all where any was saturated.
+        What is kept as PNG [sensor level]: the frame as delivered; of several the mean, rounded half to even (half up
+        would add 1/(2N) on average), and the highest level of all where any was saturated.
     """
 
     exposure: float
@@ -59,7 +59,9 @@ def mean_of_frames(frames: Sequence[Levels], *, sensor: Sensor, exposure: float)
     total = np.zeros(frames[0].shape, np.uint32)  # 1000 frames of 16 bits fit
     for frame in frames:
         total += frame
-    rounded = (2 * total + len(frames)) // (2 * len(frames))
+    whole, rest = np.divmod(total, np.uint32(len(frames)))
+    twice = 2 * rest
+    rounded = whole + ((twice > len(frames)) | ((twice == len(frames)) & (whole % 2 == 1)))
     return Exposed(
         exposure=exposure,
         mean=(total / len(frames)).astype(np.float32),

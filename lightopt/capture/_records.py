@@ -122,7 +122,13 @@ class CapturedSet:
 
     def add_dark(self, posture: Posture, exposure: float, shot: Shot) -> None:
         """Put a dark frame on disk and into the manifest."""
-        facts = {"light": None, "posture": posture.as_dict(), "exposure": exposure, "capture": shot.facts}
+        facts = {
+            "light": None,
+            "posture": posture.as_dict(),
+            "exposure": exposure,
+            "mean_level": float(shot.image.mean.mean(dtype=np.float64)),
+            "capture": shot.facts,
+        }
         self.writer.add_levels(dark_name(posture, exposure), shot.image.png, metadata=facts)
 
     def add(self, light: str, posture: Posture, exposure: float, shot: Shot) -> None:
