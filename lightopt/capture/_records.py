@@ -18,6 +18,7 @@ from lightopt.capture._shoot import Shot
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.images import (
+    EVENTS_KEY,
     MANIFEST_NAME,
     ImageEntry,
     ImageSetWriter,
@@ -143,6 +144,12 @@ class CapturedSet:
             extra={"capture": shot.facts},
         )
         self.writer.add_image(entry, png=shot.image.png)
+
+    def note_events(self, events: Sequence[Mapping[str, Any]]) -> None:
+        """Put what happened on the links, but at no image, into the manifest's header."""
+        if events:
+            before = self.writer.manifest.extra.get(EVENTS_KEY, ())
+            self.writer.add_extra(EVENTS_KEY, [*before, *events])
 
     def add_linear(
         self,
