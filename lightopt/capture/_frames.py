@@ -56,15 +56,13 @@ def mean_of_frames(frames: Sequence[Levels], *, sensor: Sensor, exposure: float)
         return Exposed(
             exposure=exposure, mean=frames[0].astype(np.float32), saturated=saturated, png=frames[0]
         )
-    total = np.zeros(frames[0].shape, np.uint32)  # 1000 frames of 16 bits fit
+    mean = np.zeros(frames[0].shape, np.float64)
     for frame in frames:
-        total += frame
-    whole, rest = np.divmod(total, np.uint32(len(frames)))
-    twice = 2 * rest
-    rounded = whole + ((twice > len(frames)) | ((twice == len(frames)) & (whole % 2 == 1)))
+        mean += frame
+    mean /= len(frames)
     return Exposed(
         exposure=exposure,
-        mean=(total / len(frames)).astype(np.float32),
+        mean=mean.astype(np.float32),
         saturated=saturated,
-        png=np.where(saturated, highest, rounded.astype(highest.dtype)),
+        png=np.where(saturated, highest, np.rint(mean).astype(highest.dtype)),
     )
