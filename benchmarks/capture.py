@@ -1,4 +1,4 @@
-"""What a capture adds to moving, settling, exposing and getting frames over: its overhead, on a warm virtual bench."""
+"""What a capture adds to settling, exposing and getting frames over: its overhead, on a warm virtual bench."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from lightopt.virtualbench import BenchProcess
 __all__ = ["TARGET", "run"]
 
 TARGET = 0.15
-"""Of settling, exposing and transfer; the stage stands still, so that long moves hide nothing."""
+"""Of settling, exposing and transfer; of one posture, in which no move hides anything."""
 
 CASES = {
     "one exposure": CaptureOptions(postures=(Posture(0.0, 0.0),)),
@@ -56,8 +56,24 @@ def run(size: Size) -> Report:
                 )
                 numbers[case] = {**best.parts(), "whole_s": best.whole_s, "overhead": best.overhead}
                 rows.append([case, *_cells(best)])
-    header = ("", "settle [s]", "expose [s]", "transfer [s]", "lights [s]", "wait for disk [s]", "overhead")
-    notes = (f"target: overhead ≤ {TARGET:.0%} of settle + expose + transfer; least of the rounds",)
+    header = (
+        "",
+        "open [s]",
+        "move [s]",
+        "settle [s]",
+        "expose [s]",
+        "transfer [s]",
+        "lights [s]",
+        "wait for disk [s]",
+        "other [s]",
+        "overhead",
+        f"≤ {TARGET:.0%}",
+    )
+    notes = (
+        "overhead: lights, disk and other, as a share of settle + expose + transfer; the least of the rounds",
+        "opening (mesh, plan, devices) and moves count in neither",
+        "disk: an image is judged, written and listed before the next exposure; settling hides it, a bracket does not",
+    )
     return Report("capture", [Table(f"capture, {size.width} px wide", header, rows)], numbers, notes)
 
 
@@ -83,5 +99,15 @@ def _take(
 
 
 def _cells(timing: Timing) -> list[str]:
-    seconds = (timing.settling_s, timing.exposing_s, timing.transfer_s, timing.lights_s, timing.writing_s)
-    return [*(f"{value:.2f}" for value in seconds), f"{timing.overhead:.1%}"]
+    seconds = (
+        timing.opening_s,
+        timing.moving_s,
+        timing.settling_s,
+        timing.exposing_s,
+        timing.transfer_s,
+        timing.lights_s,
+        timing.writing_s,
+        timing.other_s,
+    )
+    met = "yes" if timing.overhead <= TARGET else "no"
+    return [*(f"{value:.2f}" for value in seconds), f"{timing.overhead:.1%}", met]

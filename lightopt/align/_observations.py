@@ -6,13 +6,16 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.align._dark import dark_levels, frames_of
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSet
+from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
 __all__ = ["Observation", "observed_postures", "read_observations"]
@@ -39,13 +42,16 @@ class Observation:
     exposure
         At which `levels` were taken; 1 for a linear EXR.
     levels
-        Sensor levels, black level included, shape (height, width), as delivered or, from an EXR, float32.
+        Sensor levels, black level included, shape (height, width): as delivered, minus what the set's frames without
+        light show above black; or from an EXR.
     saturated
         Where `levels` are only a lower bound, same shape.
     half_width
         How far from a level the signal may have been [sensor level].
     source
         The file.
+    frames
+        How many frames it is the mean of.
     """
 
     light: str
@@ -55,6 +61,7 @@ class Observation:
     saturated: NDArray[np.bool_]
     half_width: float
     source: Path
+    frames: int = 1
 
     @property
     def name(self) -> str:
@@ -70,6 +77,8 @@ def observed_postures(image_set: ImageSet) -> tuple[Posture, ...]:
 
 def read_observations(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> tuple[Observation, ...]:
     """Read all images of a set: PNG with the manifest's exposure, EXR only where there is no PNG.
+
+    From the images of a set captured with frames without light those are subtracted.
 
     Parameters
     ----------
@@ -87,7 +96,7 @@ def read_observations(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> 
     if problems:
         raise InputError(*problems)
     width, height = rig.camera.resolution_px
-    observations = tuple(_read(image_set, entry) for entry in image_set.images)
+    observations = tuple(_read(image_set, entry, _sensor(rig)) for entry in image_set.images)
     other = [o for o in observations if o.levels.shape != (height, width)]
     if other:
         rows, columns = other[0].levels.shape
@@ -152,7 +161,18 @@ def _light_problems(images: Iterable[ImageEntry], rig: RigConfig, image_set: Ima
             )
 
 
-def _read(image_set: ImageSet, entry: ImageEntry) -> Observation:
+def _sensor(rig: RigConfig) -> Sensor:
+    of = rig.camera.sensor
+    return Sensor(
+        bit_depth=of.bit_depth,
+        saturation_level=of.saturation_level,
+        black_level=of.black_level,
+        read_noise_levels=of.read_noise_levels,
+        electrons_per_level=of.electrons_per_level,
+    )
+
+
+def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation:
     image = image_set.load(entry)
     manifest = image_set.manifest
     if image.sensor is not None:
@@ -160,10 +180,11 @@ def _read(image_set: ImageSet, entry: ImageEntry) -> Observation:
             light=entry.light,
             posture=entry.posture,
             exposure=entry.exposure,
-            levels=image.sensor.astype(np.float32),
+            levels=_above_dark(image_set, entry, image.sensor, sensor),
             saturated=image.saturated,
             half_width=PNG_HALF_WIDTH,
             source=image_set.path(entry.png or ""),
+            frames=frames_of(entry),
         )
     scale = manifest.max_level / manifest.full_scale
     levels = (image.levels * scale + manifest.black_level).astype(np.float32)
@@ -181,3 +202,19 @@ def _read(image_set: ImageSet, entry: ImageEntry) -> Observation:
         half_width=EXR_HALF_WIDTH,
         source=image_set.path(entry.exr or ""),
     )
+
+
+def _above_dark(
+    image_set: ImageSet, entry: ImageEntry, delivered: NDArray[Any], sensor: Sensor
+) -> NDArray[np.float32]:
+    """Sensor levels with what the panel did not light removed; saturated ones stay lower bounds, zeros upper ones."""
+    dark = dark_levels(image_set, entry, sensor)
+    if dark is None:
+        return delivered.astype(np.float32)
+    if dark.shape != delivered.shape:
+        raise InputError(
+            f"{image_set.path(entry.png or '')}: {delivered.shape[1]} × {delivered.shape[0]} px, but its frame without "
+            f"light has {dark.shape[1]} × {dark.shape[0]} px; capture both again"
+        )
+    levels = np.minimum(delivered, math.ceil(sensor.saturated_from)) - dark + sensor.black_level
+    return np.where(delivered == 0, np.minimum(levels, 0.0), levels).astype(np.float32)

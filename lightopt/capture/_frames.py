@@ -28,8 +28,8 @@ class Exposed:
     saturated
         Where any of the frames reached the saturation level, so that the mean says too little.
     png
-        What is kept as PNG [sensor level]: the frame as delivered; of several the mean, rounded half up, and the
-        highest level of all where any was saturated.
+        What is kept as PNG [sensor level]: the frame as delivered; of several the mean, rounded half to even (half up
+        would add 1/(2N) on average), and the highest level of all where any was saturated.
     """
 
     exposure: float
@@ -56,13 +56,13 @@ def mean_of_frames(frames: Sequence[Levels], *, sensor: Sensor, exposure: float)
         return Exposed(
             exposure=exposure, mean=frames[0].astype(np.float32), saturated=saturated, png=frames[0]
         )
-    total = np.zeros(frames[0].shape, np.uint32)  # 1000 frames of 16 bits fit
+    mean = np.zeros(frames[0].shape, np.float64)
     for frame in frames:
-        total += frame
-    rounded = (2 * total + len(frames)) // (2 * len(frames))
+        mean += frame
+    mean /= len(frames)
     return Exposed(
         exposure=exposure,
-        mean=(total / len(frames)).astype(np.float32),
+        mean=mean.astype(np.float32),
         saturated=saturated,
-        png=np.where(saturated, highest, rounded.astype(highest.dtype)),
+        png=np.where(saturated, highest, np.rint(mean).astype(highest.dtype)),
     )

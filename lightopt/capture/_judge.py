@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.capture._agree import exposures_disagree
+from lightopt.capture._frames import Exposed
 from lightopt.capture._lit import Predictions, check_lit, lights_left_on, predict
 from lightopt.capture._shoot import Shot
 from lightopt.errors import HardwareError
@@ -21,6 +23,9 @@ __all__ = ["Judge"]
 
 Float32 = NDArray[np.float32]
 
+AMBIENT_LEVELS = 0.5
+"""Light that is always there and shifts levels by more than this is told [sensor level]."""
+
 
 class Judge:
     """Holds the prediction of the posture that the stage is at, made while it travels, and the frame without light.
@@ -31,33 +36,35 @@ class Judge:
         With all lights of the rig.
     check
         Whether to judge at all.
+    with_dark
+        Whether the set has frames without light, so that what is always there is known.
     """
 
-    def __init__(self, scene: Scene, *, check: bool) -> None:
+    def __init__(self, scene: Scene, *, check: bool, with_dark: bool) -> None:
+        self._with_dark = with_dark
         self._scene = scene
         self._check = check
         self._caster = cast_rays_at(scene) if check else None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="predict")
         self._predicted: Future[Predictions] | None = None
-        self._reference: tuple[Float32, float] | None = None
+        self._reference: dict[float, Float32] = {}
 
     @property
     def sensor(self) -> Sensor:
         """The rig's."""
         return self._scene.sensor
 
-    @property
-    def has_reference(self) -> bool:
-        """Whether a frame without light has been seen."""
-        return self._reference is not None
+    def has_reference(self, exposure: float) -> bool:
+        """Whether a frame without light has been seen at an exposure."""
+        return not self._check or exposure in self._reference
 
     def begin(self, posture: Posture) -> None:
         """Predict what the lights make of the part in a posture, in a thread of its own."""
         if self._caster is not None:
             self._predicted = self._worker.submit(predict, self._scene, posture, self._caster)
 
-    def dark(self, shot: Shot, exposure: float) -> None:
-        """Keep a frame without light, once it shows that no light burns.
+    def dark(self, shot: Shot, exposure: float, warn: Callable[[str], None]) -> None:
+        """Keep a frame without light, the first at its exposure, once it shows that no light burns.
 
         Raises
         ------
@@ -66,18 +73,27 @@ class Judge:
         """
         if self._predicted is None:
             return
+        first = self._reference.get(exposure)
         burning = lights_left_on(
             shot.image.mean,
             predictions=self._predicted.result(),
             sensor=self.sensor,
             exposure=shot.image.exposure,
+            before=first,
         )
         if burning is not None:
             raise HardwareError(
                 f"the frame without light looks like {burning}, although all channels were switched off; "
                 f"check the controller of {burning}"
             )
-        self._reference = (shot.image.mean, exposure)
+        if first is None:
+            self._reference[exposure] = shot.image.mean
+            above = float(shot.image.mean.mean()) - self.sensor.black_level
+            if not self._with_dark and above > AMBIENT_LEVELS + clipped_mean(self.sensor):
+                warn(
+                    f"without any light the image is {above:.2g} levels above black at exposure {exposure:g}: capture "
+                    "with --dark, or darken the room, or correct black_level"
+                )
 
     def judge(
         self,
@@ -86,6 +102,7 @@ class Judge:
         exposure: float,
         shot: Shot,
         dark: Mapping[float, Float32],
+        others: Mapping[float, Exposed],
         warn: Callable[[str], None],
     ) -> dict[str, Any] | None:
         """Check that an image is lit by its light; returns what was found, in JSON form.
@@ -93,7 +110,7 @@ class Judge:
         Raises
         ------
         HardwareError
-            When it is lit by another light, by two, or by none.
+            When it is lit by another light, by two, or by none, or not as at its other exposures.
         """
         if self._predicted is None:
             return None
@@ -105,11 +122,22 @@ class Judge:
             sensor=self.sensor,
             exposure=shot.image.exposure,
         )
-        if found.problem is not None:
-            raise HardwareError(
-                f"{found.problem}. The image was not kept; --no-check captures without this check"
+        problem = found.problem
+        for other, image in others.items():
+            problem = problem or exposures_disagree(
+                light,
+                shot.image,
+                image,
+                darks=(self._dark(dark, exposure), self._dark(dark, other)),
+                sensor=self.sensor,
             )
-        if found.undecided is not None:
+        if problem is not None:
+            stop = "" if problem.endswith("?") else "."
+            raise HardwareError(
+                f"{light} {posture} at exposure {exposure:g}: {problem}{stop} The image was not kept; --no-check "
+                "captures without this check"
+            )
+        if found.undecided is not None and not others:
             warn(f"{light} {posture}: cannot tell whether the light is the right one: {found.undecided}")
         return found.as_dict()
 
@@ -118,10 +146,12 @@ class Judge:
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _dark(self, dark: Mapping[float, Float32], exposure: float) -> Float32 | float:
-        if exposure in dark:
-            return dark[exposure]
-        black = self.sensor.black_level
-        if self._reference is None:
-            return black
-        frame, taken_at = self._reference
-        return (black + (frame - black) * (exposure / taken_at)).astype(np.float32)
+        return dark.get(exposure, self._reference.get(exposure, self.sensor.black_level))
+
+
+def clipped_mean(sensor: Sensor) -> float:
+    """How far read noise, of which nothing is below level 0, lifts the mean level of a dark frame above black."""
+    noise = sensor.read_noise_levels
+    z = sensor.black_level / noise if noise else np.inf
+    density = np.exp(-0.5 * min(z, 40.0) ** 2) / np.sqrt(2.0 * np.pi)
+    return float(noise * density)

@@ -37,6 +37,15 @@ RESEMBLES = 0.5
 
 LEAST_CELLS = 50
 
+PLAIN = 0.8
+"""Correlation that noise would leave of the prediction with itself; below it a low correlation accuses nothing."""
+
+FLAT = 0.1
+"""A prediction whose deviation is below this share of its mean has too little pattern to accuse anything."""
+
+LEFT_ON = 0.05
+"""A frame without light that has this share of a light's image more than the first one shows that it burns."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Predictions:
@@ -203,14 +212,25 @@ def check_lit(
             f"with {light} alone {own:.2f})",
         )
     if own < RESEMBLES:
-        return replace(found, undecided="the part does not look as predicted under any light")
+        if _shows(alone[light], sensor, predictions.cell) < PLAIN:
+            return replace(found, undecided="too little pattern at this exposure to tell")
+        return replace(
+            found,
+            problem=f"the part does not look as predicted under any light (correlation with {light} {own:.2f}); check "
+            "that it is the part of the part file, and where it lies",
+        )
     if best is not None and best[1] > own - CLEARLY_MORE:
         return replace(found, undecided=f"{light} and {best[0]} make images that look alike")
     return found
 
 
 def lights_left_on(
-    dark: NDArray[Any], *, predictions: Predictions, sensor: Sensor, exposure: float
+    dark: NDArray[Any],
+    *,
+    predictions: Predictions,
+    sensor: Sensor,
+    exposure: float,
+    before: NDArray[Any] | None = None,
 ) -> str | None:
     """Name the light that a frame without light shows to burn; None where it shows none.
 
@@ -220,16 +240,23 @@ def lights_left_on(
         [sensor level], shape (H, W).
     predictions, sensor, exposure
         As for :func:`check_lit`.
+    before
+        An earlier frame without light at this exposure, which showed that none burned: against it, a weaker one shows.
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
         return None
-    seen = cells(dark, predictions)[part] - sensor.black_level
+    seen = cells(dark, predictions)[part] - (
+        sensor.black_level if before is None else cells(before, predictions)[part]
+    )
     room = sensor.saturated_from - sensor.black_level
     for name, level in predictions.levels.items():
         alone = np.minimum(level[part] * exposure, room)
         mean = float(alone.mean())
-        if mean > 0.5 and seen.mean() > 0.3 * mean and _correlation(seen, alone) > 1.0 - 2.0 * CLEARLY_MORE:
+        like = _correlation(seen, alone)
+        if mean > 0.5 and seen.mean() > 0.3 * mean and like > 1.0 - 2.0 * CLEARLY_MORE:
+            return name
+        if before is not None and seen.mean() > max(LEFT_ON * mean, 0.5) and like > RESEMBLES:
             return name
     return None
 
@@ -241,6 +268,17 @@ def cells(image: NDArray[Any], predictions: Predictions) -> Float64:
     top, left = (image.shape[0] - rows * cell) // 2, (image.shape[1] - columns * cell) // 2
     middle = image[top : top + rows * cell, left : left + columns * cell]
     return middle.reshape(rows, cell, columns, cell).mean(axis=(1, 3), dtype=np.float64)
+
+
+def _shows(expected: Float64, sensor: Sensor, cell: int) -> float:
+    """Correlation of a prediction with itself under the sensor's noise; 0 for one that is nearly flat."""
+    pattern = float(np.std(expected))
+    if pattern < FLAT * float(expected.mean()):
+        return 0.0
+    electrons = sensor.electrons_per_level
+    shot = float(expected.mean()) / electrons if electrons else 0.0
+    noise = (sensor.read_noise_levels**2 + shot + 1.0 / 12.0) / cell**2
+    return pattern / float(np.sqrt(pattern**2 + noise))
 
 
 def _smooth_guess(seen: Float64, expected: Float64) -> Float64:

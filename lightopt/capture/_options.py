@@ -73,4 +73,9 @@ class CaptureOptions:
 
     def as_dict(self) -> dict[str, Any]:
         """What changes the files of the set, in JSON form."""
-        return {"exposures": list(self.exposures), "average": self.average, "dark": self.dark}
+        return {
+            "exposures": list(self.exposures),
+            "average": self.average,
+            "dark": self.dark,
+            "check": self.check,
+        }

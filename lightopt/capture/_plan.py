@@ -114,7 +114,7 @@ class Plan:
 
     @property
     def reference(self) -> bool:
-        """Whether one frame without light is taken first, only to check the others against."""
+        """Whether frames without light are taken first, only to check the others against."""
         return self.options.check and not self.options.dark
 
     @property
@@ -138,12 +138,12 @@ class Plan:
         here, first = _HOME, True
         for task in self.tasks:
             yield from self._arrive(here, task.posture)
-            if self.reference and first:
-                yield self._expose(task.posture, None, self.exposures[0])
-            for exposure in task.dark_exposures:
+            for exposure in (*task.dark_exposures, *(self.exposures if self.reference and first else ())):
                 yield self._expose(task.posture, None, exposure)
             for light in task.lights:
                 yield from self._light(task.posture, light)
+            if self.options.check:  # does one burn on?
+                yield self._expose(task.posture, None, self.exposures[0])
             here, first = task.posture, False
 
     def _start(self) -> Iterator[Step]:

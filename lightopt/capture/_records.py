@@ -18,6 +18,7 @@ from lightopt.capture._shoot import Shot
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.images import (
+    EVENTS_KEY,
     MANIFEST_NAME,
     ImageEntry,
     ImageSetWriter,
@@ -122,7 +123,13 @@ class CapturedSet:
 
     def add_dark(self, posture: Posture, exposure: float, shot: Shot) -> None:
         """Put a dark frame on disk and into the manifest."""
-        facts = {"light": None, "posture": posture.as_dict(), "exposure": exposure, "capture": shot.facts}
+        facts = {
+            "light": None,
+            "posture": posture.as_dict(),
+            "exposure": exposure,
+            "mean_level": float(shot.image.mean.mean(dtype=np.float64)),
+            "capture": shot.facts,
+        }
         self.writer.add_levels(dark_name(posture, exposure), shot.image.png, metadata=facts)
 
     def add(self, light: str, posture: Posture, exposure: float, shot: Shot) -> None:
@@ -137,6 +144,12 @@ class CapturedSet:
             extra={"capture": shot.facts},
         )
         self.writer.add_image(entry, png=shot.image.png)
+
+    def note_events(self, events: Sequence[Mapping[str, Any]]) -> None:
+        """Put what happened on the links, but at no image, into the manifest's header."""
+        if events:
+            before = self.writer.manifest.extra.get(EVENTS_KEY, ())
+            self.writer.add_extra(EVENTS_KEY, [*before, *events])
 
     def add_linear(
         self,

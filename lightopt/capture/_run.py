@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -17,12 +19,14 @@ from lightopt.capture._connect import connect_devices
 from lightopt.capture._devices import Devices, check_camera
 from lightopt.capture._frames import Exposed
 from lightopt.capture._judge import Judge
+from lightopt.capture._lock import locked
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan import Plan, PostureTask, make_plan
 from lightopt.capture._records import CapturedSet, open_set
 from lightopt.capture._shoot import Shooter, Shot
 from lightopt.capture._timing import Timing
 from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import LightoptError, counted
 from lightopt.scene import Scene, build_scene
 from lightopt.transforms import Posture
 
@@ -112,36 +116,45 @@ def capture(
         When a device fails or an image is not lit by its light; the message says in which step and what state things
         are in. The lights are off then, or it says which may not be.
     """
-    timing, begun = Timing(), time.monotonic()
+    folder, timing, begun = Path(folder), Timing(), time.monotonic()
     with timing.spent("opening_s"):
         plan = make_plan(rig, part, options)
         scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks])
-        records = open_set(Path(folder), rig, part, scene, plan, resume=resume, force=force)
-        run = _Run(plan, scene, records, timing, warn, report)
-    run.warn(*scene.warnings)
-    retries = 0
-    if run.todo():
-        with ExitStack() as stack:
-            # the devices are made safe first, then what is still being written is finished
-            stack.callback(run.finish)
-            with timing.spent("opening_s"):
-                devices = stack.enter_context((connect or _connecting(rig, part, serial_log))(plan))
-                check_camera(
-                    devices,
-                    resolution_px=rig.camera.resolution_px,
-                    bit_depth=scene.sensor.bit_depth,
-                    where=rig.source.at("camera"),
-                )
+    # the devices are made safe first, then what is still being written is finished
+    with locked(folder), ExitStack() as after, ExitStack() as safe:
+
+        def begin() -> _Run:
+            records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
+            return after.enter_context(_Run(plan, scene, records, timing, warn, report))
+
+        def open_devices() -> Devices:
+            devices = safe.enter_context((connect or _connecting(rig, part, serial_log))(plan))
+            check_camera(
+                devices,
+                resolution_px=rig.camera.resolution_px,
+                bit_depth=scene.sensor.bit_depth,
+                where=rig.source.at("camera"),
+            )
+            return devices
+
+        with timing.spent("opening_s"):
+            # a set that is there is removed only once the devices that are to replace it are open and dark
+            devices = open_devices() if force else None
+            run = begin()
+            run.warn(*scene.warnings)
+            if devices is None and run.todo():
+                devices = open_devices()
+        if devices is not None:
             run.execute(devices)
-            retries = devices.retries
-    run.flush()
+            safe.close()
+        run.flush()
     timing.whole_s = time.monotonic() - begun
     return Captured(
-        folder=Path(folder),
+        folder=folder,
         images=len(plan.keys),
         taken=run.taken,
-        replaced=records.writer.replaced,
-        retries=retries,
+        replaced=run.replaced,
+        retries=0 if devices is None else devices.retries,
         timing=timing,
         warnings=run.warnings,
     )
@@ -176,12 +189,39 @@ class _Run:
         self._linear = ThreadPoolExecutor(1, thread_name_prefix="linear")
         self._writing: list[Future[Any]] = []
         self._last_image: Future[Any] | None = None
-        self._judge = Judge(scene, check=plan.options.check)
+        self._judge = Judge(scene, check=plan.options.check, with_dark=plan.options.dark)
         self._there = len(plan.keys) - sum(
             len(records.missing(light, task.posture)) for task in plan.tasks for light in task.lights
         )
+        self._devices: Devices | None = None
+        self._shooter: Shooter | None = None
         self.taken = 0
         self.warnings: tuple[str, ...] = ()
+
+    def __enter__(self) -> _Run:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Finish what is being written, and say where an interrupted run stands; its devices are closed already."""
+        del kind, trace
+        self.finish()
+        if error is None:
+            return
+        with contextlib.suppress(LightoptError):  # the error that ends the run is told, not a second one
+            self._note_events()
+        if isinstance(error, KeyboardInterrupt) and self._devices is not None:
+            there = len(self._records.writer.manifest.images)
+            raise KeyboardInterrupt(
+                f"all lights are off; {there} of {counted(len(self._plan.keys), 'image')} are on disk; "
+                "go on with --resume"
+            ) from error
+
+    @property
+    def replaced(self) -> int:
+        """Files of another set that were removed."""
+        return self._records.writer.replaced
 
     def warn(self, *texts: str) -> None:
         """Say something once, and note it for the manifest."""
@@ -202,9 +242,10 @@ class _Run:
 
     def execute(self, devices: Devices) -> None:
         """Take all that is missing."""
+        self._devices = devices
         devices.step = "asking the devices who they are"
         with self._timing.spent("opening_s"):
-            shooter = Shooter(
+            shooter = self._shooter = Shooter(
                 devices,
                 self._plan,
                 sensor=self._judge.sensor,
@@ -222,7 +263,15 @@ class _Run:
     def flush(self) -> None:
         """Put what was noticed into the manifest."""
         self._records.writer.add_warnings(self.warnings)
+        self._note_events()
         self.finish()
+
+    def _note_events(self) -> None:
+        """Put what was out of the ordinary on the links, and is not in the entry of an image, into the manifest."""
+        events = (
+            self._shooter.events_since() if self._shooter else self._devices.events() if self._devices else ()
+        )
+        self._records.note_events([event.as_dict() for event in events])
 
     def finish(self) -> None:
         """Let what is being written be finished, whatever else happened."""
@@ -237,6 +286,10 @@ class _Run:
         dark = self._dark(devices, shooter, task)
         for light in self._records.todo(task):
             self._light(devices, shooter, task, light, dark)
+        if self._plan.options.check:
+            exposure = self._plan.exposures[0]
+            shot = self._expose(devices, shooter, task, None, exposure)
+            self._write(self._judge.dark, shot, exposure, self.warn)
 
     def _dark(self, devices: Devices, shooter: Shooter, task: PostureTask) -> Dark:
         dark: Dark = {}
@@ -247,9 +300,14 @@ class _Run:
             shot = self._expose(devices, shooter, task, None, exposure)
             self._write(self._keep_dark, task.posture, exposure, shot)
             dark[exposure] = shot.image.mean
-        if self._plan.reference and not self._judge.has_reference:
-            exposure = self._plan.exposures[0]
-            self._judge.dark(self._expose(devices, shooter, task, None, exposure), exposure)
+        for exposure in self._plan.exposures if self._plan.reference else ():
+            if not self._judge.has_reference(exposure):
+                self._write(
+                    self._judge.dark,
+                    self._expose(devices, shooter, task, None, exposure),
+                    exposure,
+                    self.warn,
+                )
         return dark
 
     def _light(self, devices: Devices, shooter: Shooter, task: PostureTask, light: str, dark: Dark) -> None:
@@ -262,24 +320,29 @@ class _Run:
             shot = self._expose(devices, shooter, task, light, exposure)
             if exposure == missing[-1]:
                 shooter.light_off()
+            self._write(self._keep, light, task.posture, exposure, shot, dark, dict(taken))
             taken[exposure] = shot.image
-            self._write(self._keep, light, task.posture, exposure, shot, dark, exposure == missing[0])
             self.taken += 1
         self._writing.append(
             self._linear.submit(self._merge, self._last_image, light, task.posture, taken, dark)
         )
 
     def _keep(
-        self, light: str, posture: Posture, exposure: float, shot: Shot, dark: Dark, judge: bool
+        self,
+        light: str,
+        posture: Posture,
+        exposure: float,
+        shot: Shot,
+        dark: Dark,
+        others: dict[float, Exposed],
     ) -> None:
-        """Check that the image is lit by its light, and put it on disk."""
-        if judge:
-            shot.facts["lit"] = self._judge.judge(light, posture, exposure, shot, dark, self.warn)
+        """Check that the image is lit by its light, as those of its other exposures were, and put it on disk."""
+        shot.facts["lit"] = self._judge.judge(light, posture, exposure, shot, dark, others, self.warn)
         self._records.add(light, posture, exposure, shot)
 
     def _keep_dark(self, posture: Posture, exposure: float, shot: Shot) -> None:
         """Check that no light burns, and put the frame on disk."""
-        self._judge.dark(shot, exposure)
+        self._judge.dark(shot, exposure, self.warn)
         self._records.add_dark(posture, exposure, shot)
 
     def _merge(

@@ -12,7 +12,7 @@ from lightopt.capture._frames import Exposed, mean_of_frames
 from lightopt.capture._plan import Plan
 from lightopt.capture._timing import Timing, utc
 from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import Frame
+from lightopt.hardware import Event, Frame
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
@@ -77,7 +77,7 @@ class Shooter:
         self._light_settled = 0.0
         self._held_us: float | None = None
         self._changed = True
-        self._retries = 0
+        self._told: dict[int, Event] = {}
 
     def home(self) -> None:
         """Let the stage seek its origin."""
@@ -119,6 +119,7 @@ class Shooter:
         self._devices.step = f"switching {self._lit[0]} off"
         with self._timing.spent("lights_s"):
             self._devices.light_off(self._lit[0])
+        self._light_settled = time.monotonic() + self._plan.wiring.hardware.timing.light_ms / 1e3
         self._lit = None
         self._changed = True
 
@@ -169,19 +170,25 @@ class Shooter:
             "light": None if self._lit is None else self._lit[1],
             "stage": self._stage,
             "saturated_share": float(image.saturated.mean()),
-            "retries": self._retries_since(),
             "devices": self._identities,
         }
+        if self._lit is not None:  # what happened at frames without light belongs to the image that follows
+            events = self.events_since()
+            facts["retries"] = sum(event.retry for event in events)
+            if events:
+                facts["events"] = [event.as_dict() for event in events]
         if frames[0].timestamp_ns is not None:
             facts["camera_time_ns"] = frames[0].timestamp_ns
         if frames[0].says:
             facts["camera"] = frames[0].says
         return Shot(image=image, facts=facts)
 
-    def _retries_since(self) -> int:
-        """Commands that were sent again since the image before."""
-        before, self._retries = self._retries, self._devices.retries
-        return self._retries - before
+    def events_since(self) -> tuple[Event, ...]:
+        """What was out of the ordinary on the links since the image before."""
+        events = tuple(self._devices.events())
+        new = tuple(event for event in events if id(event) not in self._told)
+        self._told.update((id(event), event) for event in new)
+        return new
 
     def _grab(self) -> Frame:
         timing = self._plan.wiring.hardware.timing

@@ -30,9 +30,9 @@ class Timing:
 
     @property
     def overhead(self) -> float:
-        """What a capture adds, once all is open, to moving, settling, exposing and transfer, as a share of these."""
-        needed = self.moving_s + self.settling_s + self.exposing_s + self.transfer_s
-        return (self.whole_s - self.opening_s - needed) / needed if needed else 0.0
+        """What a capture adds to settling, exposing and transfer, as a share; opening and moves count in neither."""
+        needed = self.settling_s + self.exposing_s + self.transfer_s
+        return (self.whole_s - self.opening_s - self.moving_s - needed) / needed if needed else 0.0
 
     def parts(self) -> dict[str, float]:
         """Seconds by name, without the whole."""

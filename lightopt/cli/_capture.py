@@ -7,7 +7,7 @@ import typer
 
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, PartFile, Quiet, RigFile, parse_exposure, parse_posture
-from lightopt.cli._terminal import say, say_warning, show_share, show_table
+from lightopt.cli._terminal import say, say_error, say_warning, show_share, show_table
 from lightopt.errors import InputError, counted
 
 if TYPE_CHECKING:
@@ -53,6 +53,13 @@ def capture(
     resume: Annotated[
         bool, typer.Option("--resume", help="Take only what is missing of the set that is there.")
     ] = False,
+    sheet: Annotated[
+        bool,
+        typer.Option(
+            "--sheet",
+            help="Also a labelled contact sheet of all images, contact-sheet.png; one per exposure.",
+        ),
+    ] = False,
     serial_log: SerialLog = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -90,20 +97,33 @@ def capture(
         check_devices(loaded_rig, plan.wiring, plan)  # a plan can be read where the devices are not
         return
     assert out is not None
-    with show_share(quiet=quiet) as report:
-        done = run(
-            loaded_rig,
-            loaded_part,
-            out,
-            options=options,
-            resume=resume,
-            force=force,
-            serial_log=serial_log,
-            warn=say_warning,
-            report=report,
-        )
+    try:
+        with show_share(quiet=quiet) as report:
+            done = run(
+                loaded_rig,
+                loaded_part,
+                out,
+                options=options,
+                resume=resume,
+                force=force,
+                serial_log=serial_log,
+                warn=say_warning,
+                report=report,
+            )
+    except KeyboardInterrupt as stopped:
+        if stopped.args and isinstance(stopped.args[0], str) and "on disk" in stopped.args[0]:
+            say_error(stopped.args[0], label="")
+        raise
     if not quiet:
         _show_result(done)
+    if sheet:
+        from lightopt.report import add_contact_sheets
+
+        title = f"{loaded_part.name} on {loaded_rig.name}, captured"
+        sheets = add_contact_sheets(out, exposures=chosen_exposures, title=title, overwrite=force)
+        for exposure, path in zip(chosen_exposures, sheets, strict=True):
+            if not quiet:
+                say(f"contact sheet, exposure {exposure:g}: {path}")
 
 
 def _show_plan(plan: Plan) -> None:

@@ -3,7 +3,8 @@
 A quantised level q says that the signal was between q − ½ and q + ½, a saturated one that it was at least that, a zero
 that it was at most ½ (Tobin 1958, doi:10.2307/1907382). The signal is Gaussian about the model's level with the
 sensor's shot and read noise (EMVA Standard 1288) and a further deviation τ that is estimated, since neither meshes nor
-noise figures are exact. A share ε of the pixels, estimated as well, may show anything at all: dust, scratches, glints.
+noise figures are exact. The mean of N frames has an N-th of the sensor's variance. A share ε of the pixels, estimated
+as well, may show anything at all: dust, scratches, glints.
 """
 
 from __future__ import annotations
@@ -141,7 +142,8 @@ class Likelihood:
             end = min(start + _PIECE, len(s.sample))
             value = _accumulate(
                 s.sample, s.level, s.saturated, s.image, start, end, self._weight, s.diffuse, self.specular, c, dc,
-                s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x, gradient, curvature,
+                s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x, gradient,
+                curvature,
             )  # fmt: skip
             return value, gradient, curvature
 
@@ -166,7 +168,7 @@ class Likelihood:
         for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
             _accumulate(
                 sample, level, saturated, image, start, end, self._weight, s.diffuse, self.specular, c, dc,
-                s.facts.factor, s.facts.light, s.facts.half_width, self._sensor, x,
+                s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x,
                 gradients[number], curvatures[number],
             )  # fmt: skip
         return gradients, curvatures
@@ -226,6 +228,7 @@ def _accumulate(
     factors: Float64,
     lights: NDArray[np.int32],
     half_widths: Float64,
+    frames: Float64,
     sensor: SensorNumbers,
     x: Float64,
     gradient: Float64,
@@ -248,10 +251,12 @@ def _accumulate(
         factor = factors[m] * math.exp(x[gain_place])
         signal = factor * (r_d * diffuse[i] + r_s * s)
         mean = sensor.black + dark + signal
-        variance = sensor.read_variance + tau2
+        # the mean of frames has less noise; but it is saturated where any one of them is
+        share = 1.0 if saturated[j] else 1.0 / frames[m]
+        variance = share * sensor.read_variance + tau2
         shot = 0.0
         if signal > 0.0:
-            shot = sensor.levels_per_electron
+            shot = share * sensor.levels_per_electron
             variance += shot * signal
         deviation = math.sqrt(variance)
         q, half = level[j], half_widths[m]
@@ -294,9 +299,9 @@ def _accumulate(
             gradient[place[k]] += (score if k < 4 else inside * by_mean) * slope[k]
             for n in range(5):
                 curvature[place[k], place[n]] += bend * slope[k] * slope[n]
-        share = tau2 / variance
+        part = tau2 / variance
         gradient[size - 2] += inside * by_variance * tau2
-        curvature[size - 2, size - 2] += 0.5 * surely * share * share
+        curvature[size - 2, size - 2] += 0.5 * surely * part * part
         gradient[size - 1] += weight * (outlier - f) / p * epsilon * (1.0 - epsilon)
         curvature[size - 1, size - 1] += weight * epsilon * (1.0 - epsilon)
     return total

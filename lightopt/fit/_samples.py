@@ -85,11 +85,14 @@ class ImageFacts:
         Index of the light in the scene.
     half_width
         How far from a level the signal may have been [sensor level].
+    frames
+        Number of frames that the image is the mean of, as float64.
     """
 
     factor: Float64
     light: NDArray[np.int32]
     half_width: Float64
+    frames: Float64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -316,6 +319,7 @@ def _assemble(scene: Scene, groups: Sequence[SampleGroup], observations: Sequenc
         factor=np.array([scale * o.exposure for o in observations]),
         light=np.array([names.index(o.light) for o in observations], dtype=np.int32),
         half_width=np.array([o.half_width for o in observations]),
+        frames=np.array([float(o.frames) for o in observations]),
     )
     return _flatten(groups, tuple(observations), facts, names, scene.sensor)
 

@@ -9,6 +9,7 @@ from lightopt.images._atomic import (
 )
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
 from lightopt.images._manifest import (
+    EVENTS_KEY,
     MANIFEST_NAME,
     GeometryEntry,
     ImageEntry,
@@ -24,6 +25,7 @@ from lightopt.images._writer import ImageSetWriter
 from lightopt.transforms import Posture
 
 __all__ = [
+    "EVENTS_KEY",
     "MANIFEST_NAME",
     "GeometryEntry",
     "ImageEntry",

@@ -9,10 +9,13 @@ from typing import Any
 
 from lightopt.transforms import Posture
 
-__all__ = ["FORMAT", "MANIFEST_NAME", "GeometryEntry", "ImageEntry", "Manifest", "SourceFile"]
+__all__ = ["EVENTS_KEY", "FORMAT", "MANIFEST_NAME", "GeometryEntry", "ImageEntry", "Manifest", "SourceFile"]
 
 FORMAT = "lightopt-images/1"
 MANIFEST_NAME = "manifest.json"
+
+EVENTS_KEY = "events"
+"""Key of a captured set's manifest for what happened on the devices' links while no image was taken."""
 
 
 @dataclass(frozen=True)

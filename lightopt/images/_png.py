@@ -25,7 +25,10 @@ __all__ = ["read_png", "read_png_metadata", "write_png"]
 Levels = NDArray[np.uint8] | NDArray[np.uint16]
 
 _COMPRESSION_LEVEL = 1
-"""Of a noisy camera image of 1600 × 1200: 28 ms and 0.47 MB; level 6 takes 110 ms for 0.39 MB."""
+"""Of a noisy camera image of 1600 × 1200, on a busy machine: 21 ms and 0.71 MB; level 2 takes 43 ms for 0.69 MB."""
+
+_NO_FILTER = 8
+"""libpng's number. Choosing a filter row by row takes 76 ms instead of 21, and noise is packed no better by any."""
 
 _END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
 _COLOUR_TYPES = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
@@ -71,6 +74,8 @@ def write_png(
     OpenImageIO = openimageio()
     spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(levels.dtype))
     spec.attribute("png:compressionLevel", _COMPRESSION_LEVEL)
+    if grey:
+        spec.attribute("png:filter", _NO_FILTER)
     spec.attribute("oiio:ColorSpace", "unknown")  # else sRGB and gamma chunks are added, which are not true
     spec.attribute(METADATA_KEY, text)
 

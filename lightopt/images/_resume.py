@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from lightopt.errors import InputError
-from lightopt.images._manifest import MANIFEST_NAME, Manifest
+from lightopt.images._manifest import EVENTS_KEY, MANIFEST_NAME, Manifest
 from lightopt.images._parse import read_manifest
 
 __all__ = ["remove_image_set", "remove_set", "resumable_manifest"]
 
-_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings")
+_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings", EVENTS_KEY)
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:

@@ -321,6 +321,17 @@ class ImageSetWriter:
             if merged != self._manifest.warnings:
                 self._save(warnings=merged)
 
+    def add_extra(self, key: str, value: Any) -> None:
+        """Put a JSON-able value under a key of the manifest that belongs to what was found, not to what was asked.
+
+        Raises
+        ------
+        InputError
+            When the disk refuses.
+        """
+        with self._lock:
+            self._save(extra={**self._manifest.extra, key: value})
+
     def _refuse_stranger(self, name: str) -> None:
         path = self._folder / name
         if path.exists():

@@ -22,6 +22,7 @@ class World:
     posture: Posture = field(default_factory=lambda: Posture(0.0, 0.0))
     log: list[tuple] = field(default_factory=list)
     trouble: Callable[[tuple], None] = lambda event: None
+    events: list = field(default_factory=list)
     plugs: dict[tuple[str, int], tuple[str, int]] = field(default_factory=dict)
 
     def note(self, *event):
@@ -132,6 +133,7 @@ def connecting(world: World, scene, truth: BenchTruth | None = None) -> Callable
             controllers={name: Lights(world, name, c.channels) for name, c in hardware.controllers.items()},
             stage=Stage(world),
             camera=Camera(world, plan.wiring, scene, truth or BenchTruth()),
+            events=lambda: world.events,
         )
 
     return connect

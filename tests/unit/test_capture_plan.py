@@ -74,7 +74,9 @@ def test_frames_without_light_come_before_the_lights_of_a_posture(wired):
     plan = plan_of(wired, exposures=(1.0, 0.5), dark=True)
     exposed = [(light, exposure) for kind, light, exposure in kinds(plan) if kind == "expose"]
     assert exposed[:4] == [(None, 1.0), (None, 0.5), ("light1", 1.0), ("light1", 0.5)]
-    assert len(exposed) == 2 * (2 + 2 * 2)
+    assert len(exposed) == 2 * (
+        2 + 2 * 2 + 1
+    )  # at the end of each posture, one that shows that no light burns on
     assert not plan.reference
 
 

@@ -88,7 +88,7 @@ def test_no_two_lights_burn_at_once_and_none_while_the_stage_moves(take, world):
 
     world.trouble = watch
     take(exposures=(1.0, 1 / 16), dark=True)
-    assert len(world.did("grab")) == 2 * 2 * 2 + 2 * 2
+    assert len(world.did("grab")) == 2 * 2 * 2 + 2 * 2 + 2  # and one without light at the end of each posture
 
 
 def test_what_is_known_of_each_image_is_in_the_manifest(take, bench):
@@ -141,7 +141,7 @@ def test_dark_frames_are_subtracted_in_the_exr_only(take, bench):
 
 def test_the_mean_of_frames_is_less_noisy(take, bench, world):
     take(average=16, exposures=(1 / 4,), lights=("light1",), postures=(Posture(0.0, 0.0),))
-    assert len(world.did("grab")) == 1 + 16 + 15  # the frame without light, too, is the mean of 16
+    assert len(world.did("grab")) == 16 + 16 + 16  # the frames without light, too, are means of 16
     entry = read_image_set(bench.out).images[0]
     level = read_exr(bench.out / entry.exr)["Y"] / 4
     png = read_png(bench.out / entry.png)
@@ -161,7 +161,7 @@ def test_an_exposure_waits_for_the_image_before_it(take, bench, world):
 
     world.trouble = watch
     take(exposures=(1.0, 1 / 16))
-    assert listed == [0, *range(8)]  # the first is the frame without light
+    assert listed == [0, 0, 0, 1, 2, 3, 4, 4, 5, 6, 7, 8]  # the first two and each fifth are without light
 
 
 def test_a_camera_without_trigger_has_frames_discarded(take, bench, world):
@@ -187,7 +187,7 @@ def test_only_what_is_missing_is_taken(take, bench, world, snapshot):
     world.log.clear()
     done = take(exposures=(1.0, 1 / 16), dark=True, resume=True)
     assert done.taken == 8 - before
-    assert len(world.did("grab")) == 5 + 2
+    assert len(world.did("grab")) == 5 + 2 + 2  # dark frames, and one at the end of each posture
     whole, resumed = read_image_set(bench.folder / "whole"), read_image_set(bench.out)
     assert [e.key for e in whole.images] == [e.key for e in resumed.images]
     for a, b in zip(whole.images, resumed.images, strict=True):
@@ -206,7 +206,7 @@ def test_a_complete_set_opens_nothing(take, world, bench, snapshot):
 
 
 def test_means_are_not_mixed_with_those_of_another_run(take, bench, world):
-    world.trouble = broken("grab", number=2 + 2 + 1 + 1)  # dark, light1 at 1, light1 at 1/16
+    world.trouble = broken("grab", number=2 * 2 + 2 + 1)  # dark at both, light1 at 1, light1 at 1/16
     with pytest.raises(HardwareError):
         take(exposures=(1.0, 1 / 16), average=2)
     assert len(read_image_set(bench.out).images) == 1
@@ -343,3 +343,118 @@ def test_without_the_check_anything_is_captured(take, world):
     world.plugs = {("bench1", 1): ("bench1", 2), ("bench1", 2): ("bench1", 1)}
     assert take(check=False).taken == 4
     assert len(world.did("grab")) == 4  # and no frame without light is needed
+
+
+def changing_at(world, grab, change):
+    """Do something to the world at the `grab`-th frame."""
+
+    def trouble(event):
+        if event[0] == "grab" and len(world.did("grab")) == grab:
+            change(world)
+
+    return trouble
+
+
+def test_a_lamp_that_dies_between_exposures_is_named(take, world, bench):
+    # two frames without light, light1 at 1, light1 at 1/16
+    world.trouble = changing_at(world, 4, lambda world: world.levels.update({("bench1", 1): 0}))
+    with pytest.raises(HardwareError, match=r"light1 \(0°, 0°\) at exposure 0\.0625: light1 ") as raised:
+        take(exposures=(1.0, 1 / 16))
+    assert "all lights are off" in str(raised.value)
+    assert [entry.exposure for entry in read_image_set(bench.out).images] == [1.0]
+
+
+def test_a_lamp_that_weakens_between_exposures_is_named(take, world):
+    world.trouble = changing_at(world, 6, lambda world: world.levels.update({("bench1", 1): 120}))
+    with pytest.raises(
+        HardwareError, match=r"light1 is \d+% as bright as at exposure 1: it went out, changed"
+    ):
+        take(exposures=(1.0, 1 / 4, 1 / 16))
+
+
+@pytest.mark.parametrize("level", [20, 60, 200])
+def test_a_light_that_stays_on_after_the_last_image_is_named(take, world, level):
+    def stuck(world):
+        world.plugs = {("bench1", 1): ("bench1", 9)}
+        world.levels["bench1", 9] = level
+
+    world.trouble = changing_at(world, 4, stuck)  # without light, light1, light3, without light
+    with pytest.raises(HardwareError, match="the frame without light looks like light1"):
+        take(postures=(Posture(0.0, 0.0),))
+
+
+def test_another_part_is_refused_unless_unchecked(take, world, bench):
+    bench.edit("part.yaml", "translate_mm: [0, 0, 0]", "translate_mm: [12, -9, 0]")
+    other = load_part(bench.part)
+    with pytest.raises(HardwareError, match="does not look as predicted under any light"):
+        take(part=other)
+    assert take(part=other, force=True, check=False).taken == 4
+
+
+def test_ambient_light_that_nothing_subtracts_is_told(take):
+    assert take(truth=BenchTruth(ambient_level=4.0), dark=True).warnings == ()
+    said = take(truth=BenchTruth(ambient_level=4.0), force=True).warnings
+    assert [text.partition(":")[0] for text in said] == [
+        "without any light the image is 4 levels above black at exposure 1"
+    ]
+
+
+# --- what is there
+
+
+def test_force_removes_nothing_before_the_devices_are_open_and_dark(take, world, bench, snapshot):
+    take()
+    before = snapshot(bench.out)
+    world.trouble = broken("level")
+    with pytest.raises(HardwareError, match="while switching all lights off"):
+        take(force=True)
+    assert snapshot(bench.out) == before
+    world.trouble = lambda event: None
+    assert take(force=True).replaced > 0
+
+
+def test_without_the_check_is_another_plan(take, world):
+    take()
+    with pytest.raises(InputError, match=r"options\.check: there true, now false"):
+        take(resume=True, check=False)
+
+
+def test_an_interrupted_run_says_where_it_stands(take, world, bench):
+    world.trouble = broken("grab", number=4, error=KeyboardInterrupt())
+    with pytest.raises(
+        KeyboardInterrupt, match="all lights are off; 2 of 4 images are on disk; go on with --resume"
+    ):
+        take()
+    assert len(read_image_set(bench.out).images) == 2
+
+
+def test_two_captures_into_one_folder_are_refused(take, world, bench):
+    from lightopt.capture._lock import LOCK_NAME, locked
+
+    with (
+        locked(bench.out),
+        pytest.raises(InputError, match=r"another capture writes into this folder \(process \d+\)"),
+    ):
+        take()
+    assert world.log == []
+    (bench.out / LOCK_NAME).write_text("4711\n", encoding="ascii")  # left by one that was killed
+    assert take().taken == 4
+    assert not (bench.out / LOCK_NAME).exists()
+
+
+def test_what_happened_on_the_links_is_at_the_image_where_it_happened(take, world, bench):
+    from lightopt.hardware import Event
+
+    def happen(event):
+        at = len(world.did("grab"))
+        if event[0] == "grab" and at in (1, 3, 4):  # without light, light3, without light at the end
+            world.events.append(Event("2026-01-01T00:00:00.000Z", "double", f"frame {at}", at != 3))
+
+    world.trouble = happen
+    assert take(postures=(Posture(0.0, 0.0),)).retries == 2
+    manifest = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))
+    first, second = (entry["capture"] for entry in manifest["images"])
+    assert ([e["what"] for e in first["events"]], first["retries"]) == (["frame 1"], 1)
+    assert ([e["what"] for e in second["events"]], second["retries"]) == (["frame 3"], 0)
+    assert [event["what"] for event in manifest["events"]] == ["frame 4"]
+    assert take(resume=True, postures=(Posture(0.0, 0.0),)).taken == 0

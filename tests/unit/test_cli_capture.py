@@ -91,7 +91,7 @@ def test_a_dry_run_prints_every_step_and_opens_nothing(cli, wired, sealed):
     lines = ran.out.splitlines()
     assert lines[0].split() == ["at", "[s]", "takes", "[s]", "step"]
     assert sum("expose light" in line for line in lines) == 8
-    assert sum("expose dark" in line for line in lines) == 4
+    assert sum("expose dark" in line for line in lines) == 6
     assert lines[-1].startswith("8 images in ")
     assert lines[-1].endswith("nothing was opened or moved")
     assert not wired.out.exists()
