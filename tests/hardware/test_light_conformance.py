@@ -176,6 +176,8 @@ def test_pulled_cable(rig: Rig) -> None:
 def test_shared_by_nobody(rig: Rig) -> None:
     rig.controller.set_level(1, 0)
     assert rig.comes_to(rig.shines() | {1: 0.0})
-    with pytest.raises((InputError, HardwareError), match=r"in use|no other program holds its one connection"):
+    with pytest.raises(
+        (InputError, HardwareError), match=r"in use|no other program holds its one connection"
+    ):
         opened(rig.kind, rig.bench.ports[rig.name])
     rig.controller.identify()
