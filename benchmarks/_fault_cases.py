@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Case", "line_cases", "make_rig", "other_cases", "pulled_cases"]
+__all__ = ["BEDS", "Case", "driver_cases", "line_cases", "make_rig", "other_cases", "pulled_cases"]
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -30,7 +30,11 @@ lights:
 stage: {{elevation_range_deg: [-45, 45], rotation_range_deg: [0, 360]}}
 hardware:
   controllers:
-    lights: {{driver: ccs, port: virtual, channels: 2, timeout_s: 0.15}}
+    lights:
+      {lights}
+      port: virtual
+      channels: 2
+      timeout_s: 0.15
   lights:
     light1: {{controller: lights, channel: 1, level: 200}}
     light3: {{controller: lights, channel: 2, level: 200}}
@@ -41,6 +45,18 @@ hardware:
   timing: {{light_ms: 5, stage_ms: 5}}
 """
 
+LIGHTS = {
+    "ccs": "driver: ccs",
+    "sa": "driver: sa",
+    "template": """driver: template
+      template:
+        set: "L{channel}{level:03d}\\r\\n"
+        set_reply: OK
+        read: "?{channel}\\r\\n"
+        read_reply: 'L[12](?P<level>[0-9]{3})'
+        end: "\\r\\n\"""",
+}
+
 STAGES = {
     "shot": """driver: shot
     port: virtual
@@ -50,7 +66,18 @@ STAGES = {
     port: virtual
     elevation: {axis: X, steps_per_deg: 1, zero: -50, speed_deg_per_s: 1000}
     rotation: {axis: "Y", steps_per_deg: 1, zero: -361, speed_deg_per_s: 1000}""",
+    "gsc": """driver: gsc
+    port: virtual
+    elevation: {axis: "1", steps_per_deg: 100, speed_deg_per_s: 150}
+    rotation: {axis: "2", steps_per_deg: 100, speed_deg_per_s: 150}""",
+    "zaber": """driver: zaber
+    port: virtual
+    elevation: {axis: "1", steps_per_deg: 100, zero: 5000, speed_deg_per_s: 1000}
+    rotation: {axis: "2", steps_per_deg: 100, speed_deg_per_s: 1000}""",
 }
+
+BEDS = {"shot": "ccs", "grbl": "ccs", "gsc": "sa", "zaber": "template"}
+"""Which lights a rig has, by its stage."""
 
 _PART = """\
 format: lightopt-part/1
@@ -76,7 +103,7 @@ class Case:
     step
         For a bench that is killed: at which step of the plan, counted from 0.
     stage
-        Which stage the rig has.
+        Which stage the rig has, and so which lights (:data:`BEDS`).
     """
 
     kind: str
@@ -91,7 +118,9 @@ def make_rig(folder: Path, stage: str = "shot") -> tuple[Path, Path]:
     """Write the small rig, its part and the mesh; returns rig and part."""
     folder.mkdir(parents=True, exist_ok=True)
     rig, part = folder / "rig.yaml", folder / "part.yaml"
-    rig.write_text(_RIG.format(stage=STAGES[stage]), encoding="utf-8", newline="\n")
+    rig.write_text(
+        _RIG.format(stage=STAGES[stage], lights=LIGHTS[BEDS[stage]]), encoding="utf-8", newline="\n"
+    )
     part.write_text(_PART, encoding="utf-8", newline="\n")
     shutil.copyfile(ROOT / "configs" / "parts" / "cover-knob.stl", folder / "knob.stl")
     return rig, part
@@ -125,6 +154,42 @@ def line_cases(deliveries: dict[str, int], *, every: int = 1) -> Iterator[Case]:
                 yield Case(f"{kind}, once", device, fault, {**options, "after": after})
             for after in range(every // 2, deliveries[device], 4 * every):
                 yield Case(f"{kind}, for good", device, fault, {**options, "after": after, "count": None})
+
+
+def driver_cases(deliveries: dict[str, dict[str, int]]) -> Iterator[Case]:
+    """Each fault of the line for the other drivers: once and for good, early and late in the run.
+
+    Parameters
+    ----------
+    deliveries
+        Messages that each device gets in an undisturbed run, by the rig's stage.
+    """
+    faults: tuple[tuple[str, str, dict[str, Any]], ...] = (
+        ("reply dropped", "drop", {}),
+        ("reply late", "delay", {"delay_s": 0.3}),
+        ("reply truncated", "truncate", {"keep": 2}),
+        ("garbage before the reply", "garbage_before", {"bytes": 4}),
+        ("garbage instead of the reply", "garbage_instead", {"bytes": 6}),
+        ("cable pulled", "vanish", {}),
+    )
+    own = {
+        "lights": {"sa": ("ng",), "template": ("ng",)},
+        "stage": {"gsc": ("refuse",), "zaber": ("refuse", "checksum"), "grbl": ("refuse",)},
+    }
+    for stage, lights in BEDS.items():
+        for device, driver in (("lights", lights), ("stage", stage)):
+            if driver in ("ccs", "shot"):
+                continue  # which the others are about
+            more = [(f"{fault} of the device", fault, {}) for fault in own[device].get(driver, ())]
+            for kind, fault, options in (*faults, *more):
+                count = deliveries[stage][device]
+                for after in (count // 4, 3 * count // 4):
+                    yield Case(
+                        f"{driver}: {kind}, once", device, fault, {**options, "after": after}, stage=stage
+                    )
+                if fault != "vanish":
+                    options = {**options, "after": count // 2, "count": None}
+                    yield Case(f"{driver}: {kind}, for good", device, fault, options, stage=stage)
 
 
 def pulled_cases(deliveries: dict[str, int], steps: int, *, every: int = 1) -> Iterator[Case]:

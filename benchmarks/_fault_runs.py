@@ -19,6 +19,9 @@ from lightopt.virtualbench import BenchProcess
 
 __all__ = ["OPTIONS", "Outcome", "differences", "kill_sometime", "suffer", "undisturbed"]
 
+STATES = ("dark", "lit", "deaf", "alarm")
+"""Faults that hold from the moment when they are set."""
+
 OPTIONS = CaptureOptions(exposures=(1.0, 1 / 16), dark=True)
 
 
@@ -31,7 +34,7 @@ class Outcome:
     case
         The fault.
     struck
-        Whether the fault came to bear, as far as the run shows: retries or an error.
+        Whether the fault came to bear, as the bench says; a run without is not counted.
     finished
         Whether the run took all images.
     retries
@@ -128,6 +131,7 @@ def suffer(case: Case, rig: Path, part: Path, folder: Path, truth: Path) -> Outc
     except HardwareError as error:
         message = str(error)
     lights = _lights(benches[0], case, message)
+    struck = _struck(benches[0], case)
     benches[0].close()
     if lights == "LIT":
         wrong.append("a light burns and nobody says so")
@@ -140,7 +144,7 @@ def suffer(case: Case, rig: Path, part: Path, folder: Path, truth: Path) -> Outc
     else:
         capture(loaded_rig, loaded_part, folder, options=OPTIONS, resume=True)
         wrong += [f"resumed, but {difference}" for difference in differences(folder, truth)]
-    return Outcome(case, bool(retries or message), finished, retries, message, lights, tuple(wrong))
+    return Outcome(case, struck, finished, retries, message, lights, tuple(wrong))
 
 
 def kill_sometime(command: list[str], out: Path, moments: random.Random) -> bool:
@@ -163,6 +167,15 @@ def kill_sometime(command: list[str], out: Path, moments: random.Random) -> bool
     process.kill()
     process.wait()
     return running
+
+
+def _struck(bench: BenchProcess, case: Case) -> bool:
+    if case.fault in STATES:
+        return True
+    try:
+        return bool(bench.state()["struck"])
+    except HardwareError:
+        return case.device is None  # killed, as it should be
 
 
 def _lights(bench: BenchProcess, case: Case, message: str) -> str:

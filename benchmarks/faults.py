@@ -16,9 +16,10 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
-from benchmarks._fault_cases import line_cases, make_rig, other_cases, pulled_cases
+from benchmarks._fault_cases import BEDS, Case, driver_cases, line_cases, make_rig, other_cases, pulled_cases
 from benchmarks._fault_runs import Outcome, differences, kill_sometime, suffer, undisturbed
 from lightopt.errors import LightoptError
 from lightopt.images import read_image_set
@@ -32,9 +33,10 @@ KILLED = "kill -9 at a random moment"
 
 @dataclass
 class Row:
-    """Counts of one kind of fault: runs, how they ended, and commands sent again."""
+    """Counts of one kind of fault: runs that it struck and missed, how the former ended, commands sent again."""
 
     runs: int = 0
+    missed: int = 0
     finished: int = 0
     stopped: int = 0
     told: int = 0
@@ -47,6 +49,9 @@ def rows_of(outcomes: Iterable[Outcome]) -> dict[str, Row]:
     rows: dict[str, Row] = {}
     for outcome in outcomes:
         row = rows.setdefault(outcome.case.kind, Row())
+        if not outcome.struck and not outcome.wrong:
+            row.missed += 1
+            continue
         row.runs += 1
         row.finished += outcome.finished
         row.stopped += not outcome.finished
@@ -61,13 +66,13 @@ def table(rows: dict[str, Row]) -> str:
     lines = [
         (
             "| fault | runs | finished, same images | stopped, same after `--resume` "
-            "| lights that may burn, named | commands sent again in finished runs | wrong |"
+            "| lights that may burn, named | commands sent again in finished runs | wrong | never struck, not counted |"
         ),
-        "|---|---:|---:|---:|---:|---:|---:|",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     total = Row(*(sum(getattr(row, name) for row in rows.values()) for name in vars(Row())))
     for name, row in {**rows, "**all**": total}.items():
-        values = (row.runs, row.finished, row.stopped, row.told, row.retries, row.wrong)
+        values = (row.runs, row.finished, row.stopped, row.told, row.retries, row.wrong, row.missed)
         lines.append(f"| {name} | " + " | ".join(map(str, values)) + " |")
     return "\n".join(lines)
 
@@ -76,12 +81,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the campaign and write the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.faults", description=__doc__)
     parser.add_argument("--every", type=int, default=1, help="hit every so many-th message only")
+    parser.add_argument("--most", type=int, help="so many faults at most, of every kind about as many")
     parser.add_argument("--kills", type=int, default=50, help="runs that are killed")
     parser.add_argument("--page", type=Path, default=PAGE, help="Markdown page whose table is renewed")
     options = parser.parse_args(arguments)
     begun = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
-        outcomes = list(_campaign(Path(name), options.every))
+        outcomes = list(_campaign(Path(name), options.every, options.most))
         rows = rows_of(outcomes)
         rows[KILLED] = _kills(Path(name), options.kills)
     for outcome in outcomes:
@@ -90,7 +96,9 @@ def main(arguments: list[str] | None = None) -> int:
     text = table(rows)
     print(text)
     minutes = (time.monotonic() - begun) / 60
-    about = f"`python -m benchmarks.faults --every {options.every} --kills {options.kills}`, {minutes:.0f} minutes."
+    most = "" if options.most is None else f" --most {options.most}"
+    command = f"python -m benchmarks.faults --every {options.every}{most} --kills {options.kills}"
+    about = f"`{command}`, {minutes:.0f} minutes."
     page = options.page.read_text(encoding="utf-8")
     before, _, rest = page.partition(BEGIN)
     after = rest.partition(END)[2]
@@ -100,15 +108,29 @@ def main(arguments: list[str] | None = None) -> int:
     return int(any(row.wrong for row in rows.values()))
 
 
-def _campaign(folder: Path, every: int) -> Iterator[Outcome]:
-    rigs = {stage: make_rig(folder / stage, stage) for stage in ("shot", "grbl")}
+def _spread(cases: list[Case], most: int) -> list[Case]:
+    """At most so many cases, of every kind about as many."""
+    kinds: dict[str, list[Case]] = {}
+    for case in cases:
+        kinds.setdefault(case.kind, []).append(case)
+    rounds = zip_longest(*kinds.values())
+    chosen = [case for turn in rounds for case in turn if case is not None][:most]
+    return sorted(chosen, key=lambda case: list(kinds).index(case.kind))
+
+
+def _campaign(folder: Path, every: int, most: int | None) -> Iterator[Outcome]:
+    rigs = {stage: make_rig(folder / stage, stage) for stage in BEDS}
     counts = {stage: undisturbed(*rig, folder / f"truth-{stage}") for stage, rig in rigs.items()}
     deliveries, steps = counts["shot"]
     cases = [
         *line_cases(deliveries, every=every),
         *pulled_cases(deliveries, steps, every=every),
         *other_cases(),
+        *driver_cases({stage: count for stage, (count, _) in counts.items()}),
     ]
+    random.Random(2026).shuffle(cases)  # so that few of a kind are not all early ones
+    if most is not None:
+        cases = _spread(cases, most)
     for number, case in enumerate(cases):
         print(f"\r{number + 1} of {len(cases)}", end="", file=sys.stderr, flush=True)
         out, truth = folder / str(number), folder / f"truth-{case.stage}"

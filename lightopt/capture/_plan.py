@@ -18,8 +18,8 @@ __all__ = ["Plan", "PostureTask", "Step", "make_plan"]
 
 StepKind = Literal["home", "move", "settle", "light on", "expose", "light off"]
 
-_COMMAND_S = 0.02
-"""Setting a light and reading it back: four short dialogues."""
+_COMMAND_S = 0.03
+"""Setting a light and reading it back: four short dialogues, measured with ccs."""
 
 _TRANSFER_S_PER_PIXEL = {"virtual": 80e-9, "folder": 10e-9}
 """From the end of an exposure to the frame being here; the virtual camera's noise is what takes time."""

@@ -109,7 +109,7 @@ class BenchProcess:
         return answer, data
 
     def state(self) -> dict[str, Any]:
-        """World as it is now: by device ``levels``, ``positions``, ``deliveries``; ``time`` [s, its clock], ``pid``."""
+        """World now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
         return self.request("state")[0]
 
     def levels(self, device: str) -> dict[int, float]:

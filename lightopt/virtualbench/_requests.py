@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import astuple
 from typing import Any
 
+from lightopt.virtualbench._trigger import Trigger
 from lightopt.virtualbench._world import World
 
 __all__ = ["Answer", "Handler", "handlers"]
@@ -31,6 +32,7 @@ def handlers(world: World) -> dict[str, Handler]:
                 "time": now,
                 "ports": world.ports(),
                 "deliveries": devices,
+                "struck": Trigger.struck,
                 "levels": world.levels(),
                 "positions": world.positions(now),
             }, b""

@@ -29,6 +29,9 @@ class Trigger:
         For numbers out of range.
     """
 
+    struck = 0
+    """How often faults struck in this process, those of all triggers together."""
+
     def __init__(
         self, *, after: int = 0, count: int | None = 1, probability: float = 1.0, seed: int = 0
     ) -> None:
@@ -53,6 +56,7 @@ class Trigger:
             return False
         if self._left is not None:
             self._left -= 1
+        Trigger.struck += 1
         return True
 
 

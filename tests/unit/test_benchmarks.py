@@ -181,10 +181,11 @@ def test_the_table_of_faults_counts_every_run() -> None:
         Outcome(Case("a"), True, True, 2, "", "off", ()),
         Outcome(Case("a"), True, False, 0, "while", "told", ()),
         Outcome(Case("b"), True, False, 1, "while", "LIT", ("a light burns",)),
+        Outcome(Case("b"), False, True, 0, "", "off", ()),  # never struck: not survived
     ]
     lines = table(rows_of(outcomes)).splitlines()
     assert lines[2:] == [
-        "| a | 2 | 1 | 1 | 1 | 2 | 0 |",
-        "| b | 1 | 0 | 1 | 0 | 1 | 1 |",
-        "| **all** | 3 | 1 | 2 | 1 | 3 | 1 |",
+        "| a | 2 | 1 | 1 | 1 | 2 | 0 | 0 |",
+        "| b | 1 | 0 | 1 | 0 | 1 | 1 | 1 |",
+        "| **all** | 3 | 1 | 2 | 1 | 3 | 1 | 1 |",
     ]
