@@ -182,7 +182,8 @@ def driver_cases(deliveries: dict[str, dict[str, int]]) -> Iterator[Case]:
                 continue  # which the others are about
             more = [(f"{fault} of the device", fault, {}) for fault in own[device].get(driver, ())]
             for kind, fault, options in (*faults, *more):
-                count = deliveries[stage][device]
+                # what is refused are moves, of which there are few
+                count = 2 if fault == "refuse" else deliveries[stage][device]
                 for after in (count // 4, 3 * count // 4):
                     yield Case(
                         f"{driver}: {kind}, once", device, fault, {**options, "after": after}, stage=stage
