@@ -30,11 +30,7 @@ lights:
 stage: {{elevation_range_deg: [-45, 45], rotation_range_deg: [0, 360]}}
 hardware:
   controllers:
-    lights:
-      {lights}
-      port: virtual
-      channels: 2
-      timeout_s: 0.15
+    lights: {{{lights}, channels: 2, timeout_s: 0.15}}
   lights:
     light1: {{controller: lights, channel: 1, level: 200}}
     light3: {{controller: lights, channel: 2, level: 200}}
@@ -46,15 +42,10 @@ hardware:
 """
 
 LIGHTS = {
-    "ccs": "driver: ccs",
-    "sa": "driver: sa",
-    "template": """driver: template
-      template:
-        set: "L{channel}{level:03d}\\r\\n"
-        set_reply: OK
-        read: "?{channel}\\r\\n"
-        read_reply: 'L[12](?P<level>[0-9]{3})'
-        end: "\\r\\n\"""",
+    "ccs": "driver: ccs, port: virtual",
+    "sa": "driver: sa, port: virtual",
+    "template": r"""driver: template, port: virtual, template: {set: "L{channel}{level:03d}\r\n", set_reply: OK,
+      read: "?{channel}\r\n", read_reply: 'L[12](?P<level>[0-9]{3})', end: "\r\n"}""",
 }
 
 STAGES = {
@@ -182,7 +173,8 @@ def driver_cases(deliveries: dict[str, dict[str, int]]) -> Iterator[Case]:
                 continue  # which the others are about
             more = [(f"{fault} of the device", fault, {}) for fault in own[device].get(driver, ())]
             for kind, fault, options in (*faults, *more):
-                count = deliveries[stage][device]
+                # what is refused are moves, of which there are few
+                count = 2 if fault == "refuse" else deliveries[stage][device]
                 for after in (count // 4, 3 * count // 4):
                     yield Case(
                         f"{driver}: {kind}, once", device, fault, {**options, "after": after}, stage=stage

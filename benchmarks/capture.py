@@ -66,12 +66,13 @@ def run(size: Size) -> Report:
         "lights [s]",
         "wait for disk [s]",
         "other [s]",
+        "close [s]",
         "overhead",
         f"≤ {TARGET:.0%}",
     )
     notes = (
         "overhead: lights, disk and other, as a share of settle + expose + transfer; the least of the rounds",
-        "opening (mesh, plan, devices) and moves count in neither",
+        "opening (mesh, plan, devices), closing (lights off, devices) and moves count in neither",
         "disk: an image is judged, written and listed before the next exposure; settling hides it, a bracket does not",
     )
     return Report("capture", [Table(f"capture, {size.width} px wide", header, rows)], numbers, notes)
@@ -108,6 +109,7 @@ def _cells(timing: Timing) -> list[str]:
         timing.lights_s,
         timing.writing_s,
         timing.other_s,
+        timing.closing_s,
     )
     met = "yes" if timing.overhead <= TARGET else "no"
     return [*(f"{value:.2f}" for value in seconds), f"{timing.overhead:.1%}", met]

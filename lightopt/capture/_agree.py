@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,9 @@ LEAST_LEVEL = 1.5
 """Pixels count that should be at least so far above black in the shorter exposure [sensor level]."""
 
 LEAST_PIXELS = 30
+
+MOST_PIXELS = 200_000
+"""Of larger images a grid of about so many pixels is compared: the next exposure waits for it."""
 
 TOLERANCE = 0.1
 """Share by which the exposures may differ: exposure times of cameras are not exact."""
@@ -53,12 +58,16 @@ def exposures_disagree(
         (first, second) if one.exposure >= other.exposure else (second, first)
     )
     ratio = short.exposure / long.exposure
-    expected = np.minimum(long.mean, sensor.saturated_from) - long_dark
+    step = max(1, round(math.sqrt(long.mean.size / MOST_PIXELS)))
+    some = (slice(step // 2, None, step), slice(step // 2, None, step))
+    long_dark, short_dark = (dark[some] if dark.ndim else dark for dark in (long_dark, short_dark))
+    long_full, short_full = long.saturated[some], short.saturated[some]
+    expected = np.minimum(long.mean[some], sensor.saturated_from) - long_dark
     expected = expected * np.float32(ratio)
-    seen = short.mean - short_dark
+    seen = short.mean[some] - short_dark
     bright = expected >= LEAST_LEVEL
-    both = bright & ~long.saturated & ~short.saturated
-    only_long = bright & long.saturated & ~short.saturated
+    both = bright & ~long_full & ~short_full
+    only_long = bright & long_full & ~short_full
     for where, least in ((both, False), (only_long, True)):
         count = int(np.count_nonzero(where))
         if count < LEAST_PIXELS:

@@ -146,7 +146,8 @@ def capture(
                 devices = open_devices()
         if devices is not None:
             run.execute(devices)
-            safe.close()
+            with timing.spent("closing_s"):
+                safe.close()
         run.flush()
     timing.whole_s = time.monotonic() - begun
     return Captured(

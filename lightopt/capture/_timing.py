@@ -12,7 +12,11 @@ __all__ = ["Timing", "utc"]
 
 @dataclass
 class Timing:
-    """Seconds by what they were spent on; `opening_s` is reading the mesh, planning, and opening the devices."""
+    """Seconds by what they were spent on.
+
+    `opening_s` is reading the mesh, planning, and opening the devices, `closing_s` switching all lights
+    off once more at the end, and closing the devices.
+    """
 
     whole_s: float = 0.0
     opening_s: float = 0.0
@@ -22,6 +26,7 @@ class Timing:
     transfer_s: float = 0.0
     lights_s: float = 0.0
     writing_s: float = 0.0
+    closing_s: float = 0.0
 
     @property
     def other_s(self) -> float:
@@ -30,9 +35,13 @@ class Timing:
 
     @property
     def overhead(self) -> float:
-        """What a capture adds to settling, exposing and transfer, as a share; opening and moves count in neither."""
+        """What a capture adds to settling, exposing and transfer, as a share; all but opening, closing and moves."""
         needed = self.settling_s + self.exposing_s + self.transfer_s
-        return (self.whole_s - self.opening_s - self.moving_s - needed) / needed if needed else 0.0
+        return (
+            (self.whole_s - self.opening_s - self.closing_s - self.moving_s - needed) / needed
+            if needed
+            else 0.0
+        )
 
     def parts(self) -> dict[str, float]:
         """Seconds by name, without the whole."""

@@ -168,7 +168,9 @@ def test_the_overhead_of_a_capture_is_what_its_times_leave() -> None:
         needed = sum(found[name] for name in ("settling_s", "exposing_s", "transfer_s"))
         assert found["settling_s"] >= 4 * 0.1 * 0.99  # four lights
         assert found["overhead"] == pytest.approx(
-            (found["whole_s"] - found["opening_s"] - found["moving_s"] - needed) / needed, rel=1e-6
+            (found["whole_s"] - found["opening_s"] - found["closing_s"] - found["moving_s"] - needed)
+            / needed,
+            rel=1e-6,
         )
 
 
