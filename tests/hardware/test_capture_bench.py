@@ -58,26 +58,19 @@ def test_an_undisturbed_run_has_no_retries(bed):
     assert steps > 30
 
 
+@pytest.mark.slow
 def test_spoilt_replies_are_asked_for_again_or_end_safely(bed, tmp_path):
     check(bed, tmp_path, every(line_cases(bed[2]["shot"][0]), 8))
 
 
-def test_a_pulled_cable_ends_safely_at_some_steps(bed, tmp_path):
-    check(bed, tmp_path, every(pulled_cases(*bed[2]["shot"]), 6))
-
-
-def test_lights_and_stages_that_do_not_obey_end_safely(bed, tmp_path):
-    check(bed, tmp_path, every(other_cases(), 6))
+@pytest.mark.slow
+def test_a_pulled_cable_ends_safely_all_along_the_plan(bed, tmp_path):
+    check(bed, tmp_path, every(pulled_cases(*bed[2]["shot"]), 12))
 
 
 @pytest.mark.slow
-def test_a_pulled_cable_ends_safely_at_every_step(bed, tmp_path):
-    check(bed, tmp_path, pulled_cases(*bed[2]["shot"]))
-
-
-@pytest.mark.slow
-def test_all_that_does_not_obey_ends_safely(bed, tmp_path):
-    check(bed, tmp_path, other_cases())
+def test_what_does_not_obey_ends_safely(bed, tmp_path):
+    check(bed, tmp_path, every(other_cases(), 12))
 
 
 def test_one_lost_reply_is_one_retry_and_the_manifest_says_at_which_image(bed, tmp_path):

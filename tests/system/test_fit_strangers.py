@@ -22,6 +22,8 @@ from lightopt.fit._quality import poor_fit
 from lightopt.fit._strangers import refuse_strangers
 from lightopt.rendering import cast_rays_at
 
+pytestmark = pytest.mark.slow
+
 PIXEL_MM = 0.22
 TWO = (1.0, 1 / 16)
 

@@ -159,6 +159,7 @@ def test_a_fit_of_other_inputs_is_not_replaced(cli, bench, images):
     assert cli(*command, "--free", "dark", "--force").status == 0
 
 
+@pytest.mark.slow
 def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path):
     bench.edit("part.yaml", "translate_mm: [0, 0, 0]", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]")
     bench.edit("rig.yaml", "points: 4", "points: auto")
@@ -206,6 +207,7 @@ def test_a_held_r_d_that_is_wrong_is_noticed(cli, bench, images):
     assert "--joint" in ran.err
 
 
+@pytest.mark.slow
 def test_point_lights_fitted_to_an_evenly_lit_panel_are_noticed(cli, bench, tmp_path):
     bench.edit("rig.yaml", "points: 4", "points: auto")
     exposures = ("--exposure", "1", "--exposure", "1/16", "--patches", "500", "--noise", "2", "-q")
@@ -266,6 +268,7 @@ def test_a_black_level_below_zero_is_not_hidden(cli, bench, images):
     )
 
 
+@pytest.mark.slow
 def test_the_papers_procedure_compares_numbers_of_points(cli, bench, images):
     ran = cli(
         "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--method", "paper", "--points", "1,4"
@@ -347,6 +350,7 @@ def test_no_diffuse_only_pixel_for_the_papers_method(cli, bench, images):
     refused(cli, bench, images, "no diffuse-only pixel", command="fit-diffuse", options=options)
 
 
+@pytest.mark.slow
 def test_lights_that_were_exchanged_are_told(cli, bench, images):
     def exchange(manifest):
         for entry in manifest["images"]:
@@ -367,6 +371,7 @@ def test_mirrored_images_are_told(cli, bench, images):
     refused(cli, bench, images, "do not look like this part", "mirrored left to right", options=("--joint",))
 
 
+@pytest.mark.slow
 def test_the_papers_procedure_refuses_strangers_too(cli, bench, images):
     spoil(images, lambda levels: levels[:, ::-1])
     refused(cli, bench, images, "do not look like this part", "mirrored", options=("--method", "paper"))
