@@ -20,6 +20,8 @@ from lightopt.hardware import (
 )
 from lightopt.virtualbench import BenchProcess
 
+pytestmark = pytest.mark.slow
+
 TIMEOUT_S = 0.15
 DRIVERS = ("ccs", "sa", "template")
 OPTIONS: dict[str, dict[str, Any]] = {"ccs": {}, "sa": {}, "template": {"template": TEMPLATE}}

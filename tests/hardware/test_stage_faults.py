@@ -18,6 +18,8 @@ from lightopt.hardware import LinkLostError, open_stage
 from lightopt.hardware._moves import MovingStage
 from lightopt.transforms import Posture
 
+pytestmark = pytest.mark.slow
+
 WIRE = "tcp" if os.name == "nt" else "pty"
 START, TARGET = Posture(-20.0, 100.0), Posture(30.0, 250.0)
 
