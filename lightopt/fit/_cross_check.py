@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Observation
 from lightopt.fit._estimate import Estimate, Freed
 from lightopt.fit._quality import appraise, poor_fit
-from lightopt.fit._samples import Samples, collect_samples, thinned
+from lightopt.fit._samples import Samples, evenly_lit, thinned
 from lightopt.fit._search import estimate
 from lightopt.fit._strangers import refuse_strangers
 from lightopt.raycast import RayCaster
-from lightopt.scene import Scene
 
 __all__ = ["evenly_lit_words", "paper_words"]
 
@@ -32,8 +28,7 @@ LEAST_PAPER_DIFFERENCE = 0.05
 
 
 def evenly_lit_words(
-    scene: Scene,
-    observations: Sequence[Observation],
+    samples: Samples,
     found: Estimate,
     *,
     freed: Freed,
@@ -45,11 +40,7 @@ def evenly_lit_words(
 
     Parameters
     ----------
-    scene
-        As it was fitted.
-    observations
-        The images.
-    found
+    samples, found
         The fit.
     freed, held
         As it was made.
@@ -58,24 +49,18 @@ def evenly_lit_words(
     threads
         Number of threads; the result does not depend on it.
     """
-    if any(light.points == "auto" or light.normalisation == "sum" for light in scene.lights):
+    lights = [group.layer.light for group in samples.groups if group.layer is not None]
+    if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
         return ()
-    even = replace(scene, lights=tuple(replace(light, points="auto") for light in scene.lights))
-    points, panels = (
-        estimate(
-            collect_samples(some, observations, caster=caster, budget=BUDGET, threads=threads),
-            freed=freed,
-            held=held,
-            threads=threads,
-        )
-        for some in (scene, even)
-    )
+    few = thinned(samples, BUDGET)
+    even = evenly_lit(few, caster, threads=threads)
+    points, panels = (estimate(some, freed=freed, held=held, threads=threads) for some in (few, even))
     count = len(points.likelihood.samples.level)
     ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
     moved = max(abs(math.log(panels.R_s / found.R_s)), abs(math.log(panels.sigma / found.sigma)))
     if ratio < LEAST_RATIO or moved < LEAST_DIFFERENCE:
         return ()
-    number = scene.lights[0].points
+    number = lights[0].points
     lit = "1 point" if number == 1 else f"{number} points"
     text = (
         f"evenly lit panels describe these images better than {lit} per panel: R_s would be about {panels.R_s:.4g} "

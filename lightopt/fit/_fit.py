@@ -161,8 +161,7 @@ def fit_specular(
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
     if result.estimate is not None and "auto" not in options.points:
         even = evenly_lit_words(
-            world.scene,
-            world.observations,
+            samples,
             result.estimate,
             freed=options.freed,
             held=world.held,

@@ -25,7 +25,7 @@ from lightopt.scene import Scene
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
-__all__ = ["ImageFacts", "SampleGroup", "Samples", "collect_samples", "thinned"]
+__all__ = ["ImageFacts", "SampleGroup", "Samples", "collect_samples", "evenly_lit", "thinned"]
 
 Float64 = NDArray[np.float64]
 
@@ -255,6 +255,33 @@ def thinned(samples: Samples, budget: int) -> Samples:
         block=samples.block[pixels],
         sample=place[left.sample],
     )
+
+
+def evenly_lit(samples: Samples, caster: RayCaster, *, threads: int | None = None) -> Samples:
+    """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again.
+
+    Parameters
+    ----------
+    samples
+        Under point lights.
+    caster
+        Of the part that the samples are of.
+    threads
+        Number of threads; the light does not depend on it.
+    """
+    groups = tuple(
+        group
+        if group.layer is None
+        else replace(
+            group,
+            layer=light_layer(
+                group.layer.surface, replace(group.layer.light, points="auto"), caster, threads=threads
+            ),
+        )
+        for group in samples.groups
+    )
+    diffuse = [np.zeros(len(group)) if group.layer is None else group.layer.diffuse for group in groups]
+    return replace(samples, groups=groups, diffuse=np.concatenate(diffuse))
 
 
 def _choose(
