@@ -22,7 +22,7 @@ from lightopt.rendering._lobe import (
     rectangle_diffuse,
     rectangle_specular,
 )
-from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
+from lightopt.rendering._panel import PanelNumbers, panel_numbers, terms_at
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._threads import in_threads
 from lightopt.scene import PanelLight, panel_grid
@@ -176,22 +176,8 @@ def _specular(
             continue
         total = 0.0
         for k in range(len(grid)):
-            _, s = point_terms(
-                p[0],
-                p[1],
-                p[2],
-                n[0],
-                n[1],
-                n[2],
-                v[0],
-                v[1],
-                v[2],
-                n_dot_v,
-                grid[k, 0],
-                grid[k, 1],
-                grid[k, 2],
-                panel,
-                inverse_two_sigma_squared,
+            _, s = terms_at(
+                p, n, v, n_dot_v, grid[k, 0], grid[k, 1], grid[k, 2], panel, inverse_two_sigma_squared
             )
             total += s
         result[i] = total / len(grid)
@@ -219,23 +205,7 @@ def _diffuse(
         total = 0.0
         for k in range(len(grid)):
             # a view from below (n_dot_v = 0) leaves out the specular term
-            d, _ = point_terms(
-                p[0],
-                p[1],
-                p[2],
-                n[0],
-                n[1],
-                n[2],
-                v[0],
-                v[1],
-                v[2],
-                0.0,
-                grid[k, 0],
-                grid[k, 1],
-                grid[k, 2],
-                panel,
-                0.0,
-            )
+            d, _ = terms_at(p, n, v, 0.0, grid[k, 0], grid[k, 1], grid[k, 2], panel, 0.0)
             total += d
         result[i] = total / len(grid)
 

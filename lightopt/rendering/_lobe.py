@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
-from lightopt.rendering._panel import PanelNumbers, point_terms
+from lightopt.rendering._panel import PanelNumbers, point_terms, terms_at
 
 __all__ = [
     "MAX_NODES",
@@ -101,16 +101,10 @@ def rectangle_diffuse(
             for j in range(count):
                 s = r0 + (r1 - r0) * nodes[count, j]
                 # a view from below (n_dot_v = 0) leaves out the specular term
-                d, _ = point_terms(
-                    p[0],
-                    p[1],
-                    p[2],
-                    n[0],
-                    n[1],
-                    n[2],
-                    v[0],
-                    v[1],
-                    v[2],
+                d, _ = terms_at(
+                    p,
+                    n,
+                    v,
                     0.0,
                     panel.centre_x + s * panel.across_x + t * panel.along_x,
                     panel.centre_y + s * panel.across_y + t * panel.along_y,

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lightopt.kernels import kernel
 from lightopt.reflectance import MAX_LOBE_EXPONENT, lambert, torrance_sparrow
 from lightopt.scene import PanelLight
 
-__all__ = ["PanelNumbers", "panel_numbers", "point_terms"]
+__all__ = ["PanelNumbers", "panel_numbers", "point_terms", "terms_at"]
 
 
 class PanelNumbers(NamedTuple):
@@ -126,3 +129,39 @@ def point_terms(
     dx, dy, dz = nx - hx * inverse, ny - hy * inverse, nz - hz * inverse
     chord_squared = dx * dx + dy * dy + dz * dz
     return diffuse, weight * torrance_sparrow(chord_squared, n_dot_v, inverse_two_sigma_squared)
+
+
+@kernel
+def terms_at(
+    p: NDArray[np.float64],
+    n: NDArray[np.float64],
+    v: NDArray[np.float64],
+    n_dot_v: float,
+    qx: float,
+    qy: float,
+    qz: float,
+    panel: PanelNumbers,
+    inverse_two_sigma_squared: float,
+) -> tuple[float, float]:
+    """:func:`point_terms` of a surface point, its normal and view direction as arrays of shape (3,).
+
+    For loops over the points of one panel, which have their rows in hand anyway. ``n_dot_v = 0`` leaves the specular
+    term out.
+    """
+    return point_terms(
+        p[0],
+        p[1],
+        p[2],
+        n[0],
+        n[1],
+        n[2],
+        v[0],
+        v[1],
+        v[2],
+        n_dot_v,
+        qx,
+        qy,
+        qz,
+        panel,
+        inverse_two_sigma_squared,
+    )
