@@ -145,14 +145,17 @@ class Devices:
             )
         if channel.max_on_s is not None:
             self._watch.begin(name, channel.max_on_s)
-        controller.set_level(channel.channel, asked)
-        held = controller.read_level(channel.channel)
+        held = controller.set_level(channel.channel, asked)
         if held is not None and held != asked:
             self.check_burning(name)
             raise HardwareError(
                 f"{name} ({channel.controller}, channel {channel.channel}): set to level {asked}, but it holds {held}"
             )
         return held
+
+    def told_s(self, name: str) -> float:
+        """When [s, monotonic clock] the controller of a panel had its last intensity, before it was read back."""
+        return self.controllers[self.wiring.light(name).controller].told_s
 
     def light_off(self, name: str) -> None:
         """Darken a panel.
