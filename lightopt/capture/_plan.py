@@ -125,7 +125,7 @@ class Plan:
     def burning_s(self) -> float:
         """How long a light burns at a stretch [s]: settling and all its exposures."""
         return self.wiring.hardware.timing.light_ms / 1e3 + sum(
-            self._frames_s(exposure) for exposure in self.exposures
+            self.frames_s(exposure) for exposure in self.exposures
         )
 
     def travel_s(self, start: Posture, end: Posture) -> float:
@@ -194,13 +194,19 @@ class Plan:
         return Step(
             kind="expose",
             what=f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})",
-            seconds=self._frames_s(exposure),
+            seconds=self.frames_s(exposure),
             posture=posture,
             light=light,
             exposure=exposure,
         )
 
-    def _frames_s(self, exposure: float) -> float:
+    @property
+    def relighting_s(self) -> float:
+        """How long it takes to switch a light off and on again until it has settled [s]."""
+        return 2 * _COMMAND_S + self.wiring.hardware.timing.light_ms / 1e3
+
+    def frames_s(self, exposure: float) -> float:
+        """How long the frames of an exposure take to be taken and got over [s]."""
         transfer = self.pixels * _TRANSFER_S_PER_PIXEL[self.wiring.hardware.camera.driver]
         return self.options.average * (self.exposure_us(exposure) / 1e6 + transfer)
 

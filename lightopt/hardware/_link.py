@@ -239,11 +239,11 @@ class SerialLink:
             self._told_stale(stale)
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Write down something out of the ordinary: in `events`, and in the log."""
+        """Tell of something out of the ordinary: in `events`, and to the log."""
         event = Event(now(), self.port, what, retry)
         self.events.append(event)
         if self._log is not None:
-            self._log.write(self.port, "note", what, event.time)
+            self._log.note(event)
 
     def failure(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> HardwareError:
         """Error that names device and port, what went wrong, the command, and the reply."""
