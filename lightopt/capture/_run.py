@@ -8,8 +8,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from lightopt.capture._camera_check import check_camera
 from lightopt.capture._connect import connect_devices
-from lightopt.capture._devices import Devices, check_camera
+from lightopt.capture._devices import Devices
 from lightopt.capture._lock import locked
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan import Plan, make_plan

@@ -12,7 +12,7 @@ from typing import TextIO
 
 from lightopt.errors import InputError
 
-__all__ = ["Event", "SerialLog"]
+__all__ = ["Event", "LogEntry", "SerialLog", "now"]
 
 
 @dataclass(frozen=True)
@@ -121,6 +121,29 @@ class SerialLog:
             if self._file is not None:
                 self._file.close()  # tries once more to write what is left
         return problem
+
+
+class LogEntry:
+    """Bytes that came together, on their way into the log."""
+
+    def __init__(self, log: SerialLog | None, port: str) -> None:
+        self._log = log
+        self._port = port
+        self._time = ""
+        self._data = bytearray()
+
+    def add(self, data: bytes) -> None:
+        """Count bytes in."""
+        if self._log is not None:
+            self._time = self._time or now()
+            self._data += data
+
+    def write(self) -> None:
+        """Write down what has come so far."""
+        if self._log is not None and self._data:
+            self._log.write(self._port, "in", bytes(self._data), self._time)
+            self._time = ""
+            self._data.clear()
 
 
 def now() -> str:
