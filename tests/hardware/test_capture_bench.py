@@ -171,7 +171,7 @@ def outside(bed, tmp_path):
         text = text.replace("driver: ccs, port: virtual", f"driver: ccs, port: {bench.ports['lights']}")
         text = text.replace("port: virtual", f"port: {bench.ports['stage']}")
         camera = f"camera: {{driver: folder, folder: {(folder / 'truth-shot').as_posix()}}}"
-        text = text.replace("camera: {driver: virtual}", camera).replace("light_ms: 5", "light_ms: 1200")
+        text = text.replace("camera: {driver: virtual}", camera).replace("light_ms: 5", "light_ms: 400")
         real = rig.with_name("real.yaml")
         real.write_text(text, encoding="utf-8", newline="\n")
         yield bench, real, part
