@@ -72,6 +72,7 @@ def optimize(
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Do not render the images of the best set.")
     ] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
     rows: Annotated[
         int, typer.Option(metavar="N", help="Combinations in ranking.csv, per posture and objective.")
     ] = 100,
@@ -91,8 +92,8 @@ def optimize(
     Every combination of the positions that the lights' ranges allow is scored on the levels that the camera would
     deliver. coverage is the area that two images or more show usably, neither shaded nor saturated, and at most one
     saturated; paper is the sum of each patch's middle levels. Writes result.json, ranking.csv, rig.optimized.yaml (one
-    per posture where they differ), the images of the best set and the map of their overlapping highlights. Exit status
-    1 where no combination leaves anything usable.
+    per posture where they differ), the images of the best set and the map of their overlapping highlights, and
+    report.html, a page that needs no network. Exit status 1 where no combination leaves anything usable.
 
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
     """
@@ -103,6 +104,7 @@ def optimize(
     from lightopt.optimize import DEFAULT_LIMIT, OptimizeOptions
     from lightopt.optimize import optimize as run
     from lightopt.rendering import DEFAULT_PATCH_BUDGET
+    from lightopt.report import optimum_report
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
@@ -137,6 +139,7 @@ def optimize(
             tell=None if quiet else say,
             report=report,
             searching=searching,
+            page=None if no_report else optimum_report,
         )
     if not quiet:
         show_optimum(found)

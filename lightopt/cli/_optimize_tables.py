@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from lightopt.cli._terminal import say, show_table
 
 if TYPE_CHECKING:
-    from lightopt.optimize import Answer, Objective, Optimum, SetResult
+    from lightopt.optimize import Answer, Optimum, SetResult
     from lightopt.overlap import Overlap
 
 __all__ = ["show_optimum", "show_overlaps"]
@@ -29,7 +29,9 @@ def show_optimum(found: Optimum) -> None:
     _show_best(found)
     if found.written.overlaps:
         show_overlaps(found.written.overlaps)
-    for path in (found.written.result, found.written.ranking, *(path for path, _ in found.written.rigs)):
+    rigs = [path for path, _ in found.written.rigs]
+    report = [] if found.written.report is None else [found.written.report]
+    for path in (found.written.result, found.written.ranking, *rigs, *report):
         say(f"{path}")
 
 
@@ -47,12 +49,10 @@ def _show_best(found: Optimum) -> None:
 
 
 def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
-    from lightopt.optimize import angles_of
+    from lightopt.optimize import angles_of, gap_text, looked_text, score_text, ties_text
 
     best = answer.found
-    looked = f"{best.scored:,}" + (f" + {best.excluded:,} by bound" if best.excluded else "")
-    if best.left:
-        looked += f", {best.left:,} left"
+    looked = looked_text(best)
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
         return [*blank, "-", "all 0", looked]
@@ -60,16 +60,8 @@ def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
         f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)
     ]
     objectives = {other.objective.name: other.objective for other in result.answers}
-    scores = [_score(value, objectives[name], result.area) for name, value in answer.scores.items()]
-    seen = "" if best.complete else "≥ "  # of the combinations looked at
-    gap = "-" if best.gap is None else f"{seen}−{answer.objective.shown(best.gap)}"
-    ties = "none" if best.complete and best.ties == 1 else f"{seen}{best.ties:,} best"
-    return [*angles, *scores, gap, ties, looked]
-
-
-def _score(value: int, objective: Objective, area: int) -> str:
-    share = objective.share(value, area)
-    return objective.shown(value) + ("" if share is None else f" ({100.0 * share:.1f} %)")
+    scores = [score_text(value, objectives[name], result.area) for name, value in answer.scores.items()]
+    return [*angles, *scores, gap_text(best, answer.objective), ties_text(best), looked]
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:

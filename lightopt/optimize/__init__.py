@@ -5,8 +5,10 @@ of each light; the objectives are integers, so that sums are exact in any order 
 """
 
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
+from lightopt.optimize._curves import Curve
+from lightopt.optimize._draft import Draft
 from lightopt.optimize._luminance import luminance_matrix
-from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions
@@ -15,15 +17,20 @@ from lightopt.optimize._result import Answer, SetResult, angles_of
 from lightopt.optimize._run import Optimum, optimize
 from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
 from lightopt.optimize._space import Space
+from lightopt.optimize._words import gap_text, looked_text, score_text, ties_text
 
 __all__ = [
+    "AREA_UNIT_MM2",
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
     "OBJECTIVES",
     "Answer",
     "Candidates",
+    "Curve",
+    "Draft",
     "Found",
     "LeftOut",
+    "Levels",
     "LuminanceMatrix",
     "Objective",
     "OptimizeOptions",
@@ -35,8 +42,12 @@ __all__ = [
     "angles_of",
     "area_units",
     "find_candidates",
+    "gap_text",
+    "looked_text",
     "luminance_matrix",
     "objectives_named",
     "optimize",
+    "score_text",
     "search",
+    "ties_text",
 ]

@@ -8,6 +8,7 @@ import numpy as np
 
 from lightopt.errors import InputError, LightoptError
 from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._curves import score_curves
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._result import Answer, SetResult
@@ -83,11 +84,20 @@ def answer_set(
             )
         nothing = _nothing(matrices, thresholds, found) if found.best.score == 0 else None
         answers.append(Answer(objective=objective, found=found, scores=scores, nothing=nothing))
+    first = answers[0]
     return SetResult(
         postures=tuple(postures),
         patches=sum(len(matrix.areas) for matrix in matrices),
         area=sum(int(area_units(matrix.areas).sum()) for matrix in matrices),
         answers=tuple(answers),
+        levels=tuple(matrix.combination(first.found.best.candidates) for matrix in matrices),
+        curves=()
+        if first.nothing is not None
+        else score_curves(
+            candidates,
+            first.found.best,
+            lambda combination: _score(matrices, first.objective, combination, thresholds),
+        ),
     )
 
 

@@ -12,7 +12,7 @@ from lightopt.config import PartConfig, RigConfig, load_rig
 from lightopt.errors import InputError
 from lightopt.images import read_image_set, write_text_atomic
 from lightopt.optimize._candidates import Candidates
-from lightopt.optimize._earlier import RESULT_NAME, RIG_NAME, begin_writing, end_writing
+from lightopt.optimize._earlier import REPORT_NAME, RESULT_NAME, RIG_NAME, begin_writing, end_writing
 from lightopt.optimize._matrix import Thresholds
 from lightopt.optimize._options import OptimizeOptions
 from lightopt.optimize._result import SetResult, ranking_csv, result_dict
@@ -41,6 +41,8 @@ class Written:
         Folders of image sets.
     overlaps
         Saturated regions of these images, in the order of the postures.
+    report
+        The report; None where none was wanted.
     """
 
     result: Path
@@ -48,6 +50,7 @@ class Written:
     rigs: tuple[tuple[Path, tuple[Posture, ...]], ...]
     images: tuple[Path, ...]
     overlaps: tuple[Overlap, ...]
+    report: Path | None
 
 
 def write_outputs(
@@ -62,6 +65,7 @@ def write_outputs(
     options: OptimizeOptions,
     force: bool,
     warn: Callable[[str], None],
+    page: Callable[[Mapping[str, Any], Sequence[Overlap]], str] | None = None,
 ) -> Written:
     """Write all files, result.json last: where it is, the others are complete.
 
@@ -83,6 +87,8 @@ def write_outputs(
         Replace files that are there and differ.
     warn
         Called with warnings of the rendering.
+    page
+        Makes the report of what result.json will say and of the overlaps; None for no report.
 
     Raises
     ------
@@ -100,7 +106,8 @@ def write_outputs(
         for path, postures, text in rig_texts(rig, results, candidates, folder=folder)
     )
     listed = _listed(folder, rigs, options)
-    begin_writing(folder, listed, force=force)
+    listed["reports"] = [] if page is None else [{"file": REPORT_NAME}]
+    ours = begin_writing(folder, listed, force=force)
     ranking = folder / RANKING_NAME
     write_text_atomic(ranking, ranking_csv(results, candidates), overwrite=force)
     for path, _, text in rigs:
@@ -130,7 +137,11 @@ def write_outputs(
             {**where, **overlap.as_dict()}
             for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
         ],
+        "reports": listed["reports"],
     }
+    report = None if page is None else folder / REPORT_NAME
+    if page is not None and report is not None:
+        write_text_atomic(report, page(document, overlaps), overwrite=force or ours)
     result = folder / RESULT_NAME
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
     write_text_atomic(result, text, overwrite=force)
@@ -141,6 +152,7 @@ def write_outputs(
         rigs=tuple((path, postures) for path, postures, _ in rigs),
         images=images,
         overlaps=tuple(overlaps),
+        report=report,
     )
 
 

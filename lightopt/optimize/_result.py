@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._curves import Curve
+from lightopt.optimize._matrix import Levels
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._search import Found
@@ -53,12 +55,19 @@ class SetResult:
         Of the visible patches, summed over the postures [µm²].
     answers
         One per objective.
+    levels
+        Of the best set of the first objective, for each posture: delivered levels of its visible patches under each
+        light, shape (lights, p).
+    curves
+        How the first objective's score goes with one angle; none where nothing scores.
     """
 
     postures: tuple[Posture, ...]
     patches: int
     area: int
     answers: tuple[Answer, ...]
+    levels: tuple[Levels, ...]
+    curves: tuple[Curve, ...]
 
 
 def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, float], ...]:
@@ -74,6 +83,7 @@ def result_dict(results: tuple[SetResult, ...], candidates: Candidates) -> list[
             "visible_patches": result.patches,
             "visible_area_um2": result.area,
             "objectives": [_answer_dict(answer, result, candidates) for answer in result.answers],
+            "curves": [curve.as_dict() for curve in result.curves],
         }
         for result in results
     ]

@@ -19,6 +19,7 @@ from lightopt.images import file_sha256, posture_folder
 from lightopt.optimize._angles import can_move
 from lightopt.optimize._answer import answer_set
 from lightopt.optimize._candidates import Candidates, find_candidates
+from lightopt.optimize._draft import Draft
 from lightopt.optimize._earlier import refuse_other_result
 from lightopt.optimize._kept import keep_matrix, matrix_key, read_matrix
 from lightopt.optimize._luminance import MOST_BYTES, luminance_matrix
@@ -29,6 +30,7 @@ from lightopt.optimize._options import OptimizeOptions, check_options
 from lightopt.optimize._outputs import Written, write_outputs
 from lightopt.optimize._result import Answer, SetResult
 from lightopt.optimize._rig_text import check_editable
+from lightopt.overlap import Overlap
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable, Report, build_patches, cast_rays_at, refuse_hopeless
 from lightopt.scene import Scene, build_scene, coarse_warnings
@@ -59,7 +61,7 @@ class Optimum:
     reused
         Number of luminance matrices that were kept from an earlier run.
     patches
-        What the patch refinement reached; None where all matrices were kept.
+        What the patch refinement reached; None where all matrices were kept and there is no report.
     warnings
         What was repaired or is partly wrong.
     """
@@ -84,6 +86,7 @@ def optimize(
     tell: Callable[[str], None] | None = None,
     report: Report | None = None,
     searching: Callable[[str, float], None] | None = None,
+    page: Callable[[Draft], str] | None = None,
 ) -> Optimum:
     """Find the best positions of a rig's lights for a part (paper, section 5), and write them to a folder.
 
@@ -105,6 +108,8 @@ def optimize(
         Called as the luminance matrices are computed.
     searching
         Called with what is searched for and the share of that which is done.
+    page
+        Makes the HTML of report.html, such as :func:`lightopt.report.optimum_report`; None for no report.
 
     Raises
     ------
@@ -140,7 +145,7 @@ def optimize(
         saturated_from=scene.sensor.saturated_from,
         black_level=scene.sensor.black_level,
     )
-    provenance = _provenance(rig, part, scene, options, objectives)
+    provenance = _provenance(rig, part, scene, options, objectives, report=page is not None)
     if not force:
         refuse_other_result(Path(folder), provenance)
     caster = cast_rays_at(scene)
@@ -173,8 +178,30 @@ def optimize(
         for answer in results[-1].answers:
             if not answer.found.complete and answer.nothing is None:
                 say(cut_off(answer, postures))
+    table = makers.cut() if page is not None else None
     if makers.coarse is not None:
         say(makers.coarse)
+
+    def draw(document: Mapping[str, Any], overlaps: Sequence[Overlap]) -> str:
+        assert page is not None
+        assert table is not None
+        return page(
+            Draft(
+                document=document,
+                folder=Path(folder),
+                rig=rig,
+                part=part,
+                scene=scene,
+                caster=caster,
+                table=table,
+                candidates=candidates,
+                thresholds=thresholds,
+                results=tuple(results),
+                overlaps=overlaps,
+                warnings=tuple(warnings),
+            )
+        )
+
     written = write_outputs(
         Path(folder),
         rig,
@@ -186,6 +213,7 @@ def optimize(
         options=options,
         force=force,
         warn=say,
+        page=None if page is None else draw,
     )
     return Optimum(
         candidates=candidates,
@@ -276,6 +304,12 @@ class _Matrices:
         """What the patch refinement reached."""
         return None if self.table is None else self.table.message
 
+    def cut(self) -> PatchTable:
+        """The patches of all postures."""
+        if self.table is None:
+            self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
+        return self.table
+
     def matrix(self, posture: Posture, report: Report | None, *, held: int) -> LuminanceMatrix:
         """The luminance matrix of a posture, one of so many that are held together."""
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
@@ -284,11 +318,9 @@ class _Matrices:
         if kept is not None:
             self.reused += 1
             return kept
-        if self.table is None:
-            self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
         made = luminance_matrix(
             self.scene,
-            self.table,
+            self.cut(),
             posture,
             self.candidates.panels,
             caster=self.caster,
@@ -341,6 +373,8 @@ def _provenance(
     scene: Scene,
     options: OptimizeOptions,
     objectives: tuple[Objective, ...],
+    *,
+    report: bool,
 ) -> Mapping[str, Any]:
     return {
         "versions": _versions(),
@@ -361,6 +395,7 @@ def _provenance(
             "max_combinations": options.limit,
             "ranking_rows": options.rows,
             "images": options.images,
+            "report": report,
         },
     }
 

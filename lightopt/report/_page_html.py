@@ -119,7 +119,7 @@ def _block(block: Block) -> str:
         case Table():
             return _table(block)
         case Picture():
-            return f"<figure>{_image(block)}{_figcaption(block.caption)}</figure>"
+            return f'<figure class="picture">{_image(block)}{_figcaption(block.caption)}</figure>'
         case Gallery():
             return _gallery(block)
         case SurfaceView():

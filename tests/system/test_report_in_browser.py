@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from collections import Counter
 from pathlib import Path
 
@@ -161,3 +162,42 @@ def test_the_still_picture_shows_what_the_view_shows_first(report):
         a, b = (np.asarray(image.resize(size), np.float64) for image in (live, still))
         # but for the edges
         assert np.quantile(np.abs(a - b), 0.97) < 12.0
+
+
+@pytest.mark.parametrize("images", [True, False])
+def test_the_report_of_an_optimisation(bench, cli, images):
+    text = bench.rig.read_text(encoding="utf-8").replace("azimuth_deg: 45}", "azimuth_deg: 45, RANGE}")
+    text = text.replace("azimuth_deg: 225,", "azimuth_deg: 225, RANGE,")
+    bench.rig.write_text(text.replace("RANGE", "elevation_range_deg: [40, 60]"), encoding="utf-8")
+    bench.edit("part.yaml", "name: knob", "name: '<b>knob</b> & \"co\"'")
+    options = [] if images else ["--no-images", "--posture", "0,0"]
+    few = ("--patches", "800", "--step", "10", "-q")
+    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, *few, *options)
+    assert (ran.status, ran.out) == (0, "")
+    result = json.loads((bench.out / "result.json").read_text(encoding="utf-8"))
+    with opened(bench.out / "report.html") as seen:
+        page = seen.page
+        page.wait_for_selector("figure[data-state=live]")
+        assert page.inner_text("h1") == 'Where the lights go: <b>knob</b> & "co"'
+        answers = page.locator("p.answer").all_inner_texts()
+        shares = [100 * one["objectives"][0]["share_of_visible_area"] for one in result["results"]]
+        assert [text.split(" %")[0] for text in answers] == [f"{share:.1f}" for share in shares]
+        found = colours(page.locator("canvas").screenshot())
+        assert sum(found.values()) > 20_000
+        legend = page.locator(".legend:not([hidden]) li")
+        assert legend.count() == 5
+        assert all(item.is_visible() for item in legend.all())
+        pictures = page.locator("img").all()
+        assert len(pictures) >= (1 + 2 * 3 + 1 + 2 if images else 3)
+        assert all(
+            picture.evaluate("image => image.complete && image.naturalWidth > 1") for picture in pictures
+        )
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+        page.set_viewport_size({"width": 420, "height": 800})
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), (
+            "nor on a telephone"
+        )
+        assert seen.said == []
+        assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [
+            (bench.out / "report.html").resolve().as_uri()
+        ]

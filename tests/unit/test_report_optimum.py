@@ -1,0 +1,215 @@
+"""The report of ``lightopt optimize``: what it shows is what result.json says; files of others stay."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.optimize import Curve, OptimizeOptions, Thresholds, area_units, optimize
+from lightopt.report import Answer, Facts, Gallery, Picture, SurfaceView, Table, optimum_page, optimum_report
+from lightopt.report._optimum_surface import SHOWN, shown_by_images
+
+LIGHTS = """\
+lights:
+  - {name: left, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [40, 60]}
+  - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 165, azimuth_range_deg: [155, 165]}
+  - {name: light3, distance_mm: 330, elevation_deg: 45, azimuth_deg: 285, elevation_range_deg: [40, 60]}
+"""
+FEW = ("--patches", "800", "--step", "10", "-q")
+
+
+def with_lights(bench):
+    text = bench.rig.read_text(encoding="utf-8")
+    head, rest = text.split("lights:\n", 1)
+    bench.rig.write_text(head + LIGHTS + rest[rest.index("stage:") :], encoding="utf-8", newline="\n")
+    bench.edit("part.yaml", "name: knob", "name: '</title><script>knob'")
+    return bench
+
+
+@pytest.fixture(scope="module")
+def done(shared_bench, tmp_path_factory):
+    """A small optimisation, what its report was made of, and its files."""
+    bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("report") / "bench"))
+    drafts = []
+
+    def page(draft):
+        drafts.append(draft)
+        return optimum_report(draft)
+
+    options = OptimizeOptions(step_deg=10.0, patch_budget=800)
+    found = optimize(bench.rig, bench.part, bench.out, options=options, page=page)
+    return bench, drafts[0], found
+
+
+@pytest.fixture(scope="module")
+def blocks(done):
+    page = optimum_page(done[1])
+    return [*page.lead, *(block for section in page.sections for block in section.blocks)]
+
+
+@pytest.fixture
+def three(bench):
+    return with_lights(bench)
+
+
+def result_of(folder: Path):
+    return json.loads((folder / "result.json").read_text(encoding="utf-8"))
+
+
+def test_figures_are_those_of_the_result(done, blocks):
+    bench, _, found = done
+    result = result_of(bench.out)
+    answers = [block for block in blocks if isinstance(block, Answer)]
+    angles, areas, scores = (block for block in blocks if isinstance(block, Table))
+    assert found.written.report == bench.out / "report.html"
+    assert result["reports"] == [{"file": "report.html"}]
+    for row, (answer, group) in enumerate(zip(answers, result["results"], strict=True)):
+        best = group["objectives"][0]
+        share = f"{100 * best['score'] / group['visible_area_um2']:.1f} %"
+        score = f"{best['score'] / 1e6:,.2f} mm²"
+        assert answer.figure == share
+        assert score in answer.text
+        expected = [f"{one['elevation_deg']:g}°, {one['azimuth_deg']:g}°" for one in best["lights"]]
+        assert list(angles.rows[row][1:4]) == expected
+        assert angles.rows[row][4] == f"{score} ({share})"
+        # the patches that coverage counts are those that are painted usable in two images
+        assert areas.rows[row][1] == f"{score} ({share})"
+        assert list(scores.rows[2 * row][2:5]) == expected
+        assert scores.rows[2 * row][6] == f"{best['scores_under']['paper']:,}"
+        assert scores.rows[2 * row][7] == f"−{best['gap'] / 1e6:,.2f} mm²"
+    text = (bench.out / "report.html").read_text(encoding="utf-8")
+    for row in angles.rows:
+        assert all(f"<td class=number>{cell}</td>" in text for cell in row[1:])
+
+
+def test_every_patch_is_painted_as_its_levels_say(done, blocks):
+    _, draft, _ = done
+    view = next(block for block in blocks if isinstance(block, SurfaceView))
+    assert [layer.name for layer in view.surface.layers] == [
+        "the best of all postures",
+        "posture (0°, 0°)",
+        "posture (-10°, 170°)",
+    ]
+    names = [label for label, _ in SHOWN]
+    for layer, result, posture in zip(
+        view.surface.layers[1:], draft.results, draft.table.postures, strict=True
+    ):
+        visible = draft.table.visible[draft.table.postures.index(posture)]
+        expected = []
+        seen = iter(result.levels[0].T.tolist())
+        for is_seen in visible:
+            if not is_seen:
+                expected.append("the camera does not see it")
+                continue
+            levels = next(seen)
+            usable = sum(10 <= level < 255 for level in levels)
+            if sum(level >= 255 for level in levels) >= 2:
+                expected.append("saturated in two images or more")
+            elif usable >= 2:
+                expected.append("usable in two images or more")
+            else:
+                expected.append("usable in one image only" if usable else "shaded: usable in no image")
+        assert [names[k] for k in layer.of_face] == expected
+        covered = np.array([name == "usable in two images or more" for name in expected])
+        units = area_units(draft.table.patches.areas[visible])
+        assert int(units[covered[visible]].sum()) == result.answers[0].scores["coverage"]
+    together = np.min([layer.of_face for layer in view.surface.layers[1:]], axis=0)
+    assert np.array_equal(view.surface.layers[0].of_face, together)
+
+
+def test_classes_at_the_thresholds():
+    levels = np.array([[9, 10, 254, 255, 10, 255], [9, 9, 10, 255, 255, 9]], np.uint8)
+    classes = shown_by_images(levels, Thresholds(shade=10, saturation=255))
+    assert classes.tolist() == [3, 1, 0, 2, 1, 3]
+
+
+def test_curves_pass_through_the_best_set_and_are_in_the_result(done, blocks):
+    bench, draft, _ = done
+    result = result_of(bench.out)
+    for group, found in zip(result["results"], draft.results, strict=True):
+        best = group["objectives"][0]
+        at = {one["light"]: one for one in best["lights"]}
+        assert [(c["light"], c["axis"], c["angles_deg"]) for c in group["curves"]] == [
+            (None, "elevation", [40, 50, 60]),
+            ("left", "elevation", [40, 50, 60]),
+            ("light2", "azimuth", [155, 165]),
+            ("light3", "elevation", [40, 50, 60]),
+        ]
+        for curve in group["curves"][1:]:
+            assert max(curve["scores"]) == best["score"]
+            here = at[curve["light"]][f"{curve['axis']}_deg"]
+            assert curve["scores"][curve["angles_deg"].index(here)] == best["score"]
+        assert all(isinstance(curve, Curve) for curve in found.curves)
+    charts = [block for block in blocks if isinstance(block, Picture) and "Score against" in block.alt]
+    assert len(charts) == 4, "elevation and azimuth of both postures"
+
+
+def test_all_that_it_rests_on_is_told(done, blocks):
+    bench, draft, _ = done
+    rows = dict(row for block in blocks if isinstance(block, Facts) for row in block.rows)
+    assert rows["levels"].startswith("8 bit, black level 0; shaded below 10, saturated from 255 on")
+    assert rows["sensor noise, not part of the score"] == "read noise 0.8 levels, 60 electrons per level"
+    assert rows["reflectance"].startswith("R_d 45, R_s 12500, σ 0.0475 rad")
+    assert rows["patches"] == draft.table.message
+    result = result_of(bench.out)
+    assert result["rig"]["sha256"] in rows["rig"]
+    assert result["part"]["sha256"] in rows["part"]
+    assert result["mesh_sha256"] in rows["mesh"]
+    assert f"numpy {result['versions']['numpy']}" in rows["versions"]
+    gallery = next(block for block in blocks if isinstance(block, Gallery))
+    assert [len(pictures) for _, pictures in gallery.rows] == [4, 4]
+    text = (bench.out / "report.html").read_text(encoding="utf-8")
+    assert str(bench.folder) not in text, "the same files give the same report wherever they lie"
+    assert f"<title>{html.escape('Where the lights go: </title><script>knob')}</title>" in text
+    assert len(re.findall("<script", text)) == 4
+
+
+def test_again_it_is_the_same_and_reports_of_others_stay(three, cli, snapshot):
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
+    three.out.mkdir()
+    (three.out / "report.html").write_text("mine", encoding="utf-8")
+    refused = cli(*command)
+    assert refused.status == 2
+    assert "report.html: exists with other content; use --force" in refused.err
+    (three.out / "report.html").unlink()
+    assert cli(*command).status == 0
+    before = snapshot(three.out)
+    assert cli(*command, "--threads", 1).status == 0
+    assert snapshot(three.out) == before
+    # a report that was spoilt is of this run, and made anew
+    (three.out / "report.html").write_text("spoilt", encoding="utf-8")
+    assert cli(*command).status == 0
+    assert snapshot(three.out) == before
+    assert "Not rendered (--no-images)" in (three.out / "report.html").read_text(encoding="utf-8")
+
+
+def test_without_a_report_there_is_none_and_none_is_left(three, cli):
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
+    assert cli(*command).status == 0
+    ran = cli(*command, "--no-report")
+    assert ran.status == 2
+    assert "options.report: there true, now false" in ran.err
+    assert cli(*command, "--no-report", "--force").status == 0
+    assert not (three.out / "report.html").exists()
+    assert result_of(three.out)["reports"] == []
+
+
+def test_a_part_that_nothing_lights_has_a_report_that_says_so(three, cli):
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--posture", "0,0")
+    ran = cli(*command, "--shade-below", "0.99")
+    assert ran.status == 1
+    text = (three.out / "report.html").read_text(encoding="utf-8")
+    assert "<strong>No answer</strong>" in text
+    assert "every combination scores 0" in text
+
+
+def test_the_terminal_names_the_report(done, cli):
+    bench, _, _ = done
+    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, *FEW[:4])
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out.splitlines()[-1] == str(bench.out / "report.html")
