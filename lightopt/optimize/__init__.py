@@ -4,6 +4,7 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
+from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._luminance import luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
@@ -15,12 +16,17 @@ from lightopt.optimize._result import Answer, SetResult, angles_of
 from lightopt.optimize._run import Optimum, optimize
 from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
 from lightopt.optimize._space import Space
+from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
+from lightopt.optimize._visibility import Visibility
 
 __all__ = [
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
+    "DIRECTIONS",
     "OBJECTIVES",
     "Answer",
+    "Blind",
+    "BlindSpots",
     "Candidates",
     "Found",
     "LeftOut",
@@ -32,11 +38,17 @@ __all__ = [
     "SetResult",
     "Space",
     "Thresholds",
+    "Trial",
+    "Visibility",
     "angles_of",
     "area_units",
+    "blind_codes",
+    "blind_spots",
+    "blind_text",
     "find_candidates",
     "luminance_matrix",
     "objectives_named",
     "optimize",
     "search",
+    "unroll",
 ]

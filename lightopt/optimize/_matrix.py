@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
+from lightopt.optimize._visibility import Visibility
 
 __all__ = ["AREA_UNIT_MM2", "Levels", "LuminanceMatrix", "Thresholds", "area_units", "usable_sums"]
 
@@ -93,12 +94,22 @@ class LuminanceMatrix:
         One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light, p).
     areas
         Of the patches [mm²], shape (p,).
+    visibility
+        Which defects the same images show on the same patches; None where nobody asked.
     """
 
     levels: tuple[Levels, ...]
     areas: Float64
+    visibility: Visibility | None = None
 
     def __post_init__(self) -> None:
+        if self.visibility is not None and (
+            self.visibility.shape != self.shape or len(self.visibility.areas) != len(self.areas)
+        ):
+            raise InputError(
+                f"luminance matrix: expected the visibility of the same images, {self.shape} positions of the lights "
+                f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.areas)}"
+            )
         for index, layer in enumerate(self.levels):
             if (
                 layer.ndim != 2
