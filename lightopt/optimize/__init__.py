@@ -11,13 +11,14 @@ from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions
+from lightopt.optimize._packed import count_bits
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
 from lightopt.optimize._run import Optimum, optimize
 from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
 from lightopt.optimize._space import Space
 from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
-from lightopt.optimize._visibility import Visibility
+from lightopt.optimize._visibility import Visibility, add_image, trial_planes
 
 __all__ = [
     "DEFAULT_LIMIT",
@@ -40,15 +41,18 @@ __all__ = [
     "Thresholds",
     "Trial",
     "Visibility",
+    "add_image",
     "angles_of",
     "area_units",
     "blind_codes",
     "blind_spots",
     "blind_text",
+    "count_bits",
     "find_candidates",
     "luminance_matrix",
     "objectives_named",
     "optimize",
     "search",
+    "trial_planes",
     "unroll",
 ]

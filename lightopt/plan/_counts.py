@@ -10,6 +10,7 @@ and what a count is worth is the sum of its flags, each times its pair's weight.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
+from lightopt.optimize import Trial, add_image, count_bits, trial_planes
 
 __all__ = ["Counts", "PairWeights", "added", "counts_of_images", "gain_of", "no_counts", "reached", "worth"]
 
@@ -56,6 +58,12 @@ class PairWeights:
             view.flags.writeable = False
             object.__setattr__(self, name, view)
 
+    @staticmethod
+    def of_trials(trials: Sequence[Trial], areas: Int64) -> PairWeights:
+        """Each patch by its area [µm²], each trial by its own weight."""
+        masks, bits = trial_planes(trials)
+        return PairWeights(areas=areas, masks=masks, factors=np.int64(1) << bits)
+
     @property
     def total(self) -> int:
         """Weight of all pairs."""
@@ -71,7 +79,7 @@ def no_counts(weights: PairWeights, k: int) -> Counts:
     return np.zeros((k, len(weights.areas), weights.masks.shape[1]), np.uint64)
 
 
-def counts_of_images(images: list[Words], k: int) -> Counts:
+def counts_of_images(images: Sequence[Words], k: int) -> Counts:
     """In how many of some images each pair is seen, up to k.
 
     Parameters
@@ -83,9 +91,7 @@ def counts_of_images(images: list[Words], k: int) -> Counts:
     """
     total = np.zeros((k, *images[0].shape), np.uint64)
     for flags in images:
-        for level in range(k - 1, 0, -1):
-            total[level] |= total[level - 1] & flags
-        total[0] |= flags
+        add_image(total, flags)
     return total
 
 
@@ -114,21 +120,11 @@ def gain_of(counts: Counts, more: Counts, weights: PairWeights) -> int:
 
 
 @kernel
-def bit_count(x: np.uint64) -> np.int64:
-    """Number of flags that are set in a word."""
-    # bits of pairs, of fours, of bytes, then the sum of the bytes
-    x -= (x >> np.uint64(1)) & np.uint64(0x5555555555555555)
-    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
-
-
-@kernel
 def word_weight(flags: np.uint64, word: int, masks: Words, factors: Int64) -> np.int64:
     """Σ factor over the trials whose flags are set in word number `word`."""
     total = np.int64(0)
     for g in range(len(factors)):
-        total += factors[g] * bit_count(flags & masks[g, word])
+        total += factors[g] * np.int64(count_bits(flags & masks[g, word]))
     return total
 
 
