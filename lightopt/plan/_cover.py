@@ -111,6 +111,7 @@ def greedy_cover(
     *,
     count: int | None = None,
     target: float | None = None,
+    among: Sequence[int] | None = None,
 ) -> Cover:
     """Choose candidates one after the other, each time the one that adds most; the earlier one where two add the same.
 
@@ -127,6 +128,8 @@ def greedy_cover(
         Most candidates to choose; as many as are needed by default.
     target
         Share of all pairs to be seen in k images or more, above 0 and up to 1.
+    among
+        Only these may be chosen; the bound is that of all.
 
     Raises
     ------
@@ -139,15 +142,21 @@ def greedy_cover(
         raise InputError(f"cover: expected a count of 1 or more, found {count}")
     if target is not None and not 0.0 < target <= 1.0:
         raise InputError(f"cover: expected a target above 0 and up to 1, found {target:g}")
-    return _Greedy(candidates, weights, count, target).cover()
+    return _Greedy(candidates, weights, count, target, among).cover()
 
 
 class _Greedy:
     def __init__(
-        self, candidates: Sequence[Counts], weights: PairWeights, count: int | None, target: float | None
+        self,
+        candidates: Sequence[Counts],
+        weights: PairWeights,
+        count: int | None,
+        target: float | None,
+        among: Sequence[int] | None,
     ) -> None:
         self.candidates, self.weights = candidates, weights
         self.k = len(candidates[0])
+        self.allowed = range(len(candidates)) if among is None else sorted(among)
         self.most = min(len(candidates), count or len(candidates))
         self.total = weights.total
         self.goal = None if target is None else target * self.total
@@ -187,7 +196,7 @@ class _Greedy:
                 for i, candidate in enumerate(self.candidates)
             ]
             self.seen.append((here, sorted(gains, reverse=True)))
-            best = max(range(len(gains)), key=lambda i: gains[i])
+            best = max(self.allowed, key=lambda i: gains[i])
             met = self.goal is not None and reached(now, self.weights) >= self.goal
             if met or len(self.chosen) >= self.most or gains[best] == 0:
                 return

@@ -49,13 +49,21 @@ def test_an_anchor_that_would_be_lost_is_refused():
     assert with_values(text, {("b",): "4"}) == "a: &x 3\nb: 4\n"
 
 
+BLOCK = """\
+postures:   # two
+  - {elevation_deg: 0, rotation_deg: 0}
+  # then
+  - elevation_deg: 1
+    rotation_deg: 3
+"""
+
+
 @pytest.mark.parametrize(
     ("there", "rest"),
     [
         ("postures: [{elevation_deg: 0, rotation_deg: 0}]   # the usual\n", "   # the usual\n"),
         (
-            "postures:   # two\n  - {elevation_deg: 0, rotation_deg: 0}\n  # then\n  - elevation_deg: 1\n"
-            "    rotation_deg: 3\n",
+            BLOCK,
             "\n",
         ),
         ("postures:\n- {elevation_deg: 0,\n   rotation_deg: 0}\n", "\n"),
