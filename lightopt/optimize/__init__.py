@@ -6,7 +6,9 @@ of each light; the objectives are integers, so that sums are exact in any order 
 
 from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
-from lightopt.optimize._luminance import luminance_matrix
+from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
+from lightopt.optimize._inspection import Inspection
+from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
@@ -20,6 +22,7 @@ from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
 from lightopt.optimize._visibility import Visibility
 
 __all__ = [
+    "DEFAULT_CONTRAST",
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
     "DIRECTIONS",
@@ -28,7 +31,9 @@ __all__ = [
     "Blind",
     "BlindSpots",
     "Candidates",
+    "Contrast",
     "Found",
+    "Inspection",
     "LeftOut",
     "LuminanceMatrix",
     "Objective",
@@ -46,6 +51,7 @@ __all__ = [
     "blind_spots",
     "blind_text",
     "find_candidates",
+    "luminance_matrices",
     "luminance_matrix",
     "objectives_named",
     "optimize",
