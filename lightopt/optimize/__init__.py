@@ -7,8 +7,10 @@ of each light; the objectives are integers, so that sums are exact in any order 
 from lightopt.optimize._appendix import APPENDED_NAMES, Appendix, Appraise, Outcome
 from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
+from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
 from lightopt.optimize._earlier import refuse_other_result
-from lightopt.optimize._luminance import luminance_matrix
+from lightopt.optimize._inspection import Inspection
+from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
@@ -25,6 +27,7 @@ from lightopt.optimize._visibility import Visibility, add_image, trial_planes
 
 __all__ = [
     "APPENDED_NAMES",
+    "DEFAULT_CONTRAST",
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
     "DIRECTIONS",
@@ -35,7 +38,9 @@ __all__ = [
     "Blind",
     "BlindSpots",
     "Candidates",
+    "Contrast",
     "Found",
+    "Inspection",
     "LeftOut",
     "LuminanceMatrix",
     "Objective",
@@ -57,6 +62,7 @@ __all__ = [
     "count_bits",
     "degrees_text",
     "find_candidates",
+    "luminance_matrices",
     "luminance_matrix",
     "objectives_named",
     "optimize",
