@@ -8,7 +8,7 @@ from lightopt.optimize._appendix import APPENDED_NAMES, Appendix, Appraise, Outc
 from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
-from lightopt.optimize._earlier import refuse_other_result
+from lightopt.optimize._earlier import RIG_NAME, refuse_other_result
 from lightopt.optimize._inspection import Inspection
 from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
@@ -32,6 +32,7 @@ __all__ = [
     "DEFAULT_SHADE_SHARE",
     "DIRECTIONS",
     "OBJECTIVES",
+    "RIG_NAME",
     "Answer",
     "Appendix",
     "Appraise",

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from lightopt.errors import InputError
 
 __all__ = [
+    "DEFAULT_TOLERANCE_TARGET",
     "LARGEST_TOLERANCE",
     "RESOLUTION",
     "RUNGS",
@@ -38,6 +39,9 @@ QUANTILE = 0.05
 
 RESOLUTION = 0.05
 """To which the widest tolerance is found [°]."""
+
+DEFAULT_TOLERANCE_TARGET = 0.95
+"""Share of the score that the widest tolerances keep, unless asked otherwise."""
 
 LARGEST_TOLERANCE = 16.0
 """The widest tolerance that is looked for, and the largest that may be asked about [°]."""
@@ -82,7 +86,7 @@ class Tolerances:
 
     light_deg: float = 0.0
     pose_deg: float = 0.0
-    target: float = 0.95
+    target: float = DEFAULT_TOLERANCE_TARGET
     draws: int = 100
     seed: int = 0
 
