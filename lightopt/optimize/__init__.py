@@ -7,6 +7,7 @@ of each light; the objectives are integers, so that sums are exact in any order 
 from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
+from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._inspection import Inspection
 from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
@@ -32,6 +33,7 @@ __all__ = [
     "BlindSpots",
     "Candidates",
     "Contrast",
+    "Detectability",
     "Found",
     "Inspection",
     "LeftOut",
