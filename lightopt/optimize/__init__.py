@@ -8,6 +8,7 @@ from lightopt.optimize._appendix import APPENDED_NAMES, Appendix, Appraise, Outc
 from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
+from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._earlier import RIG_NAME, refuse_other_result
 from lightopt.optimize._inspection import Inspection
 from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
@@ -40,6 +41,7 @@ __all__ = [
     "BlindSpots",
     "Candidates",
     "Contrast",
+    "Detectability",
     "Found",
     "Inspection",
     "LeftOut",

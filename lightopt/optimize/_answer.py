@@ -82,7 +82,13 @@ def answer_set(
                 f"and {scores[objective.name]:,} by its definition; please report it with the rig and the part"
             )
         nothing = _nothing(matrices, thresholds, found) if found.best.score == 0 else None
-        answers.append(Answer(objective=objective, found=found, scores=scores, nothing=nothing))
+        details = objective.details(
+            [matrix.combination(best) for matrix in matrices],
+            [objective.weights(matrix.areas) for matrix in matrices],
+        )
+        answers.append(
+            Answer(objective=objective, found=found, scores=scores, details=details, nothing=nothing)
+        )
     return SetResult(
         postures=tuple(postures),
         patches=sum(len(matrix.areas) for matrix in matrices),
@@ -99,10 +105,10 @@ def _score(
 ) -> int:
     total = 0
     for matrix in matrices:
-        levels, weights = matrix.combination(combination), objective.weights(matrix.areas)
+        one, weights = matrix.combination(combination), objective.weights(matrix.areas)
         # scores are sums over patches: pieces of them bound the memory
         for start, end in pieces(len(weights), PIECE_PATCHES):
-            total += objective.score(levels[:, start:end], weights[start:end], thresholds)
+            total += objective.score(one.patches(start, end), weights[start:end], thresholds)
     return total
 
 

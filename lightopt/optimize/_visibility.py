@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from lightopt.kernels import kernel
 from lightopt.optimize._packed import Words, count_bits
 from lightopt.optimize._trials import Trial
 
-__all__ = ["Visibility", "add_image", "trial_planes", "weighted_bits"]
+__all__ = ["Visibility", "add_image", "taken_rows", "trial_planes", "weighted_bits"]
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -84,8 +85,19 @@ class Visibility:
         return sum(trial.weight for trial in self.trials)
 
     def rows(self, rows: Sequence[Int64]) -> Visibility:
-        """Some candidates of each light."""
-        return replace(self, words=tuple(layer[some] for layer, some in zip(self.words, rows, strict=True)))
+        """Some candidates of each light, ascending."""
+        words = tuple(taken_rows(layer, some) for layer, some in zip(self.words, rows, strict=True))
+        return replace(self, words=words)
+
+    def patches(self, start: int, end: int) -> Visibility:
+        """The patches from `start` to `end`."""
+        return replace(
+            self,
+            words=tuple(layer[:, start:end] for layer in self.words),
+            areas=self.areas[start:end],
+            patch=self.patch[start:end],
+            cosines=self.cosines[start:end],
+        )
 
     def seen(self, candidates: Sequence[int], least: int) -> Words:
         """What at least `least` images show of one position of each light, shape (p, ⌈t / 64⌉)."""
@@ -104,6 +116,13 @@ class Visibility:
         for image in images:
             add_image(counters, image)
         return counters[-1]
+
+
+def taken_rows(layer: Any, some: Int64) -> Any:
+    """Some rows of an array, ascending; neighbours without a copy."""
+    if len(some) and some[-1] - some[0] == len(some) - 1:
+        return layer[some[0] : some[-1] + 1]
+    return layer[some]
 
 
 def add_image(counters: Words, image: Words) -> None:

@@ -213,7 +213,7 @@ class ObjectiveAssessment(_Assessment):
                 areas=images[0][0][1],
             )
             total += self._objective.scores(
-                matrix.levels,
+                matrix,
                 self._objective.weights(matrix.areas),
                 self._thresholds,
                 threads=self.survey.threads or available_processors(),
