@@ -83,14 +83,22 @@ def answer_set(
                 f"and {scores[objective.name]:,} by its definition; please report it with the rig and the part"
             )
         nothing = _nothing(matrices, thresholds, found) if found.best.score == 0 else None
-        answers.append(Answer(objective=objective, found=found, scores=scores, nothing=nothing))
+        details = objective.details(
+            [matrix.combination(best) for matrix in matrices],
+            [objective.weights(matrix.areas) for matrix in matrices],
+        )
+        answers.append(
+            Answer(objective=objective, found=found, scores=scores, details=details, nothing=nothing)
+        )
     first = answers[0]
     return SetResult(
         postures=tuple(postures),
         patches=sum(len(matrix.areas) for matrix in matrices),
         area=sum(int(area_units(matrix.areas).sum()) for matrix in matrices),
         answers=tuple(answers),
-        levels=tuple(matrix.combination(first.found.best.candidates) for matrix in matrices),
+        levels=tuple(
+            np.concatenate(matrix.combination(first.found.best.candidates).levels) for matrix in matrices
+        ),
         curves=()
         if first.nothing is not None
         else score_curves(
@@ -109,10 +117,10 @@ def _score(
 ) -> int:
     total = 0
     for matrix in matrices:
-        levels, weights = matrix.combination(combination), objective.weights(matrix.areas)
+        one, weights = matrix.combination(combination), objective.weights(matrix.areas)
         # scores are sums over patches: pieces of them bound the memory
         for start, end in pieces(len(weights), PIECE_PATCHES):
-            total += objective.score(levels[:, start:end], weights[start:end], thresholds)
+            total += objective.score(one.patches(start, end), weights[start:end], thresholds)
     return total
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from lightopt.errors import InputError
 from lightopt.images import remove_image_set, write_text_atomic
+from lightopt.optimize._appendix import APPENDED_NAMES
 
 __all__ = ["REPORT_NAME", "RESULT_NAME", "RIG_NAME", "begin_writing", "end_writing", "refuse_other_result"]
 
@@ -61,15 +62,15 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
 def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
     """Say which files are to come and, with `force`, remove result.json and then all that earlier runs list.
 
-    Removed are rigs, reports and overlap maps by their names, and image sets by their manifests, inside the folder
-    only; captured images, kept matrices and what no list names stay.
+    Removed are rigs, overlap maps, reports and files of an appendix by their names, and image sets by their manifests,
+    inside the folder only; captured images, kept matrices and what no list names stay.
 
     Parameters
     ----------
     folder
         Where the results go; it exists.
     listed
-        ``rigs``, ``images``, ``overlaps`` and ``reports`` as in result.json.
+        ``rigs``, ``images``, ``overlaps`` and ``files`` as in result.json.
     force
         Whether the files of earlier runs are removed.
 
@@ -87,7 +88,7 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bo
     lists = {key: [one for doc in (listed, *earlier) for one in _entries(doc, key)] for key in listed}
     document = {"format": "lightopt-unfinished/1", **lists}
     write_text_atomic(folder / UNFINISHED_NAME, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    ours = any(_entries(document, "reports") for document in earlier)
+    ours = any({"file": REPORT_NAME} in _entries(document, "files") for document in earlier)
     if not force:
         return ours
     _unlink(folder / RESULT_NAME)
@@ -98,8 +99,8 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bo
         for path in _paths(folder, document, "images", "folder"):
             remove_image_set(path)
             _leave(path, folder)
-        for path in _paths(folder, document, "reports", "file"):
-            if path.name == REPORT_NAME:
+        for path in _paths(folder, document, "files", "file"):
+            if path.name in (REPORT_NAME, *APPENDED_NAMES):
                 _unlink(path)
         for path in _paths(folder, document, "rigs", "file"):
             if path.name == RIG_NAME:

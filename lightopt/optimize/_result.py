@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from lightopt.optimize._candidates import Candidates
@@ -17,6 +17,10 @@ from lightopt.optimize._search import Found
 from lightopt.transforms import Posture
 
 __all__ = ["Answer", "SetResult", "angles_of", "ranking_csv", "result_dict"]
+
+
+def _no_details() -> Mapping[str, Any]:
+    return {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +35,8 @@ class Answer:
         By the search.
     scores
         Score of the best set under every objective, by name.
+    details
+        What else the objective says of the best set, as JSON.
     nothing
         Why there is no best set: no combination scores at all. None where there is one.
     """
@@ -38,6 +44,7 @@ class Answer:
     objective: Objective
     found: Found
     scores: Mapping[str, int]
+    details: Mapping[str, Any] = field(default_factory=_no_details)
     nothing: str | None = None
 
 
@@ -119,6 +126,7 @@ def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> d
         "proven": found.proven,
         "complete": found.complete,
         "scores_under": dict(answer.scores),
+        **answer.details,
     }
 
 

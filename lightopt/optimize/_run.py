@@ -18,6 +18,7 @@ from lightopt.errors import InputError, counted
 from lightopt.images import file_sha256, posture_folder
 from lightopt.optimize._angles import can_move
 from lightopt.optimize._answer import answer_set
+from lightopt.optimize._appendix import Appendix, Appraise, Outcome
 from lightopt.optimize._candidates import Candidates, find_candidates
 from lightopt.optimize._draft import Draft
 from lightopt.optimize._earlier import refuse_other_result
@@ -86,6 +87,7 @@ def optimize(
     tell: Callable[[str], None] | None = None,
     report: Report | None = None,
     searching: Callable[[str, float], None] | None = None,
+    appraise: Appraise | None = None,
     page: Callable[[Draft], str] | None = None,
 ) -> Optimum:
     """Find the best positions of a rig's lights for a part (paper, section 5), and write them to a folder.
@@ -108,6 +110,8 @@ def optimize(
         Called as the luminance matrices are computed.
     searching
         Called with what is searched for and the share of that which is done.
+    appraise
+        Called with what was found; what it returns is written with the rest.
     page
         Makes the HTML of report.html, such as :func:`lightopt.report.optimum_report`; None for no report.
 
@@ -134,6 +138,7 @@ def optimize(
         step_deg=options.step_deg,
         common_elevation=options.common_elevation,
         points=options.points,
+        places=options.places,
     )
     find()  # what is wrong with the rig alone is told before the part is loaded
     check_editable(rig)
@@ -178,13 +183,25 @@ def optimize(
         for answer in results[-1].answers:
             if not answer.found.complete and answer.nothing is None:
                 say(cut_off(answer, postures))
-    table = makers.cut() if page is not None else None
+    if page is not None:
+        makers.patches()
     if makers.coarse is not None:
         say(makers.coarse)
+    appendix = Appendix()
+    if appraise is not None:
+        appendix = appraise(
+            Outcome(
+                scene=scene,
+                caster=caster,
+                candidates=candidates,
+                thresholds=thresholds,
+                results=tuple(results),
+                table=makers.patches,
+            )
+        )
 
     def draw(document: Mapping[str, Any], overlaps: Sequence[Overlap]) -> str:
         assert page is not None
-        assert table is not None
         return page(
             Draft(
                 document=document,
@@ -193,7 +210,7 @@ def optimize(
                 part=part,
                 scene=scene,
                 caster=caster,
-                table=table,
+                table=makers.patches(),
                 candidates=candidates,
                 thresholds=thresholds,
                 results=tuple(results),
@@ -211,6 +228,7 @@ def optimize(
         thresholds,
         provenance=provenance,
         options=options,
+        appendix=appendix,
         force=force,
         warn=say,
         page=None if page is None else draw,
@@ -304,8 +322,8 @@ class _Matrices:
         """What the patch refinement reached."""
         return None if self.table is None else self.table.message
 
-    def cut(self) -> PatchTable:
-        """The patches of all postures."""
+    def patches(self) -> PatchTable:
+        """The patches, cut when first needed."""
         if self.table is None:
             self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
         return self.table
@@ -320,7 +338,7 @@ class _Matrices:
             return kept
         made = luminance_matrix(
             self.scene,
-            self.cut(),
+            self.patches(),
             posture,
             self.candidates.panels,
             caster=self.caster,
@@ -396,6 +414,7 @@ def _provenance(
             "ranking_rows": options.rows,
             "images": options.images,
             "report": report,
+            **options.plan,
         },
     }
 

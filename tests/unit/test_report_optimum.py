@@ -67,7 +67,7 @@ def test_figures_are_those_of_the_result(done, blocks):
     answers = [block for block in blocks if isinstance(block, Answer)]
     angles, areas, scores = (block for block in blocks if isinstance(block, Table))
     assert found.written.report == bench.out / "report.html"
-    assert result["reports"] == [{"file": "report.html"}]
+    assert result["files"] == [{"file": "report.html"}]
     for row, (answer, group) in enumerate(zip(answers, result["results"], strict=True)):
         best = group["objectives"][0]
         share = f"{100 * best['score'] / group['visible_area_um2']:.1f} %"
@@ -196,7 +196,7 @@ def test_without_a_report_there_is_none_and_none_is_left(three, cli):
     assert "options.report: there true, now false" in ran.err
     assert cli(*command, "--no-report", "--force").status == 0
     assert not (three.out / "report.html").exists()
-    assert result_of(three.out)["reports"] == []
+    assert result_of(three.out)["files"] == []
 
 
 def test_a_part_that_nothing_lights_has_a_report_that_says_so(three, cli):
