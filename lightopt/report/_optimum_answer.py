@@ -103,11 +103,11 @@ def _proof(result: SetResult) -> str:
     found, objective = best.found, best.objective
     total = counted(found.scored + found.excluded + found.left, "combination")
     if found.proven and found.complete:
-        text = f"Proven: none of {total} scores more"
+        text = f"proven, none of {total} scores more"
     elif found.proven:
-        text = f"None of {total} scores more, but one that was not looked at may score the same"
+        text = f"none of {total} scores more, but one that was not looked at may score the same"
     else:
-        text = f"Not proven: {found.left:,} of {total} were left, and none scores more than "
+        text = f"not proven; {found.left:,} of {total} were left, and none scores more than "
         text += objective.shown(found.bound)
     runner_up = "there is no other"
     if found.gap is not None:

@@ -12,7 +12,7 @@ from lightopt.report._page import Block, Note, SurfaceView, Table
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 from lightopt.transforms import Posture
 
-__all__ = ["SHOWN", "Shown", "shown_by_images", "surface_blocks"]
+__all__ = ["SHOWN", "Shown", "shown_by_images", "surface_blocks", "view_of_part"]
 
 LEAST_USABLE, MOST_SATURATED = 2, 1
 """Images that must show a patch usably, and may show it saturated: the paper's section 5.1, as the objective
@@ -61,29 +61,32 @@ def surface_blocks(draft: Draft) -> list[Block]:
     shown = _postures(draft)
     if not shown:
         return []
-    patches = draft.table.patches
     layers = [_together(draft, shown)] if len(shown) > 1 else []
     layers += [_layer(one) for one in shown]
-    surface = ColouredSurface(
-        vertices=patches.vertices,
-        triangles=patches.triangles,
-        layers=tuple(layers),
-        up=np.array([0.0, 0.0, 1.0]),
-        toward=_toward(draft),
-    )
     rule = (
         f"A level from {draft.thresholds.shade} on and below {draft.thresholds.saturation} is usable, one from "
         f"{draft.thresholds.saturation} on saturated, one below {draft.thresholds.shade} shaded."
     )
     return [
         SurfaceView(
-            surface=surface,
+            surface=view_of_part(draft, tuple(layers)),
             alt=f"{draft.part.name}, coloured by what the images of the best set show of it",
             caption=f"{draft.part.name} as it stands at posture (0°, 0°), Z up. {rule}",
         ),
         _table(shown),
         *_together_note(draft, shown),
     ]
+
+
+def view_of_part(draft: Draft, layers: tuple[SurfaceLayer, ...]) -> ColouredSurface:
+    """The patches at posture (0°, 0°), from where the camera looks or nearly so."""
+    return ColouredSurface(
+        vertices=draft.table.patches.vertices,
+        triangles=draft.table.patches.triangles,
+        layers=layers,
+        up=np.array([0.0, 0.0, 1.0]),
+        toward=_toward(draft),
+    )
 
 
 def _postures(draft: Draft) -> list[Shown]:
