@@ -4,31 +4,38 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
+from lightopt.optimize._appendix import APPENDED_NAMES, Appendix, Appraise, Outcome
 from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
 from lightopt.optimize._detectability import Detectability
+from lightopt.optimize._earlier import refuse_other_result
 from lightopt.optimize._inspection import Inspection
 from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions
+from lightopt.optimize._packed import count_bits
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
+from lightopt.optimize._rig_text import degrees_text
 from lightopt.optimize._run import Optimum, optimize
 from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
 from lightopt.optimize._space import Space
 from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
-from lightopt.optimize._visibility import Visibility
+from lightopt.optimize._visibility import Visibility, add_image, trial_planes
 
 __all__ = [
+    "APPENDED_NAMES",
     "DEFAULT_CONTRAST",
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
     "DIRECTIONS",
     "OBJECTIVES",
     "Answer",
+    "Appendix",
+    "Appraise",
     "Blind",
     "BlindSpots",
     "Candidates",
@@ -41,22 +48,28 @@ __all__ = [
     "Objective",
     "OptimizeOptions",
     "Optimum",
+    "Outcome",
     "Ranked",
     "SetResult",
     "Space",
     "Thresholds",
     "Trial",
     "Visibility",
+    "add_image",
     "angles_of",
     "area_units",
     "blind_codes",
     "blind_spots",
     "blind_text",
+    "count_bits",
+    "degrees_text",
     "find_candidates",
     "luminance_matrices",
     "luminance_matrix",
     "objectives_named",
     "optimize",
+    "refuse_other_result",
     "search",
+    "trial_planes",
     "unroll",
 ]

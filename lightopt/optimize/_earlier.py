@@ -15,6 +15,7 @@ from typing import Any
 
 from lightopt.errors import InputError
 from lightopt.images import remove_image_set, write_text_atomic
+from lightopt.optimize._appendix import APPENDED_NAMES
 
 __all__ = ["RESULT_NAME", "RIG_NAME", "begin_writing", "end_writing", "refuse_other_result"]
 
@@ -60,15 +61,15 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
 def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> None:
     """Say which files are to come and, with `force`, remove result.json and then all that earlier runs list.
 
-    Removed are rigs and overlap maps by their names, and image sets by their manifests, inside the folder only;
-    captured images, kept matrices and what no list names stay.
+    Removed are rigs, overlap maps and files of an appendix by their names, and image sets by their manifests, inside
+    the folder only; captured images, kept matrices and what no list names stay.
 
     Parameters
     ----------
     folder
         Where the results go; it exists.
     listed
-        ``rigs``, ``images`` and ``overlaps`` as in result.json.
+        ``rigs``, ``images``, ``overlaps`` and ``files`` as in result.json.
     force
         Whether the files of earlier runs are removed.
 
@@ -91,6 +92,9 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> No
         for path in _paths(folder, document, "images", "folder"):
             remove_image_set(path)
             _leave(path, folder)
+        for path in _paths(folder, document, "files", "file"):
+            if path.name in APPENDED_NAMES:
+                _unlink(path)
         for path in _paths(folder, document, "rigs", "file"):
             if path.name == RIG_NAME:
                 _unlink(path)

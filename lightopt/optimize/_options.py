@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from lightopt.errors import InputError
 from lightopt.optimize._search import DEFAULT_LIMIT
@@ -15,6 +16,10 @@ __all__ = ["DEFAULT_SHADE_SHARE", "OptimizeOptions", "check_options"]
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0
 """Share of full scale, above black, below which a level is shaded, unless asked otherwise."""
+
+
+def _no_plan() -> Mapping[str, Any]:
+    return {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +56,10 @@ class OptimizeOptions:
         Most combinations to score.
     threads
         All the machine's by default. The results do not depend on it.
+    places
+        Elevation and azimuth of each light [°], where somebody chose them before: then nothing is searched.
+    plan
+        What else was asked for, as JSON: part of the result's provenance.
     """
 
     objectives: tuple[str, ...] = ()
@@ -67,6 +76,8 @@ class OptimizeOptions:
     rows: int = 100
     limit: int = DEFAULT_LIMIT
     threads: int | None = None
+    places: tuple[tuple[float, float], ...] | None = None
+    plan: Mapping[str, Any] = field(default_factory=_no_plan)
 
 
 def check_options(options: OptimizeOptions) -> None:

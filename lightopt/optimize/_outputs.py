@@ -11,6 +11,7 @@ from typing import Any
 from lightopt.config import PartConfig, RigConfig, load_rig
 from lightopt.errors import InputError
 from lightopt.images import read_image_set, write_text_atomic
+from lightopt.optimize._appendix import Appendix
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._earlier import RESULT_NAME, RIG_NAME, begin_writing, end_writing
 from lightopt.optimize._matrix import Thresholds
@@ -39,6 +40,8 @@ class Written:
         Rig files with the new angles, and the postures that each is for.
     images
         Folders of image sets.
+    files
+        Of the appendix.
     overlaps
         Saturated regions of these images, in the order of the postures.
     """
@@ -47,6 +50,7 @@ class Written:
     ranking: Path
     rigs: tuple[tuple[Path, tuple[Posture, ...]], ...]
     images: tuple[Path, ...]
+    files: tuple[Path, ...]
     overlaps: tuple[Overlap, ...]
 
 
@@ -60,6 +64,7 @@ def write_outputs(
     *,
     provenance: Mapping[str, Any],
     options: OptimizeOptions,
+    appendix: Appendix,
     force: bool,
     warn: Callable[[str], None],
 ) -> Written:
@@ -79,6 +84,8 @@ def write_outputs(
         Versions, hashes and options, JSON.
     options
         As they were asked for.
+    appendix
+        Further sections and files.
     force
         Replace files that are there and differ.
     warn
@@ -99,13 +106,15 @@ def write_outputs(
         (folder / path, postures, text)
         for path, postures, text in rig_texts(rig, results, candidates, folder=folder)
     )
-    listed = _listed(folder, rigs, options)
+    listed = _listed(folder, rigs, options) | {"files": [{"file": name} for name in appendix.files]}
     begin_writing(folder, listed, force=force)
     ranking = folder / RANKING_NAME
     write_text_atomic(ranking, ranking_csv(results, candidates), overwrite=force)
     for path, _, text in rigs:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text_atomic(path, text, overwrite=force)
+    for name, text in appendix.files.items():
+        write_text_atomic(folder / name, text, overwrite=force)
     images = tuple(path.parent / IMAGES_NAME for path, _, _ in rigs) if options.images else ()
     overlaps: list[Overlap] = []
     for home, (path, postures, _) in zip(images, rigs, strict=False):
@@ -124,7 +133,9 @@ def write_outputs(
         ],
         "left_out": [vars(out) for out in candidates.left_out],
         "results": result_dict(results, candidates),
+        **appendix.sections,
         "rigs": listed["rigs"],
+        "files": listed["files"],
         "images": listed["images"],
         "overlaps": [
             {**where, **overlap.as_dict()}
@@ -140,6 +151,7 @@ def write_outputs(
         ranking=ranking,
         rigs=tuple((path, postures) for path, postures, _ in rigs),
         images=images,
+        files=tuple(folder / name for name in appendix.files),
         overlaps=tuple(overlaps),
     )
 

@@ -18,6 +18,7 @@ from lightopt.errors import InputError, counted
 from lightopt.images import file_sha256, posture_folder
 from lightopt.optimize._angles import can_move
 from lightopt.optimize._answer import answer_set
+from lightopt.optimize._appendix import Appendix, Appraise, Outcome
 from lightopt.optimize._candidates import Candidates, find_candidates
 from lightopt.optimize._earlier import refuse_other_result
 from lightopt.optimize._kept import keep_matrix, matrix_key, read_matrix
@@ -84,6 +85,7 @@ def optimize(
     tell: Callable[[str], None] | None = None,
     report: Report | None = None,
     searching: Callable[[str, float], None] | None = None,
+    appraise: Appraise | None = None,
 ) -> Optimum:
     """Find the best positions of a rig's lights for a part (paper, section 5), and write them to a folder.
 
@@ -105,6 +107,8 @@ def optimize(
         Called as the luminance matrices are computed.
     searching
         Called with what is searched for and the share of that which is done.
+    appraise
+        Called with what was found; what it returns is written with the rest.
 
     Raises
     ------
@@ -129,6 +133,7 @@ def optimize(
         step_deg=options.step_deg,
         common_elevation=options.common_elevation,
         points=options.points,
+        places=options.places,
     )
     find()  # what is wrong with the rig alone is told before the part is loaded
     check_editable(rig)
@@ -175,6 +180,18 @@ def optimize(
                 say(cut_off(answer, postures))
     if makers.coarse is not None:
         say(makers.coarse)
+    appendix = Appendix()
+    if appraise is not None:
+        appendix = appraise(
+            Outcome(
+                scene=scene,
+                caster=caster,
+                candidates=candidates,
+                thresholds=thresholds,
+                results=tuple(results),
+                table=makers.patches,
+            )
+        )
     written = write_outputs(
         Path(folder),
         rig,
@@ -184,6 +201,7 @@ def optimize(
         thresholds,
         provenance=provenance,
         options=options,
+        appendix=appendix,
         force=force,
         warn=say,
     )
@@ -276,6 +294,12 @@ class _Matrices:
         """What the patch refinement reached."""
         return None if self.table is None else self.table.message
 
+    def patches(self) -> PatchTable:
+        """The patches, cut when first needed."""
+        if self.table is None:
+            self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
+        return self.table
+
     def matrix(self, posture: Posture, report: Report | None, *, held: int) -> LuminanceMatrix:
         """The luminance matrix of a posture, one of so many that are held together."""
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
@@ -284,11 +308,9 @@ class _Matrices:
         if kept is not None:
             self.reused += 1
             return kept
-        if self.table is None:
-            self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
         made = luminance_matrix(
             self.scene,
-            self.table,
+            self.patches(),
             posture,
             self.candidates.panels,
             caster=self.caster,
@@ -361,6 +383,7 @@ def _provenance(
             "max_combinations": options.limit,
             "ranking_rows": options.rows,
             "images": options.images,
+            **options.plan,
         },
     }
 
