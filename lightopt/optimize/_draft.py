@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.optimize._blind import BlindSpots
+from lightopt.optimize._blind_report import BlindReport
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._matrix import Thresholds
 from lightopt.optimize._result import SetResult
@@ -43,7 +43,7 @@ class Draft:
     warnings
         What was repaired or is partly wrong.
     blind
-        Blind spots by the name of what they are of; none where no defects were looked for.
+        Blind spots, where defects were looked for.
     """
 
     document: Mapping[str, Any]
@@ -58,4 +58,4 @@ class Draft:
     results: tuple[SetResult, ...]
     overlaps: Sequence[Overlap]
     warnings: tuple[str, ...]
-    blind: tuple[tuple[str, BlindSpots], ...] = ()
+    blind: BlindReport | None

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.optimize import Curve, OptimizeOptions, Thresholds, area_units, optimize
+from lightopt.optimize import Blind, Curve, OptimizeOptions, Thresholds, area_units, optimize
 from lightopt.report import Answer, Facts, Gallery, Picture, SurfaceView, Table, optimum_page, optimum_report
 from lightopt.report._optimum_surface import SHOWN, shown_by_images
 
@@ -213,3 +213,75 @@ def test_the_terminal_names_the_report(done, cli):
     ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, *FEW[:4])
     assert (ran.status, ran.err) == (0, "")
     assert ran.out.splitlines()[-1] == str(bench.out / "report.html")
+
+
+@pytest.fixture(scope="module")
+def inspected(shared_bench, tmp_path_factory):
+    """The same with defects to be seen."""
+    bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("inspected") / "bench"))
+    drafts = []
+
+    def page(draft):
+        drafts.append(draft)
+        return optimum_report(draft)
+
+    options = OptimizeOptions(objectives=("detectability",), step_deg=20.0, patch_budget=400, images=False)
+    optimize(bench.rig, bench.part, bench.out, options=options, page=page)
+    return bench, drafts[0]
+
+
+def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
+    bench, draft = inspected
+    spots = result_of(bench.out)["blind_spots"]
+    section = next(s for s in optimum_page(draft).sections if s.heading == "Blind spots")
+    view, table = section.blocks
+    assert list(table.rows[0][:3]) == ["all postures", "as found", f"{100 * spots['chosen']['seen']:.1f} %"]
+    assert list(table.header[3:]) == list(
+        dict.fromkeys(
+            one["reason"]
+            for group in (spots, *spots["postures"])
+            for side in ("chosen", "any_position")
+            for one in group[side]["blind"]
+        )
+    )
+    for row, group in zip(table.rows[::2], (spots, *spots["postures"]), strict=True):
+        shares = {one["reason"]: one["share"] for one in group["chosen"]["blind"]}
+        assert list(row[3:]) == [f"{100 * shares.get(reason, 0):.1f} %" for reason in table.header[3:]]
+    shares, reasons, reachable, *single = view.surface.layers
+    assert len(single) == 2
+    labels = [kind.label for kind in reasons.classes]
+    names = {
+        Blind.SEEN: "all defects seen",
+        Blind.CAMERA: "never seen by the camera",
+        Blind.GRAZING: "seen at a grazing angle",
+        Blind.SHADOWED: "shadowed",
+        Blind.CONTRAST: "contrast under noise",
+    }
+    for layer, found in ((reasons, draft.blind.chosen), (reachable, draft.blind.possible)):
+        expected = [names.get(code, "saturated by a light") for code in found.codes.tolist()]
+        assert [labels[k] for k in layer.of_face] == expected
+    for k, share in zip(shares.of_face, draft.blind.chosen.share, strict=True):
+        label = shares.classes[k].label
+        low, high = {
+            "none": (0.0, 0.0),
+            "up to a quarter": (1e-9, 0.25),
+            "up to a half": (0.25, 0.5),
+            "up to three quarters": (0.5, 0.75),
+            "more, not all": (0.75, 1.0 - 1e-9),
+            "all": (1.0, 1.0),
+            "never seen by the camera": (0.0, 0.0),
+        }[label]
+        assert low <= share <= high
+
+
+def test_defects_seen_are_those_of_the_result(inspected):
+    bench, draft = inspected
+    section = next(s for s in optimum_page(draft).sections if s.heading == "Defects")
+    (table,) = section.blocks
+    for row, group in zip(table.rows, result_of(bench.out)["results"], strict=True):
+        answer = group["objectives"][0]
+        shown = dict(zip(table.header, row, strict=True))
+        for name, share in answer["defects"].items():
+            assert shown[name] == f"{100 * share:.1f} %"
+        assert shown["seen worst"] == answer["worst_defect"]
+        assert shown["walls that lean to"] == f"{answer['worst_direction_deg']:g}°"
