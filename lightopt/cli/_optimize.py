@@ -43,7 +43,19 @@ def optimize(
         typer.Option(
             "--objective",
             metavar="NAME",
-            help="coverage or paper; repeatable, the first decides where the lights go. [coverage, paper]",
+            help="coverage, paper or detectability; repeatable, the first decides where the lights go. "
+            "[coverage, paper]",
+        ),
+    ] = None,
+    seen_in: Annotated[
+        int | None,
+        typer.Option(metavar="K", help="detectability: images that must show a defect. [1]"),
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            metavar="T",
+            help="detectability: a defect changes the level by T times the sensor's noise or more. [5]",
         ),
     ] = None,
     common_elevation: Annotated[
@@ -90,17 +102,21 @@ def optimize(
 
     Every combination of the positions that the lights' ranges allow is scored on the levels that the camera would
     deliver. coverage is the area that two images or more show usably, neither shaded nor saturated, and at most one
-    saturated; paper is the sum of each patch's middle levels. Writes result.json, ranking.csv, rig.optimized.yaml (one
-    per posture where they differ), the images of the best set and the map of their overlapping highlights. Exit status
-    1 where no combination leaves anything usable.
+    saturated; paper is the sum of each patch's middle levels; detectability is the share of the surface × defects of
+    the part's catalogue that the images show above the noise, with its blind spots and why they are blind. Writes
+    result.json, ranking.csv, rig.optimized.yaml (one per posture where they differ), the images of the best set and the
+    map of their overlapping highlights. Exit status 1 where no combination leaves anything usable.
 
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
     """
     chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
     chosen_points = None if points is None else parse_points(points)
     share = _parse_share(shade_below)
+    for option, given in (("--seen-in", seen_in), ("--threshold", threshold)):
+        if given is not None and "detectability" not in (objective or ()):
+            raise InputError(f"{option} is of --objective detectability, which was not given")
 
-    from lightopt.optimize import DEFAULT_LIMIT, OptimizeOptions
+    from lightopt.optimize import DEFAULT_CONTRAST, DEFAULT_LIMIT, OptimizeOptions
     from lightopt.optimize import optimize as run
     from lightopt.rendering import DEFAULT_PATCH_BUDGET
 
@@ -112,6 +128,8 @@ def optimize(
         common_elevation=common_elevation,
         common_lights=common_lights,
         shade_below=share,
+        seen_in=1 if seen_in is None else seen_in,
+        contrast=DEFAULT_CONTRAST if threshold is None else threshold,
         postures=chosen_postures,
         points=chosen_points,
         shadows=not no_shadows,

@@ -5,7 +5,10 @@ of each light; the objectives are integers, so that sums are exact in any order 
 """
 
 from lightopt.optimize._appendix import APPENDED_NAMES, Appendix, Appraise, Outcome
+from lightopt.optimize._bit_runs import flags_of
 from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
+from lightopt.optimize._blind_files import patch_colours
+from lightopt.optimize._blind_report import BlindReport
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
 from lightopt.optimize._detectability import Detectability
@@ -38,6 +41,7 @@ __all__ = [
     "Appendix",
     "Appraise",
     "Blind",
+    "BlindReport",
     "BlindSpots",
     "Candidates",
     "Contrast",
@@ -65,10 +69,12 @@ __all__ = [
     "count_bits",
     "degrees_text",
     "find_candidates",
+    "flags_of",
     "luminance_matrices",
     "luminance_matrix",
     "objectives_named",
     "optimize",
+    "patch_colours",
     "refuse_other_result",
     "search",
     "trial_planes",

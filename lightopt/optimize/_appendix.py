@@ -6,6 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.optimize._blind_files import BLIND_NAMES
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._matrix import Thresholds
 from lightopt.optimize._result import SetResult
@@ -15,7 +19,7 @@ from lightopt.scene import Scene
 
 __all__ = ["APPENDED_NAMES", "Appendix", "Appraise", "Outcome"]
 
-APPENDED_NAMES = ("part.planned.yaml",)
+APPENDED_NAMES = ("part.planned.yaml", *BLIND_NAMES)
 """Files that an appendix may have; with ``--force`` no others are removed."""
 
 
@@ -56,11 +60,12 @@ class Appendix:
     sections
         Of result.json, beside its own.
     files
-        Text of further files by name, one of :data:`APPENDED_NAMES`.
+        Further files by path inside the folder: text, bytes, or a picture of shape (height, width, 3); the name is one
+        of :data:`APPENDED_NAMES`.
     """
 
     sections: Mapping[str, Any] = field(default_factory=_nothing)
-    files: Mapping[str, str] = field(default_factory=_nothing)
+    files: Mapping[str, str | bytes | NDArray[np.uint8]] = field(default_factory=_nothing)
 
 
 Appraise = Callable[[Outcome], Appendix]

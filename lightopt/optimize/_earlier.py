@@ -95,6 +95,7 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> No
         for path in _paths(folder, document, "files", "file"):
             if path.name in APPENDED_NAMES:
                 _unlink(path)
+                _leave(path.parent, folder)
         for path in _paths(folder, document, "rigs", "file"):
             if path.name == RIG_NAME:
                 _unlink(path)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from lightopt.errors import InputError
+from lightopt.optimize._contrast import DEFAULT_CONTRAST
 from lightopt.optimize._search import DEFAULT_LIMIT
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 from lightopt.transforms import Posture
@@ -38,6 +39,10 @@ class OptimizeOptions:
         Whether the lights stand the same for all postures: the sum over the postures decides.
     shade_below
         Share of full scale, above black, below which a level is shaded.
+    seen_in
+        Images that must show a defect, for objective detectability.
+    contrast
+        Times the sensor's noise that a defect must change the level by, for objective detectability.
     postures
         Instead of the part's own.
     points
@@ -67,6 +72,8 @@ class OptimizeOptions:
     common_elevation: bool = False
     common_lights: bool = False
     shade_below: float = DEFAULT_SHADE_SHARE
+    seen_in: int = 1
+    contrast: float = DEFAULT_CONTRAST
     postures: tuple[Posture, ...] | None = None
     points: int | Literal["auto"] | None = None
     shadows: bool = True

@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lightopt.config import PartConfig, RigConfig, load_rig
 from lightopt.errors import InputError
-from lightopt.images import read_image_set, write_text_atomic
+from lightopt.images import read_image_set, write_bytes_atomic, write_png, write_text_atomic
 from lightopt.optimize._appendix import Appendix
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._earlier import RESULT_NAME, RIG_NAME, begin_writing, end_writing
@@ -113,8 +116,8 @@ def write_outputs(
     for path, _, text in rigs:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text_atomic(path, text, overwrite=force)
-    for name, text in appendix.files.items():
-        write_text_atomic(folder / name, text, overwrite=force)
+    for name, content in appendix.files.items():
+        _write(folder / name, content, force)
     images = tuple(path.parent / IMAGES_NAME for path, _, _ in rigs) if options.images else ()
     overlaps: list[Overlap] = []
     for home, (path, postures, _) in zip(images, rigs, strict=False):
@@ -154,6 +157,16 @@ def write_outputs(
         files=tuple(folder / name for name in appendix.files),
         overlaps=tuple(overlaps),
     )
+
+
+def _write(path: Path, content: str | bytes | NDArray[np.uint8], force: bool) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(content, str):
+        write_text_atomic(path, content, overwrite=force)
+    elif isinstance(content, bytes):
+        write_bytes_atomic(path, content, overwrite=force)
+    else:
+        write_png(path, content, metadata={}, overwrite=force)
 
 
 def _listed(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -19,8 +19,13 @@ from lightopt.images import file_sha256, posture_folder
 from lightopt.optimize._angles import can_move
 from lightopt.optimize._answer import answer_set
 from lightopt.optimize._appendix import Appendix, Appraise, Outcome
+from lightopt.optimize._blind_files import blind_files, blind_pictures
+from lightopt.optimize._blind_report import BlindReport, Looked, look_for_blind_spots
 from lightopt.optimize._candidates import Candidates, find_candidates
+from lightopt.optimize._contrast import Contrast
+from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._earlier import refuse_other_result
+from lightopt.optimize._inspection import Inspection
 from lightopt.optimize._kept import keep_matrix, matrix_key, read_matrix
 from lightopt.optimize._luminance import MOST_BYTES, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
@@ -30,9 +35,10 @@ from lightopt.optimize._options import OptimizeOptions, check_options
 from lightopt.optimize._outputs import Written, write_outputs
 from lightopt.optimize._result import Answer, SetResult
 from lightopt.optimize._rig_text import check_editable
+from lightopt.optimize._trials import unroll
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable, Report, build_patches, cast_rays_at, refuse_hopeless
-from lightopt.scene import Scene, build_scene, coarse_warnings
+from lightopt.scene import Scene, build_catalogue, build_scene, coarse_warnings
 from lightopt.transforms import Posture
 
 __all__ = ["Optimum", "cut_off", "optimize"]
@@ -55,6 +61,8 @@ class Optimum:
         Which levels are usable [sensor level].
     results
         One per posture, or one for all of them.
+    blind
+        Blind spots, where defects were looked for.
     written
         The files.
     reused
@@ -68,6 +76,7 @@ class Optimum:
     candidates: Candidates
     thresholds: Thresholds
     results: tuple[SetResult, ...]
+    blind: BlindReport | None
     written: Written
     reused: int
     patches: str | None
@@ -137,7 +146,7 @@ def optimize(
     )
     find()  # what is wrong with the rig alone is told before the part is loaded
     check_editable(rig)
-    objectives = _objectives(rig, options, say)
+    objectives = _objectives(rig, part, options, say)
     scene = build_scene(rig, part, postures=options.postures, points=options.points)
     thresholds = Thresholds.of_sensor(
         shade_share=options.shade_below,
@@ -155,16 +164,25 @@ def optimize(
     candidates = find(scene=scene, caster=caster)
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
         say(text)
-    makers = _Matrices(rig, part, scene, candidates, options, Path(folder), caster)
+    defects = next((objective for objective in objectives if isinstance(objective, Detectability)), None)
+    inspection = defects and Inspection(
+        trials=defects.trials,
+        contrast=Contrast(
+            sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.contrast
+        ),
+    )
+    makers = _Matrices(rig, part, scene, candidates, options, Path(folder), caster, inspection)
     # the matrices of postures that do not share their lights are never held together
     shared = [scene.postures] if options.common_lights else [(posture,) for posture in scene.postures]
     if tell is not None:
         tell(_combinations(candidates))
     results: list[SetResult] = []
+    looked: list[Looked] = []
     for postures in shared:
+        matrices = [makers.matrix(posture, report, held=len(postures)) for posture in postures]
         results.append(
             answer_set(
-                [makers.matrix(posture, report, held=len(postures)) for posture in postures],
+                matrices,
                 postures,
                 candidates,
                 objectives,
@@ -175,6 +193,13 @@ def optimize(
                 progress=searching,
             )
         )
+        if defects is not None:
+            best = results[-1].answers[0].found.best.candidates
+            looked += [
+                look_for_blind_spots(matrix, posture, thresholds, seen_in=defects.seen_in, candidates=best)
+                for matrix, posture in zip(matrices, postures, strict=True)
+            ]
+        del matrices
         for answer in results[-1].answers:
             if not answer.found.complete and answer.nothing is None:
                 say(cut_off(answer, postures))
@@ -191,6 +216,18 @@ def optimize(
                 results=tuple(results),
                 table=makers.patches,
             )
+        )
+    blind = None
+    if defects is not None:
+        patches = makers.patches().patches
+        blind = BlindReport.of(looked, patches.areas, defects, candidates.names)
+        appendix = Appendix(
+            sections={"blind_spots": blind.as_dict(), **appendix.sections},
+            files={
+                **blind_files(blind, patches, scene.placement),
+                **blind_pictures(blind, patches, scene, caster),
+                **appendix.files,
+            },
         )
     written = write_outputs(
         Path(folder),
@@ -209,6 +246,7 @@ def optimize(
         candidates=candidates,
         thresholds=thresholds,
         results=tuple(results),
+        blind=blind,
         written=written,
         reused=makers.reused,
         patches=makers.message,
@@ -217,10 +255,12 @@ def optimize(
 
 
 def _objectives(
-    rig: RigConfig, options: OptimizeOptions, say: Callable[[str], None]
+    rig: RigConfig, part: PartConfig, options: OptimizeOptions, say: Callable[[str], None]
 ) -> tuple[Objective, ...]:
     # one that was asked for must be possible; one that was not is left out
-    chosen = objectives_named(options.objectives)
+    chosen = objectives_named(
+        options.objectives, lambda: Detectability(unroll(build_catalogue(part)), options.seen_in)
+    )
     refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
     problems = [text for text in refusals.values() if text is not None]
     possible = tuple(objective for objective in chosen if refusals[objective.name] is None)
@@ -264,6 +304,7 @@ class _Matrices:
         options: OptimizeOptions,
         folder: Path,
         caster: RayCaster,
+        inspection: Inspection | None,
     ) -> None:
         self.scene = scene
         self.candidates = candidates
@@ -272,7 +313,8 @@ class _Matrices:
         self.caster = caster
         self.reused = 0
         self.table: PatchTable | None = None
-        self._facts = _matrix_facts(rig, part, scene, candidates, options)
+        self.inspection = inspection
+        self._facts = _matrix_facts(rig, part, scene, candidates, options, inspection)
 
     @property
     def coarse(self) -> str | None:
@@ -304,7 +346,8 @@ class _Matrices:
         """The luminance matrix of a posture, one of so many that are held together."""
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
         path = self.folder / posture_folder(posture) / MATRIX_NAME
-        kept = read_matrix(path, key=key, lights=len(self.candidates.names))
+        trials = None if self.inspection is None else self.inspection.trials
+        kept = read_matrix(path, key=key, lights=len(self.candidates.names), trials=trials)
         if kept is not None:
             self.reused += 1
             return kept
@@ -314,6 +357,7 @@ class _Matrices:
             posture,
             self.candidates.panels,
             caster=self.caster,
+            inspection=self.inspection,
             shadows=self.options.shadows,
             threads=self.options.threads,
             most_bytes=MOST_BYTES // held,
@@ -332,13 +376,26 @@ class _Matrices:
 
 
 def _matrix_facts(
-    rig: RigConfig, part: PartConfig, scene: Scene, candidates: Candidates, options: OptimizeOptions
+    rig: RigConfig,
+    part: PartConfig,
+    scene: Scene,
+    candidates: Candidates,
+    options: OptimizeOptions,
+    inspection: Inspection | None,
 ) -> dict[str, Any]:
     # all that a level depends on, and nothing else: not the names and ranges of the lights, nor the sensor's noise and
     # saturation, which thresholds are made of
     moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
     mesh = part.source.resolve(part.mesh.file)
+    looked_for: dict[str, Any] = {}
+    if inspection is not None:
+        # what is visible depends on the sensor's noise and saturation, too
+        looked_for = {
+            "defects": [asdict(trial) for trial in inspection.trials],
+            "noise": asdict(inspection.contrast),
+        }
     return {
+        **looked_for,
         "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
         "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
         "light_source": rig.light_source.model_dump(mode="json"),
@@ -383,9 +440,17 @@ def _provenance(
             "max_combinations": options.limit,
             "ranking_rows": options.rows,
             "images": options.images,
+            **_defect_options(options, objectives),
             **options.plan,
         },
     }
+
+
+def _defect_options(options: OptimizeOptions, objectives: tuple[Objective, ...]) -> dict[str, Any]:
+    # they matter to one objective only
+    if not any(isinstance(objective, Detectability) for objective in objectives):
+        return {}
+    return {"seen_in": options.seen_in, "threshold": options.contrast}
 
 
 def _versions() -> dict[str, str]:
