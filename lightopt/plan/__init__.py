@@ -22,7 +22,7 @@ from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, Brackets, Shot, pick
 from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
 from lightopt.plan._options import PlanOptions
 from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf
-from lightopt.plan._survey import Survey, drawn_patches
+from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
 from lightopt.plan._trust import DEFAULT_TOLERANCE_TARGET, Assess, Offset, Tolerances, Trust, Widest, trust_of
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
 
@@ -30,6 +30,7 @@ __all__ = [
     "DEFAULT_EXPOSURE_GAIN",
     "DEFAULT_POSTURE_STEP",
     "DEFAULT_TOLERANCE_TARGET",
+    "DRAWN_PATCHES",
     "PLANNED_PART_NAME",
     "Assess",
     "Brackets",

@@ -16,9 +16,12 @@ from lightopt.rendering import PatchTable
 from lightopt.scene import PanelLight, Scene
 from lightopt.transforms import Posture
 
-__all__ = ["Survey", "drawn_patches", "scattered_flags"]
+__all__ = ["DRAWN_PATCHES", "Survey", "drawn_patches", "scattered_flags"]
 
 Int64 = NDArray[np.int64]
+
+DRAWN_PATCHES = 20_000
+"""Patches that stand for all where much is tried: turns of postures and lights, and what tolerances cost."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

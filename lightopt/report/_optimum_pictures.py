@@ -128,20 +128,18 @@ def curve_blocks(draft: Draft) -> list[Block]:
 
 def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     best = result.answers[0]
-    whole = best.objective.share(result.area, result.area)
-    unit, label = (
-        (1.0, best.objective.unit) if whole is None else (100.0 / result.area, "% of the visible surface")
-    )
     lines = [
         ChartLine(
             label=curve.name,
             x=np.array(curve.angles_deg),
-            values=np.array(curve.scores, np.float64) * unit,
+            values=np.array([_value(result, score) for score in curve.scores]),
             colour=COLOURS[k % len(COLOURS)],
         )
         for k, curve in enumerate(curves)
     ]
     where = postures_text(result)
+    area = best.objective.share(0, result.area) is not None
+    label = "% of the visible surface" if area else best.objective.unit
     image = chart_image(
         title=f"{best.objective.name}, {where}",
         x_label=f"{axis} [°]",
@@ -150,3 +148,8 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     )
     names = ", ".join(curve.name for curve in curves)
     return Picture(png=png_bytes(image), alt=f"Score against {axis} for {where}: {names}")
+
+
+def _value(result: SetResult, score: int) -> float:
+    share = result.answers[0].objective.share(score, result.area)
+    return float(score) if share is None else 100.0 * share

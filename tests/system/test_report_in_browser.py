@@ -129,6 +129,7 @@ def test_paper_gets_a_still_picture_as_it_was_turned(report):
         page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
         page.emulate_media(media="print")
         assert not page.locator("canvas").is_visible()
+        assert not any(control.is_visible() for control in page.locator(".controls").all())
         still = page.locator("img.still")
         assert still.is_visible()
         found = colours(still.screenshot())
