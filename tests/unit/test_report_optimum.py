@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -285,3 +286,101 @@ def test_defects_seen_are_those_of_the_result(inspected):
             assert shown[name] == f"{100 * share:.1f} %"
         assert shown["seen worst"] == answer["worst_defect"]
         assert shown["walls that lean to"] == f"{answer['worst_direction_deg']:g}°"
+
+
+def place(elevation: float, rotation: float) -> dict[str, float]:
+    return {"elevation_deg": elevation, "rotation_deg": rotation}
+
+
+PLANNED = {
+    "chosen_postures": {
+        "seen_in": 2,
+        "target": 0.9,
+        "share": 0.905,
+        "bound": 0.931,
+        "greedy_guarantee": 0.75,
+        "fewest_possible": 2,
+        "all_candidates": 0.97,
+        "lights_as_they_stand": 0.85,
+        "postures": [
+            {**place(0, 0), "gain": 0.7, "share": 0.7},
+            {**place(20, 90), "gain": 0.205, "share": 0.905},
+        ],
+        "order_of_travel": [place(20, 90), place(0, 0)],
+        "travel_s": 110.0,
+        "candidates": 12,
+        "left_out": [{**place(45, 0), "kind": "view", "reason": "the part leaves the image"}],
+        "turns": 2,
+        "every_combination_tried": True,
+        "patches": {"drawn": 100, "all": 800},
+        "visible_share_of_surface": 0.61,
+    },
+    "exposures": {
+        "share_without": 0.905,
+        "share": 0.94,
+        "least_gain": 0.01,
+        "shots": [
+            {"posture": place(0, 0), "exposure": 0.25, "gain": 0.035, "planned": True},
+            {"posture": place(20, 90), "exposure": 0.25, "gain": 0.002, "planned": False},
+        ],
+    },
+    "trust": [
+        {
+            "postures": [place(0, 0)],
+            "patches": 100,
+            "score": 1000,
+            "worst_corner": {"share_of_score": 0.91, "part": {}, "lights": []},
+            "quantile_5_percent": 0.953,
+            "least_drawn": 0.94,
+            "widest": [{"what": "left", "angle": "elevation", "degrees": 3.25, "or_more": False}],
+        },
+        {
+            "postures": [place(0, 0), place(20, 90)],
+            "patches": 100,
+            "score": 2000,
+            "worst_corner": {"share_of_score": 0.93, "part": {}, "lights": []},
+            "quantile_5_percent": 0.96,
+            "least_drawn": 0.95,
+            "widest": [{"what": "left", "angle": "elevation", "degrees": 10.0, "or_more": True}],
+        },
+    ],
+    "commands": ["lightopt capture rig.optimized.yaml part.planned.yaml --exposures 1,0.25 -o captured"],
+}
+
+
+def test_a_plan_is_shown_as_the_result_has_it(done):
+    draft = replace(done[1], document={**done[1].document, **PLANNED})
+    sections = {section.heading: section.blocks for section in optimum_page(draft).sections}
+    table, facts, left, command = sections["Postures"]
+    assert table.rows == [["(0°, 0°)", "70.0 %", "70.0 %"], ["(20°, 90°)", "20.5 %", "90.5 %"]]
+    told = dict(facts.rows)
+    assert told["the same number of others shows at most"] == "93.1 %"
+    assert told["order of least travel"] == "(20°, 90°) → (0°, 0°), 110.0 s"
+    assert told["90.0 % takes at least"] == "2 postures"
+    assert left.rows == [["(45°, 0°)", "the part leaves the image"]]
+    assert command.text == PLANNED["commands"][0]
+    note, shots = sections["Exposures"]
+    assert "94.0 % of the surface × defects is seen, with exposure 1 alone 90.5 %" in note.text
+    assert [list(row) for row in shots.rows] == [
+        ["(0°, 0°)", "0.25", "3.50 %", "yes"],
+        ["(20°, 90°)", "0.25", "0.20 %", "no"],
+    ]
+    (trust,) = sections["How exact the angles must be"]
+    assert list(trust.header[1:]) == ["posture (0°, 0°)", "all 2 postures"]
+    assert trust.rows == [
+        ["worst corner keeps", "91.0 %", "93.0 %"],
+        ["95 % of draws keep", "95.3 %", "96.0 %"],
+        ["widest: left elevation", "3.25°", "≥ 10.00°"],
+    ]
+
+
+def test_nothing_is_shown_of_what_was_not_planned(done):
+    headings = [section.heading for section in optimum_page(done[1]).sections]
+    assert headings == [
+        "What the images show",
+        "Images of the best set",
+        "Where the lights stand",
+        "How flat the top is",
+        "Scores",
+        "What was assumed",
+    ]
