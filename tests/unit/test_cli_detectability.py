@@ -120,7 +120,8 @@ def test_table_and_surface_say_the_same_in_the_part_files_coordinates(planned):
 
 def test_pictures_show_each_posture(planned):
     files = [entry["file"] for entry in result_of(planned.out)["files"]]
-    assert files == ["blind.csv", "blind.ply", "posture_0_0/blind.png", "posture_-10_170/blind.png"]
+    pictures = ["posture_0_0/blind.png", "posture_-10_170/blind.png"]
+    assert files == ["blind.csv", "blind.ply", *pictures, "report.html"]
     picture = read_png(planned.out / "posture_0_0" / "blind.png", colour=True)
     scene = build_scene(planned.rig, planned.part)
     assert picture.shape == (scene.camera.height, scene.camera.width, 3)
