@@ -1,8 +1,8 @@
 """Does ``detectability`` tell the truth: its predicted share of defects seen against noisy renders, counted plainly.
 
-``python -m benchmarks.truth [PART.yaml …] [--out DIR]``; the sample parts by default. For each part, finish and number
-of images wanted, two countings, both with noise and with a test that knows nothing of patches: a pixel shows a defect
-where its level is off the noise-free image of the good part by the threshold times the noise there.
+``python -m benchmarks.truth [PART.yaml …] [--out DIR] [--plot PNG]``; the sample parts by default. For each part,
+finish and number of images, two countings, both with noise and with a test that knows nothing of patches: a pixel shows a
+defect where its level is off the noise-free image of the good part by the threshold times the noise there.
 
 *Walls*: the whole surface leans by each slope of the catalogue to each direction (or is stained, or hazed), every
 fourth pixel of every fourth row is shaded and exposed with noise, and pixels count by the area that they see. Compared
@@ -60,6 +60,7 @@ from lightopt.rendering import (
     shade_points,
     trace_samples,
 )
+from lightopt.report._chart import ChartPanel, draw_chart
 from lightopt.scatter import scatter_defects
 from lightopt.scene import PanelLight, Scene, build_catalogue, view_from_part
 from lightopt.sensor import expose, image_rng
@@ -351,6 +352,27 @@ def table(points: list[Point]) -> str:
     return "\n".join(lines)
 
 
+def plot(points: list[Point], path: Path) -> None:
+    """Predicted across, measured up, a panel for each finish and number of pixels; the line is where they are equal."""
+    line = np.array([0.0, 100.0])
+    panels = [
+        ChartPanel(
+            label=f"{finish}, {'each pixel' if pixels == 1 else f'mean of {pixels} pixels'}: measured [%]",
+            values=line,
+            dots=np.array(
+                [
+                    [100.0 * p.predicted, 100.0 * p.measured]
+                    for p in points
+                    if (p.finish, p.pixels) == (finish, pixels)
+                ]
+            ),
+        )
+        for finish, pixels in itertools.product(FINISHES, MEANS)
+    ]
+    parts = ", ".join(dict.fromkeys(p.part for p in points))
+    draw_chart(path, title=f"Defects seen: {parts}", x_label="predicted [%]", x=line, panels=panels)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Compare, print a table, write all points."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.truth", description=__doc__)
@@ -359,6 +381,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--patches", type=int, default=50_000, help="about how many patches are visible")
     parser.add_argument("--pits", type=int, default=PITS, help="how many are strewn; 0 for none")
     parser.add_argument("--out", type=Path, default=Path("out/truth"), help="folder of truth.csv")
+    parser.add_argument("--plot", type=Path, help="picture to draw of the points")
     options = parser.parse_args(arguments)
     rig = load_rig(options.rig)
     points = [
@@ -381,6 +404,8 @@ def main(arguments: list[str] | None = None) -> None:
                 [p.part, p.finish, p.kind, p.seen_in, p.pixels, f"{p.predicted:.6f}", f"{p.measured:.6f}"]
             )
     print(path)
+    if options.plot is not None:
+        plot(points, options.plot)
 
 
 if __name__ == "__main__":
