@@ -10,7 +10,7 @@ from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots
 from lightopt.optimize._blind_files import patch_colours
 from lightopt.optimize._blind_report import BlindReport
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
-from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
+from lightopt.optimize._contrast import DEFAULT_CONTRAST, GRAZING_COSINE, Contrast
 from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._earlier import RIG_NAME, refuse_other_result
 from lightopt.optimize._inspection import Inspection
@@ -35,6 +35,7 @@ __all__ = [
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
     "DIRECTIONS",
+    "GRAZING_COSINE",
     "OBJECTIVES",
     "RIG_NAME",
     "Answer",
