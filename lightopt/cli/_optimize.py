@@ -22,6 +22,8 @@ from lightopt.cli._options import (
     parse_points,
     parse_posture,
 )
+from lightopt.cli._plan_options import plan_options
+from lightopt.cli._plan_tables import show_plan
 from lightopt.cli._terminal import say, say_warning, show_progress, show_time_left
 from lightopt.errors import CheckFailed, InputError
 
@@ -95,6 +97,39 @@ def optimize(
             help="Stop after about N combinations (a box that is halved counts as 20000) and give a bound. [200000000]",
         ),
     ] = None,
+    choose_postures: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Choose the N postures that show most of the surface together."),
+    ] = None,
+    target: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Choose as few postures as show this share, such as 0.95."),
+    ] = None,
+    posture_step: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Step of the postures to choose from. [22.5]")
+    ] = None,
+    exposures: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,…",
+            help="Exposures offered to the plan, such as 1,1/4,1/16; taken where they add enough.",
+        ),
+    ] = None,
+    exposure_gain: Annotated[
+        float | None,
+        typer.Option(metavar="POINTS", help="What a further exposure of a posture has to add, in %. [1]"),
+    ] = None,
+    tolerance_deg: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Say how far the score falls when each light is off by that much."),
+    ] = None,
+    pose_tolerance_deg: Annotated[
+        float | None, typer.Option(metavar="DEG", help="The same when the part is off in tilt and rotation.")
+    ] = None,
+    tolerance_target: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Share of the score that the widest tolerances keep. [0.95]"),
+    ] = None,
     threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -109,17 +144,33 @@ def optimize(
     map of their overlapping highlights, and report.html, a page that needs no network. Exit status 1 where no
     combination leaves anything usable.
 
+    --choose-postures and --target choose postures from the stage's range, with one set of light positions for all, by
+    detectability; part.planned.yaml has them. --exposures and the tolerances look at the answer, whichever way it was
+    found.
+
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
     """
     chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
     chosen_points = None if points is None else parse_points(points)
     share = _parse_share(shade_below)
+    of_defects = "detectability" in (objective or ()) or not (choose_postures is target is exposures is None)
     for option, given in (("--seen-in", seen_in), ("--threshold", threshold)):
-        if given is not None and "detectability" not in (objective or ()):
+        if given is not None and not of_defects:
             raise InputError(f"{option} is of --objective detectability, which was not given")
 
+    wanted = plan_options(
+        choose_postures=choose_postures,
+        target=target,
+        posture_step=posture_step,
+        exposures=exposures,
+        exposure_gain=exposure_gain,
+        tolerance_deg=tolerance_deg,
+        pose_tolerance_deg=pose_tolerance_deg,
+        tolerance_target=tolerance_target,
+    )
+
     from lightopt.optimize import DEFAULT_CONTRAST, DEFAULT_LIMIT, OptimizeOptions
-    from lightopt.optimize import optimize as run
+    from lightopt.plan import plan
     from lightopt.rendering import DEFAULT_PATCH_BUDGET
     from lightopt.report import optimum_report
 
@@ -148,11 +199,12 @@ def optimize(
         show_progress("casting rays", total, quiet=quiet) as report,
         show_time_left("searching", quiet=quiet) as searching,
     ):
-        found = run(
+        planned = plan(
             loaded_rig,
             loaded_part,
             out,
             options=options,
+            wanted=wanted,
             force=force,
             warn=say_warning,
             tell=None if quiet else say,
@@ -161,8 +213,9 @@ def optimize(
             page=None if no_report else optimum_report,
         )
     if not quiet:
-        show_optimum(found)
-    _refuse_nothing(found, out)
+        show_optimum(planned.optimum)
+        show_plan(planned.result, out)
+    _refuse_nothing(planned.optimum, out)
 
 
 def _parse_share(text: str) -> float:

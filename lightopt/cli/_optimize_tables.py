@@ -93,6 +93,8 @@ def show_blind_spots(blind: BlindReport) -> None:
 
     parts = blind.parts() if len(blind.postures) > 1 else blind.parts()[:1]
     codes = sorted({code for _, *both in parts for spots in both for code in spots.by_reason()})
+    # where nothing was left to choose, what the lights can do is what they do
+    both = any(chosen.by_reason() != possible.by_reason() for _, chosen, possible in parts)
     rows = [
         [
             "all" if posture is None else str(posture),
@@ -101,7 +103,7 @@ def show_blind_spots(blind: BlindReport) -> None:
             *(f"{100.0 * spots.by_reason().get(code, 0.0):.1f} %" for code in codes),
         ]
         for posture, chosen, possible in parts
-        for lights, spots in (("chosen", chosen), ("any position", possible))
+        for lights, spots in (("chosen", chosen), ("any position", possible))[: 2 if both else 1]
     ]
     header = ["posture", "lights", "seen", *(blind_text(code, blind.lights) for code in codes)]
     show_table(header, rows, numbers_from=2)

@@ -10,7 +10,7 @@ from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots
 from lightopt.optimize._blind_files import patch_colours
 from lightopt.optimize._blind_report import BlindReport
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
-from lightopt.optimize._contrast import DEFAULT_CONTRAST, Contrast
+from lightopt.optimize._contrast import DEFAULT_CONTRAST, GRAZING_COSINE, Contrast
 from lightopt.optimize._curves import Curve
 from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._draft import Draft
@@ -39,6 +39,7 @@ __all__ = [
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
     "DIRECTIONS",
+    "GRAZING_COSINE",
     "OBJECTIVES",
     "RIG_NAME",
     "Answer",

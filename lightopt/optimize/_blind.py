@@ -13,7 +13,6 @@ contrast      enough images show it well, and the defects change the level by le
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -21,14 +20,12 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.optimize._contrast import GRAZING_COSINE
 from lightopt.optimize._matrix import Levels, Thresholds
 from lightopt.optimize._packed import Words
 from lightopt.optimize._visibility import Visibility
 
-__all__ = ["GRAZING_COSINE", "Blind", "BlindSpots", "blind_codes", "blind_spots", "blind_text"]
-
-GRAZING_COSINE = math.cos(math.radians(80.0))
-"""Patches seen at more than 80° to their normal are called grazing: a pixel's footprint there is six times as long."""
+__all__ = ["Blind", "BlindSpots", "blind_codes", "blind_spots", "blind_text"]
 
 
 class Blind(IntEnum):

@@ -12,7 +12,8 @@ defect that is smaller than a pixel's footprint fills a share of the pixel, and 
     I_d = I₀ + fill · (I_wall − I₀),   fill = min(1, width · cosθ / footprint) · min(1, length / footprint),
 
 with the footprint on a plane that faces the camera at the patch's distance, and θ between normal and view, as if the
-defect lay across the foreshortening.
+defect lay across the foreshortening. On what the camera sees at more than 80° to its normal nothing is visible: a
+pixel's footprint there is six times as long and more, and mixes with its neighbours'.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from lightopt.optimize._packed import Words
 from lightopt.optimize._trials import Trial
 from lightopt.sensor import Sensor
 
-__all__ = ["DEFAULT_CONTRAST", "Contrast"]
+__all__ = ["DEFAULT_CONTRAST", "GRAZING_COSINE", "Contrast"]
 
 Float64 = NDArray[np.float64]
 
@@ -38,6 +39,10 @@ DEFAULT_CONTRAST = 5.0
 """Times the noise that a level must be off, unless asked otherwise. Of the two million pixels of an image noise alone
 takes one for a defect at 5, and five thousand at 3. Rose found the same 5 for what people make out in pictures (J. Opt.
 Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196)."""
+
+
+GRAZING_COSINE = math.cos(math.radians(80.0))
+"""Of the angle between normal and view beyond which nothing is visible."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,9 +133,11 @@ def _contrast_words(
 ) -> Words:
     words = np.zeros((len(good), (varied.shape[1] + 63) // 64), np.uint64)
     for i in range(len(good)):
+        if cosines[i] < GRAZING_COSINE:
+            continue
         level = min(black + scale * good[i], saturation)
         least = threshold * math.sqrt(read_noise * read_noise + (level - black) / electrons + 1.0 / 12.0)
-        along, across = 1.0 / footprints[i], max(0.0, cosines[i]) / footprints[i]
+        along, across = 1.0 / footprints[i], cosines[i] / footprints[i]
         for t in range(varied.shape[1]):
             fill = min(1.0, widths[t] * across) * min(1.0, lengths[t] * along)
             mixed = good[i] + fill * (varied[i, t] - good[i])

@@ -22,6 +22,7 @@ from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, Brackets, Shot, pick
 from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
 from lightopt.plan._options import PlanOptions
 from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf
+from lightopt.plan._run import Planned, plan
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
 from lightopt.plan._trust import DEFAULT_TOLERANCE_TARGET, Assess, Offset, Tolerances, Trust, Widest, trust_of
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
@@ -46,6 +47,7 @@ __all__ = [
     "Places",
     "PlanOptions",
     "PlanResult",
+    "Planned",
     "Setup",
     "Shot",
     "Step",
@@ -65,6 +67,7 @@ __all__ = [
     "no_counts",
     "pick_shots",
     "place_lights",
+    "plan",
     "plan_exposures",
     "planned_text",
     "posture_grid",

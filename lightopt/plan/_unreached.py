@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import counted
+from lightopt.errors import counted, percent
 from lightopt.optimize import Thresholds, Visibility, blind_codes, blind_spots, blind_text
 from lightopt.plan._choose import Choice
 from lightopt.plan._counts import Words
@@ -31,21 +31,21 @@ def unreached(target: float, choice: Choice, survey: Survey, *, least: int) -> s
     least
         Images that must show a pair.
     """
-    cover = choice.cover
+    cover, offered = choice.cover, len(survey.table.postures)
     most = cover.all_reached / max(1, cover.total)
     if most >= target:
         return (
-            f"--target: {counted(len(cover.steps), 'posture')} show {cover.share:.1%} of the surface × defects, and no "
-            f"{len(cover.steps)} of {len(survey.table.postures)} show more than {cover.bound_share:.1%} with these "
-            f"lights; {target:.1%} was asked for. Raise --choose-postures or leave it out"
+            f"--target: {counted(len(cover.steps), 'posture')} show {percent(cover.share)} of the surface × defects, "
+            f"and no {len(cover.steps)} of {offered} show more than {percent(cover.bound_share)} with these lights; "
+            f"{percent(target)} was asked for. Raise --choose-postures or leave it out"
         )
     near = next(
         (i for i, step in enumerate(cover.steps, 1) if step.reached >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
     )
     return (
-        f"--target: {target:.1%} of the surface × defects cannot be reached: with the best lights found, all "
-        f"{len(survey.table.postures)} postures together show {most:.1%}, and {counted(near, 'posture')} come within "
+        f"--target: {percent(target)} of the surface × defects cannot be reached: with the best lights found, all "
+        f"{offered} postures together show {percent(most)}, and {counted(near, 'posture')} come within "
         f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(choice, survey, least)}. Ask for less, "
         "plan --choose-postures, or change what stands in the way"
     )
@@ -76,5 +76,5 @@ def _reasons(choice: Choice, survey: Survey, least: int) -> str:
     names = [panel.name for panel in choice.panels]
     ordered = sorted(lost.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(
-        f"{share / whole:.0%} {blind_text(code, names)}" for code, share in ordered if share > 0.0
+        f"{percent(share / whole, 0)} {blind_text(code, names)}" for code, share in ordered if share > 0.0
     )
