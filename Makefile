@@ -30,9 +30,10 @@ demo: $(BIN)/.installed  ## render the sample into out/demo, fit noisy renders, 
 	$(BIN)/lightopt fit-specular $(RIG) $(PART) $(OUT)/demo-noisy -o $(OUT)/demo-fit --joint
 	@echo "true:      $$($(call VALUES,$(PART)))"
 	@echo "recovered: $$($(call VALUES,$(OUT)/demo-fit/part.fitted.yaml))"
-	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/demo-best --no-images
+	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/demo-best
 	$(BIN)/lightopt capture $(RIG) $(PART) -o $(OUT)/demo-captured --posture 0,82 --exposures 1,1/16 --resume
 	$(BIN)/lightopt fit-diffuse $(RIG) $(PART) $(OUT)/demo-captured -o $(OUT)/demo-captured-fit
+	@echo "the report of the optimisation: $(OUT)/demo-best/report.html"
 
 batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
 	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch

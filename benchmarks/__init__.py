@@ -10,6 +10,8 @@
     The whole command line: seconds, peak memory, and how long ``--help`` takes.
 ``search``
     Exact searches over light combinations against a plain NumPy loop, and the luminance matrix against its bare rays.
+``plan``
+    A hundred candidate postures planned with the lights, and tolerances: seconds, memory, and how near to the bound.
 
 Ratios are given twice: of the least times, and the median of the ratios of the rounds. In a round everything that is
 compared runs once, one after the other, so that a busy machine slows down both sides alike.

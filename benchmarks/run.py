@@ -13,7 +13,7 @@ from benchmarks._report import Report, machine
 
 __all__ = ["NAMES", "main", "save"]
 
-NAMES = ("bare", "peers", "auto", "command", "search", "fit", "capture")
+NAMES = ("bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "capture")
 
 
 def main(arguments: list[str] | None = None) -> None:

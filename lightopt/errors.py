@@ -5,7 +5,7 @@ Library code raises them; only :mod:`lightopt.cli` turns them into messages and 
 
 from __future__ import annotations
 
-__all__ = ["CheckFailed", "HardwareError", "InputError", "Interrupted", "LightoptError", "counted"]
+__all__ = ["CheckFailed", "HardwareError", "InputError", "Interrupted", "LightoptError", "counted", "percent"]
 
 
 def counted(number: int, noun: str) -> str:
@@ -17,6 +17,17 @@ def counted(number: int, noun: str) -> str:
     ('1 image', '2,419 images')
     """
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """A share in hundredths, to so many decimals.
+
+    Examples
+    --------
+    >>> percent(0.9217), percent(1.0, 0)
+    ('92.2 %', '100 %')
+    """
+    return f"{100.0 * share:.{digits}f} %"
 
 
 class LightoptError(Exception):

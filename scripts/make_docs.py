@@ -151,6 +151,20 @@ def defects_picture(target: Path, folder: Path) -> None:
     Image.fromarray(np.kron(pixels, np.ones((2, 2), np.uint8))).save(target, optimize=True)
 
 
+def report_picture(target: Path, folder: Path) -> None:
+    """The top of the report of an optimisation, as a browser shows it."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    from browsers import opened
+
+    lightopt(
+        "optimize", RIGS / "four-panel.yaml", PARTS / "spout.yaml", "-o", folder / "best", "-q", "--common-lights",
+    )  # fmt: skip
+    with opened(folder / "best" / "report.html", width=1100, height=1430) as seen:
+        seen.page.wait_for_selector("figure[data-state=live]")
+        seen.page.screenshot(path=target)
+    Image.open(target).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(target, optimize=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="pictures only, no tables")
@@ -175,6 +189,7 @@ def main() -> None:
             crops.append(read_exr(target / "posture_0_0" / "light2.exr")["Y"][100:1100, 200:1400][::2, ::2])
         side_by_side(PICTURES / "spout-4-auto.png", crops, gain=3.0)
         defects_picture(PICTURES / "defects.png", out)
+        report_picture(PICTURES / "report.png", out)
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:

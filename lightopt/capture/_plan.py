@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from lightopt.capture._options import CaptureOptions
-from lightopt.capture._order import travel_order
 from lightopt.capture._plan_problems import exposure_problems, light_problems, posture_problems
 from lightopt.capture._wiring import Wiring, wiring_of
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
+from lightopt.scene import travel_order, travel_s
 from lightopt.transforms import Posture
 
 __all__ = ["Plan", "PostureTask", "Step", "make_plan"]
@@ -282,10 +282,4 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
 
 def _travel_s(wiring: Wiring, start: Posture, end: Posture) -> float:
     stage = wiring.hardware.stage
-    if stage is None:
-        return 0.0
-    ways = (
-        (stage.elevation, end.elevation_deg - start.elevation_deg),
-        (stage.rotation, end.rotation_deg - start.rotation_deg),
-    )
-    return max((abs(way) / axis.speed_deg_per_s for axis, way in ways if axis is not None), default=0.0)
+    return 0.0 if stage is None else travel_s(stage, start, end)

@@ -22,6 +22,8 @@ from lightopt.cli._options import (
     parse_points,
     parse_posture,
 )
+from lightopt.cli._plan_options import plan_options
+from lightopt.cli._plan_tables import show_plan
 from lightopt.cli._terminal import say, say_warning, show_progress, show_time_left
 from lightopt.errors import CheckFailed, InputError
 
@@ -43,7 +45,19 @@ def optimize(
         typer.Option(
             "--objective",
             metavar="NAME",
-            help="coverage or paper; repeatable, the first decides where the lights go. [coverage, paper]",
+            help="coverage, paper or detectability; repeatable, the first decides where the lights go. "
+            "[coverage, paper]",
+        ),
+    ] = None,
+    seen_in: Annotated[
+        int | None,
+        typer.Option(metavar="K", help="detectability: images that must show a defect. [1]"),
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            metavar="T",
+            help="detectability: a defect changes the level by T times the sensor's noise or more. [5]",
         ),
     ] = None,
     common_elevation: Annotated[
@@ -72,6 +86,7 @@ def optimize(
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Do not render the images of the best set.")
     ] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
     rows: Annotated[
         int, typer.Option(metavar="N", help="Combinations in ranking.csv, per posture and objective.")
     ] = 100,
@@ -82,6 +97,39 @@ def optimize(
             help="Stop after about N combinations (a box that is halved counts as 20000) and give a bound. [200000000]",
         ),
     ] = None,
+    choose_postures: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Choose the N postures that show most of the surface together."),
+    ] = None,
+    target: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Choose as few postures as show this share, such as 0.95."),
+    ] = None,
+    posture_step: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Step of the postures to choose from. [22.5]")
+    ] = None,
+    exposures: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,…",
+            help="Exposures offered to the plan, such as 1,1/4,1/16; taken where they add enough.",
+        ),
+    ] = None,
+    exposure_gain: Annotated[
+        float | None,
+        typer.Option(metavar="POINTS", help="What a further exposure of a posture has to add, in %. [1]"),
+    ] = None,
+    tolerance_deg: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Say how far the score falls when each light is off by that much."),
+    ] = None,
+    pose_tolerance_deg: Annotated[
+        float | None, typer.Option(metavar="DEG", help="The same when the part is off in tilt and rotation.")
+    ] = None,
+    tolerance_target: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Share of the score that the widest tolerances keep. [0.95]"),
+    ] = None,
     threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -90,19 +138,41 @@ def optimize(
 
     Every combination of the positions that the lights' ranges allow is scored on the levels that the camera would
     deliver. coverage is the area that two images or more show usably, neither shaded nor saturated, and at most one
-    saturated; paper is the sum of each patch's middle levels. Writes result.json, ranking.csv, rig.optimized.yaml (one
-    per posture where they differ), the images of the best set and the map of their overlapping highlights. Exit status
-    1 where no combination leaves anything usable.
+    saturated; paper is the sum of each patch's middle levels; detectability is the share of the surface × defects of
+    the part's catalogue that the images show above the noise, with its blind spots and why they are blind. Writes
+    result.json, ranking.csv, rig.optimized.yaml (one per posture where they differ), the images of the best set, the
+    map of their overlapping highlights, and report.html, a page that needs no network. Exit status 1 where no
+    combination leaves anything usable.
+
+    --choose-postures and --target choose postures from the stage's range, with one set of light positions for all, by
+    detectability; part.planned.yaml has them. --exposures and the tolerances look at the answer, whichever way it was
+    found.
 
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
     """
     chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
     chosen_points = None if points is None else parse_points(points)
     share = _parse_share(shade_below)
+    of_defects = "detectability" in (objective or ()) or not (choose_postures is target is exposures is None)
+    for option, given in (("--seen-in", seen_in), ("--threshold", threshold)):
+        if given is not None and not of_defects:
+            raise InputError(f"{option} is of --objective detectability, which was not given")
 
-    from lightopt.optimize import DEFAULT_LIMIT, OptimizeOptions
-    from lightopt.optimize import optimize as run
+    wanted = plan_options(
+        choose_postures=choose_postures,
+        target=target,
+        posture_step=posture_step,
+        exposures=exposures,
+        exposure_gain=exposure_gain,
+        tolerance_deg=tolerance_deg,
+        pose_tolerance_deg=pose_tolerance_deg,
+        tolerance_target=tolerance_target,
+    )
+
+    from lightopt.optimize import DEFAULT_CONTRAST, DEFAULT_LIMIT, OptimizeOptions
+    from lightopt.plan import plan
     from lightopt.rendering import DEFAULT_PATCH_BUDGET
+    from lightopt.report import optimum_report
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
@@ -112,6 +182,8 @@ def optimize(
         common_elevation=common_elevation,
         common_lights=common_lights,
         shade_below=share,
+        seen_in=1 if seen_in is None else seen_in,
+        contrast=DEFAULT_CONTRAST if threshold is None else threshold,
         postures=chosen_postures,
         points=chosen_points,
         shadows=not no_shadows,
@@ -127,20 +199,23 @@ def optimize(
         show_progress("casting rays", total, quiet=quiet) as report,
         show_time_left("searching", quiet=quiet) as searching,
     ):
-        found = run(
+        planned = plan(
             loaded_rig,
             loaded_part,
             out,
             options=options,
+            wanted=wanted,
             force=force,
             warn=say_warning,
             tell=None if quiet else say,
             report=report,
             searching=searching,
+            page=None if no_report else optimum_report,
         )
     if not quiet:
-        show_optimum(found)
-    _refuse_nothing(found, out)
+        show_optimum(planned.optimum)
+        show_plan(planned.result, out)
+    _refuse_nothing(planned.optimum, out)
 
 
 def _parse_share(text: str) -> float:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from lightopt.cli._terminal import say, show_table
 
 if TYPE_CHECKING:
-    from lightopt.optimize import Answer, Objective, Optimum, SetResult
+    from lightopt.optimize import Answer, BlindReport, Optimum, SetResult
     from lightopt.overlap import Overlap
 
-__all__ = ["show_optimum", "show_overlaps"]
+__all__ = ["show_blind_spots", "show_optimum", "show_overlaps"]
 
 
 def show_optimum(found: Optimum) -> None:
@@ -27,9 +27,14 @@ def show_optimum(found: Optimum) -> None:
         matrices = "matrix" if found.reused == 1 else "matrices"
         say(f"{found.reused} kept luminance {matrices} reused")
     _show_best(found)
+    if found.blind is not None:
+        _show_defects(found)
+        show_blind_spots(found.blind)
     if found.written.overlaps:
         show_overlaps(found.written.overlaps)
-    for path in (found.written.result, found.written.ranking, *(path for path, _ in found.written.rigs)):
+    rigs = [path for path, _ in found.written.rigs]
+    report = [] if found.written.report is None else [found.written.report]
+    for path in (found.written.result, found.written.ranking, *found.written.files, *rigs, *report):
         say(f"{path}")
 
 
@@ -47,12 +52,10 @@ def _show_best(found: Optimum) -> None:
 
 
 def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
-    from lightopt.optimize import angles_of
+    from lightopt.optimize import angles_of, gap_text, looked_text, score_text, ties_text
 
     best = answer.found
-    looked = f"{best.scored:,}" + (f" + {best.excluded:,} by bound" if best.excluded else "")
-    if best.left:
-        looked += f", {best.left:,} left"
+    looked = looked_text(best)
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
         return [*blank, "-", "all 0", looked]
@@ -60,16 +63,52 @@ def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
         f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)
     ]
     objectives = {other.objective.name: other.objective for other in result.answers}
-    scores = [_score(value, objectives[name], result.area) for name, value in answer.scores.items()]
-    seen = "" if best.complete else "≥ "  # of the combinations looked at
-    gap = "-" if best.gap is None else f"{seen}−{answer.objective.shown(best.gap)}"
-    ties = "none" if best.complete and best.ties == 1 else f"{seen}{best.ties:,} best"
-    return [*angles, *scores, gap, ties, looked]
+    scores = [score_text(value, objectives[name], result.area) for name, value in answer.scores.items()]
+    return [*angles, *scores, gap_text(best, answer.objective), ties_text(best), looked]
 
 
-def _score(value: int, objective: Objective, area: int) -> str:
-    share = objective.share(value, area)
-    return objective.shown(value) + ("" if share is None else f" ({100.0 * share:.1f} %)")
+def _show_defects(found: Optimum) -> None:
+    for result in found.results:
+        for answer in result.answers:
+            facts = answer.details
+            if "worst_defect" not in facts or answer.nothing is not None:
+                continue
+            kinds = ", ".join(f"{name} {100.0 * share:.1f} %" for name, share in facts["defects"].items())
+            worst = facts.get("worst_direction_deg")
+            least = (
+                ""
+                if worst is None
+                else (
+                    f"; walls that lean to {worst:g}° least, {100.0 * facts['directions_deg'][f'{worst:g}']:.1f} %"
+                )
+            )
+            say(
+                f"{', '.join(map(str, result.postures))}: best for {answer.objective.name} shows {kinds}{least}"
+            )
+
+
+def show_blind_spots(blind: BlindReport) -> None:
+    """What the chosen lights show of the defects, over all postures and in each, and why the rest stays invisible."""
+    from lightopt.optimize import blind_text
+
+    parts = blind.parts() if len(blind.postures) > 1 else blind.parts()[:1]
+    codes = sorted({code for _, *both in parts for spots in both for code in spots.by_reason()})
+    # where nothing was left to choose, what the lights can do is what they do
+    both = any(chosen.by_reason() != possible.by_reason() for _, chosen, possible in parts)
+    rows = [
+        [
+            "all" if posture is None else str(posture),
+            lights,
+            f"{100.0 * spots.seen:.1f} %",
+            *(f"{100.0 * spots.by_reason().get(code, 0.0):.1f} %" for code in codes),
+        ]
+        for posture, chosen, possible in parts
+        for lights, spots in (("chosen", chosen), ("any position", possible))[: 2 if both else 1]
+    ]
+    header = ["posture", "lights", "seen", *(blind_text(code, blind.lights) for code in codes)]
+    show_table(header, rows, numbers_from=2)
+    images = f"{blind.objective.seen_in} image" + ("s" if blind.objective.seen_in > 1 else "")
+    say(f"shares of the part's whole surface × defects, seen in {images} of a posture or more")
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:

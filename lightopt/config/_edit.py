@@ -63,19 +63,21 @@ def with_values(text: str, values: Mapping[Keys, str]) -> str:
     return text
 
 
-def with_list(text: str, key: str, entries: Sequence[str], *, comment: str) -> str:
-    """The text of a YAML file with a list of its own added at the end.
+def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, replace: bool = False) -> str:
+    """The text of a YAML file with a list of its own added at the end, or in the place of the one that is there.
 
     Parameters
     ----------
     text
-        A YAML document that has no such key.
+        A YAML document; with no such key unless that is to be replaced.
     key
         Of the list, at the top of the file.
     entries
         Text of each entry, as it is to stand in the file.
     comment
         To stand above the list.
+    replace
+        Whether a list of this key is replaced, with the comments inside it.
 
     Raises
     ------
@@ -83,7 +85,11 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str) -> s
         The file is written so that nothing can be added at its end: in braces, or closed.
     """
     lines = [f"# {comment}", f"{key}:", *(f"  - {entry}" for entry in entries)]
-    longer = text.rstrip() + "\n\n" + "\n".join(lines) + "\n"
+    span = _list_span(text, key) if replace else None
+    if span is None:
+        longer = text.rstrip() + "\n\n" + "\n".join(lines) + "\n"
+    else:
+        longer = text[: span[0]] + "\n".join(lines) + text[span[1] :]
     try:
         document = parse(longer)
     except YamlError as error:
@@ -91,11 +97,37 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str) -> s
             f"{key} cannot be added at the end of the file: {error.problem.message}; write the file without braces "
             "around it all and without an end mark"
         ) from None
-    if document.problems or (key, len(entries) - 1) not in document.lines:
+    if (
+        document.problems
+        or (key, len(entries) - 1) not in document.lines
+        or (key, len(entries)) in document.lines
+    ):
         raise InputError(
             f"{key} cannot be added at the end of the file: it has such a key, or ends in a text block"
         )
     return longer
+
+
+def _list_span(text: str, key: str) -> tuple[int, int] | None:
+    # from a key at the top of a file without braces to the end of its value; None where there is no such key
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    if not isinstance(root, yaml.MappingNode) or root.flow_style:
+        return None
+    for name, value in root.value:
+        if isinstance(name, yaml.ScalarNode) and name.value == key:
+            span = name.start_mark.index, _end(value)
+            if span[0] >= span[1]:
+                raise InputError(f"{key} cannot be replaced: it is an alias; write anchors and aliases out")
+            return span
+    return None
+
+
+def _end(node: yaml.Node) -> int:
+    # a block's own end is where the next thing begins, beyond the comments in between
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        last = node.value[-1]
+        return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
+    return node.end_mark.index
 
 
 def _index(text: str) -> tuple[dict[Keys, tuple[int, int]], dict[Keys, tuple[int, bool, int]]]:

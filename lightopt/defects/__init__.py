@@ -12,6 +12,7 @@ from lightopt.defects._placed import (
     PlacedDefect,
     surface_coordinates,
     tangent_direction,
+    tangent_references,
 )
 from lightopt.defects._profile import height, height_gradient, radial_place
 from lightopt.defects._shape import (
@@ -44,4 +45,5 @@ __all__ = [
     "slope_of_depth",
     "surface_coordinates",
     "tangent_direction",
+    "tangent_references",
 ]

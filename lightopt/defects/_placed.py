@@ -16,6 +16,7 @@ __all__ = [
     "PlacedDefect",
     "surface_coordinates",
     "tangent_direction",
+    "tangent_references",
 ]
 
 Float64 = NDArray[np.float64]
@@ -83,13 +84,26 @@ def tangent_direction(normal: Float64, angle: float, *, x_axis: Float64, y_axis:
     x_axis, y_axis
         Unit vectors of the part's axes, in the frame of the normal, shape (3,).
     """
-    for axis in (x_axis, y_axis):
-        reference = axis - (axis @ normal) * normal
-        length = float(np.linalg.norm(reference))
-        if length >= LEAST_REFERENCE:
-            break
-    reference = reference / length
+    reference = tangent_references(normal[None, :], x_axis=x_axis, y_axis=y_axis)[0]
     return math.cos(angle) * reference + math.sin(angle) * np.cross(normal, reference)
+
+
+def tangent_references(normals: Float64, *, x_axis: Float64, y_axis: Float64) -> Float64:
+    """The unit vectors in tangent planes that :func:`tangent_direction` counts from, shape (k, 3).
+
+    Parameters
+    ----------
+    normals
+        Unit normals of the surface, shape (k, 3).
+    x_axis, y_axis
+        As for :func:`tangent_direction`.
+    """
+    references = x_axis - (normals @ x_axis)[:, None] * normals
+    lengths = np.linalg.norm(references, axis=1)
+    rest = np.flatnonzero(lengths < LEAST_REFERENCE)
+    references[rest] = y_axis - (normals[rest] @ y_axis)[:, None] * normals[rest]
+    lengths[rest] = np.linalg.norm(references[rest], axis=1)
+    return references / lengths[:, None]
 
 
 def surface_coordinates(

@@ -4,39 +4,91 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
+from lightopt.optimize._appendix import APPENDED_NAMES, Appendix, Appraise, Outcome
+from lightopt.optimize._bit_runs import flags_of
+from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
+from lightopt.optimize._blind_files import patch_colours
+from lightopt.optimize._blind_report import BlindReport
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
-from lightopt.optimize._luminance import luminance_matrix
-from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._contrast import DEFAULT_CONTRAST, GRAZING_COSINE, Contrast
+from lightopt.optimize._curves import Curve
+from lightopt.optimize._detectability import Detectability
+from lightopt.optimize._draft import Draft
+from lightopt.optimize._earlier import RIG_NAME, refuse_other_result
+from lightopt.optimize._inspection import Inspection
+from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
+from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions
+from lightopt.optimize._packed import count_bits
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
+from lightopt.optimize._rig_text import degrees_text
 from lightopt.optimize._run import Optimum, optimize
 from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
 from lightopt.optimize._space import Space
+from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
+from lightopt.optimize._visibility import Visibility, add_image, trial_planes
+from lightopt.optimize._words import gap_text, looked_text, score_text, ties_text
 
 __all__ = [
+    "APPENDED_NAMES",
+    "AREA_UNIT_MM2",
+    "DEFAULT_CONTRAST",
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
+    "DIRECTIONS",
+    "GRAZING_COSINE",
     "OBJECTIVES",
+    "RIG_NAME",
     "Answer",
+    "Appendix",
+    "Appraise",
+    "Blind",
+    "BlindReport",
+    "BlindSpots",
     "Candidates",
+    "Contrast",
+    "Curve",
+    "Detectability",
+    "Draft",
     "Found",
+    "Inspection",
     "LeftOut",
+    "Levels",
     "LuminanceMatrix",
     "Objective",
     "OptimizeOptions",
     "Optimum",
+    "Outcome",
     "Ranked",
     "SetResult",
     "Space",
     "Thresholds",
+    "Trial",
+    "Visibility",
+    "add_image",
     "angles_of",
     "area_units",
+    "blind_codes",
+    "blind_spots",
+    "blind_text",
+    "count_bits",
+    "degrees_text",
     "find_candidates",
+    "flags_of",
+    "gap_text",
+    "looked_text",
+    "luminance_matrices",
     "luminance_matrix",
     "objectives_named",
     "optimize",
+    "patch_colours",
+    "refuse_other_result",
+    "score_text",
     "search",
+    "ties_text",
+    "trial_planes",
+    "unroll",
 ]

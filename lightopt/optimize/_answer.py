@@ -8,6 +8,7 @@ import numpy as np
 
 from lightopt.errors import InputError, LightoptError
 from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._curves import score_curves
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._result import Answer, SetResult
@@ -82,12 +83,29 @@ def answer_set(
                 f"and {scores[objective.name]:,} by its definition; please report it with the rig and the part"
             )
         nothing = _nothing(matrices, thresholds, found) if found.best.score == 0 else None
-        answers.append(Answer(objective=objective, found=found, scores=scores, nothing=nothing))
+        details = objective.details(
+            [matrix.combination(best) for matrix in matrices],
+            [objective.weights(matrix.areas) for matrix in matrices],
+        )
+        answers.append(
+            Answer(objective=objective, found=found, scores=scores, details=details, nothing=nothing)
+        )
+    first = answers[0]
     return SetResult(
         postures=tuple(postures),
         patches=sum(len(matrix.areas) for matrix in matrices),
         area=sum(int(area_units(matrix.areas).sum()) for matrix in matrices),
         answers=tuple(answers),
+        levels=tuple(
+            np.concatenate(matrix.combination(first.found.best.candidates).levels) for matrix in matrices
+        ),
+        curves=()
+        if first.nothing is not None
+        else score_curves(
+            candidates,
+            first.found.best,
+            lambda combination: _score(matrices, first.objective, combination, thresholds),
+        ),
     )
 
 
@@ -99,10 +117,10 @@ def _score(
 ) -> int:
     total = 0
     for matrix in matrices:
-        levels, weights = matrix.combination(combination), objective.weights(matrix.areas)
+        one, weights = matrix.combination(combination), objective.weights(matrix.areas)
         # scores are sums over patches: pieces of them bound the memory
         for start, end in pieces(len(weights), PIECE_PATCHES):
-            total += objective.score(levels[:, start:end], weights[start:end], thresholds)
+            total += objective.score(one.patches(start, end), weights[start:end], thresholds)
     return total
 
 

@@ -89,6 +89,7 @@ def find_candidates(
     step_deg: float,
     common_elevation: bool = False,
     points: int | Literal["auto"] | None = None,
+    places: Sequence[Angles] | None = None,
     scene: Scene | None = None,
     caster: RayCaster | None = None,
 ) -> Candidates:
@@ -108,6 +109,8 @@ def find_candidates(
         Whether all lights that move in elevation stand at the same one.
     points
         Point lights per panel, instead of the rig's.
+    places
+        One position of each light [°] that was chosen before, and no others.
     scene, caster
         The part in its postures and its ray caster; without them the part is not in the way.
 
@@ -116,21 +119,25 @@ def find_candidates(
     InputError
         Fewer than two lights, none that moves, a light without any position left.
     """
-    _check_movable(rig)
-    shared = common_elevations(rig, step_deg=step_deg) if common_elevation else None
+    _check_movable(rig, chosen=places is not None)
+    shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
     camera = build_camera(rig)
     left_out: list[LeftOut] = []
     kept: list[list[tuple[Angles, PanelLight]]] = []
     for index in range(len(rig.lights)):
-        places: list[tuple[Angles, PanelLight]] = []
-        angles = light_angles(rig, index, step_deg=step_deg, elevations=shared)
+        standing: list[tuple[Angles, PanelLight]] = []
+        angles = (
+            light_angles(rig, index, step_deg=step_deg, elevations=shared)
+            if places is None
+            else [places[index]]
+        )
         for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
             reason = _reason(panel, camera) or _part_in_the_way(panel, scene, caster)
             if reason is None:
-                places.append((at, panel))
+                standing.append((at, panel))
             else:
                 left_out.append(LeftOut(panel.name, *at, *reason))
-        kept.append(places)
+        kept.append(standing)
     clashes = _clashes(kept)
     hopeless = _always_colliding(kept, clashes)
     for index, others in hopeless.items():
@@ -159,13 +166,13 @@ def find_candidates(
     )
 
 
-def _check_movable(rig: RigConfig) -> None:
+def _check_movable(rig: RigConfig, *, chosen: bool) -> None:
     if len(rig.lights) < 2:
         raise InputError(
             f"{rig.source.at('lights')}: expected two lights or more, found one; with one light there is no "
             "combination to choose"
         )
-    if not any(map(can_move, rig.lights)):
+    if not chosen and not any(map(can_move, rig.lights)):
         raise InputError(
             f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
             "azimuth_range_deg"

@@ -14,14 +14,15 @@ left to :mod:`lightopt.optimize._bits`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize._bits import bit_scores
-from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, Thresholds, area_units
+from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._reach import reach
 from lightopt.optimize._runs import run_products, run_scores
 from lightopt.optimize._work import Share, part_of, pieces
@@ -72,8 +73,9 @@ class Coverage:
         """Each patch counts by its area."""
         return area_units(areas)
 
-    def score(self, levels: Levels, weights: Int64, thresholds: Thresholds) -> int:
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
         """Count images, compare, add areas."""
+        levels = np.concatenate(matrix.levels)
         saturated = levels >= thresholds.saturation
         usable = (levels >= thresholds.shade) & ~saturated
         covered = (usable.sum(axis=0) >= LEAST_USABLE) & (saturated.sum(axis=0) <= MOST_SATURATED)
@@ -81,7 +83,7 @@ class Coverage:
 
     def scores(
         self,
-        levels: Sequence[Levels],
+        matrix: LuminanceMatrix,
         weights: Int64,
         thresholds: Thresholds,
         *,
@@ -89,6 +91,7 @@ class Coverage:
         progress: Share | None = None,
     ) -> Int64:
         """By runs of candidates where a patch's class stays, or by packed bits."""
+        levels = matrix.levels
         products = run_products(levels, thresholds)
         cells = math.prod(len(layer) for layer in levels)
         simple = products <= max(64.0, cells / BITS_SHARE)
@@ -117,19 +120,24 @@ class Coverage:
             )
         return table
 
-    def bound(self, levels: Sequence[Levels], weights: Int64, thresholds: Thresholds) -> int:
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
         """Patches that could be usable under two lights and need not be saturated under more than one."""
         total = 0
         for start, end in pieces(len(weights), BOUND_PATCHES):
             can_use = np.zeros(end - start, np.int64)
             must_saturate = np.zeros(end - start, np.int64)
-            for layer in levels:
+            for layer in matrix.levels:
                 light = reach(layer, thresholds, start, end)
                 can_use += light.usable >= 0
                 must_saturate += light.least >= thresholds.saturation
             could = (can_use >= LEAST_USABLE) & (must_saturate <= MOST_SATURATED)
             total += int(weights[start:end][could].sum())
         return total
+
+    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
+        """Nothing."""
+        del matrices, weights
+        return {}
 
 
 COVERAGE = Coverage()

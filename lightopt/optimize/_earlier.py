@@ -15,11 +15,13 @@ from typing import Any
 
 from lightopt.errors import InputError
 from lightopt.images import remove_image_set, write_text_atomic
+from lightopt.optimize._appendix import APPENDED_NAMES
 
-__all__ = ["RESULT_NAME", "RIG_NAME", "begin_writing", "end_writing", "refuse_other_result"]
+__all__ = ["REPORT_NAME", "RESULT_NAME", "RIG_NAME", "begin_writing", "end_writing", "refuse_other_result"]
 
 RESULT_NAME = "result.json"
 RIG_NAME = "rig.optimized.yaml"
+REPORT_NAME = "report.html"
 UNFINISHED_NAME = "unfinished.json"
 
 _FORMATS = {RESULT_NAME: "lightopt-optimum/", UNFINISHED_NAME: "lightopt-unfinished/"}
@@ -57,20 +59,25 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
         raise InputError(f"{path}: the result of another run ({'; '.join(differences)}); {advice}")
 
 
-def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> None:
+def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
     """Say which files are to come and, with `force`, remove result.json and then all that earlier runs list.
 
-    Removed are rigs and overlap maps by their names, and image sets by their manifests, inside the folder only;
-    captured images, kept matrices and what no list names stay.
+    Removed are rigs, overlap maps, reports and files of an appendix by their names, and image sets by their manifests,
+    inside the folder only; captured images, kept matrices and what no list names stay.
 
     Parameters
     ----------
     folder
         Where the results go; it exists.
     listed
-        ``rigs``, ``images`` and ``overlaps`` as in result.json.
+        ``rigs``, ``images``, ``overlaps`` and ``files`` as in result.json.
     force
         Whether the files of earlier runs are removed.
+
+    Returns
+    -------
+    bool
+        Whether a report that is there is of an earlier run.
 
     Raises
     ------
@@ -81,8 +88,9 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> No
     lists = {key: [one for doc in (listed, *earlier) for one in _entries(doc, key)] for key in listed}
     document = {"format": "lightopt-unfinished/1", **lists}
     write_text_atomic(folder / UNFINISHED_NAME, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    ours = any({"file": REPORT_NAME} in _entries(document, "files") for document in earlier)
     if not force:
-        return
+        return ours
     _unlink(folder / RESULT_NAME)
     for document in earlier:
         for path in _paths(folder, document, "overlaps", "map"):
@@ -91,10 +99,15 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> No
         for path in _paths(folder, document, "images", "folder"):
             remove_image_set(path)
             _leave(path, folder)
+        for path in _paths(folder, document, "files", "file"):
+            if path.name in (REPORT_NAME, *APPENDED_NAMES):
+                _unlink(path)
+                _leave(path.parent, folder)
         for path in _paths(folder, document, "rigs", "file"):
             if path.name == RIG_NAME:
                 _unlink(path)
                 _leave(path.parent, folder)
+    return ours
 
 
 def end_writing(folder: Path) -> None:

@@ -10,6 +10,10 @@ A kept matrix is an ``.npz`` with the arrays
     Delivered levels under each light of the rig, in its order, uint8 or uint16, shape (candidates, p).
 ``angles_0_deg``, ``angles_1_deg``, …
     Elevation and azimuth of those candidates, shape (candidates, 2).
+``defects_0``, ``defects_1``, …
+    Where defects were looked for: bits of those that are visible, uint64, shape (candidates, p, words).
+``patch``, ``cosines``
+    With them: indices of the patches, and cosines of the views to their normals, shape (p,).
 """
 
 from __future__ import annotations
@@ -25,6 +29,8 @@ from numpy.typing import NDArray
 
 from lightopt.images import write_npz_atomic
 from lightopt.optimize._matrix import LuminanceMatrix
+from lightopt.optimize._trials import Trial
+from lightopt.optimize._visibility import Visibility
 
 __all__ = ["keep_matrix", "matrix_key", "read_matrix"]
 
@@ -45,18 +51,49 @@ def keep_matrix(
     for index, (layer, places) in enumerate(zip(matrix.levels, angles, strict=True)):
         arrays[f"light_{index}"] = layer
         arrays[f"angles_{index}_deg"] = np.array(places, dtype=np.float64)
+    seen = matrix.visibility
+    if seen is not None:
+        arrays |= {f"defects_{index}": words for index, words in enumerate(seen.words)}
+        arrays |= {"patch": seen.patch, "cosines": seen.cosines}
     return write_npz_atomic(path, arrays)
 
 
-def read_matrix(path: Path, *, key: str, lights: int) -> LuminanceMatrix | None:
-    """A kept matrix; None where there is none, it is damaged, or it depends on other inputs."""
+def read_matrix(
+    path: Path, *, key: str, lights: int, trials: Sequence[Trial] | None = None
+) -> LuminanceMatrix | None:
+    """A kept matrix; None where there is none, it is damaged, or it depends on other inputs.
+
+    Parameters
+    ----------
+    path
+        The file.
+    key
+        Of what the matrix is to depend on.
+    lights
+        Number of lights.
+    trials
+        The defects that it is to have the visibility of; None for levels alone.
+    """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             # reading an array leaves the check of its sum out where it stops before the end of its file
             if str(arrays["key"]) != key or arrays.zip.testzip() is not None:
                 return None
+            seen = (
+                None
+                if trials is None
+                else Visibility(
+                    trials=tuple(trials),
+                    words=tuple(arrays[f"defects_{i}"] for i in range(lights)),
+                    areas=arrays["areas_mm2"],
+                    patch=arrays["patch"],
+                    cosines=arrays["cosines"],
+                )
+            )
             return LuminanceMatrix(
-                levels=tuple(arrays[f"light_{i}"] for i in range(lights)), areas=arrays["areas_mm2"]
+                levels=tuple(arrays[f"light_{i}"] for i in range(lights)),
+                areas=arrays["areas_mm2"],
+                visibility=seen,
             )
     except Exception:  # noqa: BLE001 - zip, zlib, NumPy's header and tokenizer each have errors of their own
         return None

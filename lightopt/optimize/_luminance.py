@@ -4,6 +4,8 @@ Rays go from the centroid of every patch that the camera sees to the point light
 light is computed as for images, then exposed at exposure 1 without noise, so that a level here is what the camera would
 deliver of the patch. With ``points: auto`` shadows at a patch are told by its own five rays, since patches have no
 neighbours in a grid.
+
+Where the images are inspected for defects, the same rays tell which defects each image shows.
 """
 
 from __future__ import annotations
@@ -16,7 +18,10 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError, counted
 from lightopt.mesh import face_normals
+from lightopt.optimize._inspection import Inspected, Inspection
 from lightopt.optimize._matrix import Levels, LuminanceMatrix
+from lightopt.optimize._packed import Words
+from lightopt.optimize._visibility import Visibility
 from lightopt.raycast import RayCaster
 from lightopt.rendering import (
     PatchTable,
@@ -31,7 +36,7 @@ from lightopt.scene import PanelLight, Scene, view_from_part
 from lightopt.sensor import expose
 from lightopt.transforms import Posture
 
-__all__ = ["MOST_BYTES", "luminance_matrix", "patch_points"]
+__all__ = ["MOST_BYTES", "luminance_matrices", "luminance_matrix", "patch_points"]
 
 BLOCK_PATCHES = 1 << 15
 """Patches that a thread works on at once."""
@@ -75,12 +80,13 @@ def luminance_matrix(
     panels: Sequence[Sequence[PanelLight]],
     *,
     caster: RayCaster,
+    inspection: Inspection | None = None,
     shadows: bool = True,
     threads: int | None = None,
     most_bytes: int = MOST_BYTES,
     progress: Callable[[float, int], None] | None = None,
 ) -> LuminanceMatrix:
-    """Delivered levels of the visible patches under every candidate panel of every light.
+    """Delivered levels of the visible patches under every candidate panel of every light, at exposure 1.
 
     Parameters
     ----------
@@ -94,12 +100,14 @@ def luminance_matrix(
         Of each light, the panels at its candidate positions; world frame.
     caster
         Of the scene's part.
+    inspection
+        The defects whose visibility in the same images is wanted; None for levels alone.
     shadows
         Whether the part casts shadows on itself.
     threads
         All the machine's by default. The levels do not depend on it.
     most_bytes
-        Of the levels.
+        Of the levels and the defects' bits.
     progress
         Called with the share that is done and the number of rays cast so far.
 
@@ -108,16 +116,53 @@ def luminance_matrix(
     InputError
         More positions than memory is meant for.
     """
+    return luminance_matrices(
+        scene,
+        table,
+        posture,
+        panels,
+        exposures=(1.0,),
+        caster=caster,
+        inspection=inspection,
+        shadows=shadows,
+        threads=threads,
+        most_bytes=most_bytes,
+        progress=progress,
+    )[0]
+
+
+def luminance_matrices(
+    scene: Scene,
+    table: PatchTable,
+    posture: Posture,
+    panels: Sequence[Sequence[PanelLight]],
+    *,
+    exposures: Sequence[float],
+    caster: RayCaster,
+    inspection: Inspection | None = None,
+    shadows: bool = True,
+    threads: int | None = None,
+    most_bytes: int = MOST_BYTES,
+    progress: Callable[[float, int], None] | None = None,
+) -> tuple[LuminanceMatrix, ...]:
+    """As :func:`luminance_matrix`, one for each exposure; the rays are cast once."""
     surface, seen = patch_points(scene, table, posture)
     dtype = np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
     positions = sum(len(some) for some in panels)
-    size = positions * len(seen) * np.dtype(dtype).itemsize
+    width = 0 if inspection is None else -(-len(inspection.trials) // 64)
+    size = positions * len(seen) * len(exposures) * (np.dtype(dtype).itemsize + 8 * width)
     if size > most_bytes:
         raise InputError(
             f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches are {size / 1e9:.2f} GB, and "
             f"there is room for {most_bytes / 1e9:.2f} GB a posture; take a larger --step or fewer --patches"
         )
-    layers: list[Levels] = [np.zeros((len(some), len(seen)), dtype) for some in panels]
+    levels: list[list[Levels]] = [
+        [np.zeros((len(some), len(seen)), dtype) for some in panels] for _ in exposures
+    ]
+    words: list[list[Words]] = [
+        [np.zeros((len(some), len(seen), width), np.uint64) for some in panels] for _ in exposures
+    ]
+    view = None if inspection is None else Inspected(scene, surface, posture, inspection)
     blocks = [
         (start, surface.take(np.arange(start, min(start + BLOCK_PATCHES, len(seen)))))
         for start in range(0, len(seen), BLOCK_PATCHES)
@@ -125,12 +170,24 @@ def luminance_matrix(
     # the candidates as the part sees them
     moved = view_from_part(replace(scene, lights=tuple(p for some in panels for p in some)), posture).lights
     places = [(light, k) for light, some in enumerate(panels) for k in range(len(some))]
+    blocker = caster if shadows else None
 
     def shade(place: tuple[int, int], panel: PanelLight, start: int, block: SurfacePoints) -> None:
-        level = _levels(scene, block, panel, caster, shadows)
-        layers[place[0]][place[1], start : start + len(block)] = expose(
-            level[None, :], sensor=scene.sensor, exposure=1.0, full_scale=scene.reflectance.full_scale
-        )[0]
+        light, k = place
+        here = slice(start, start + len(block))
+        if view is None:
+            level = _levels(scene, block, panel, caster, blocker)
+        else:
+            level, bits = view.look(block, panel, here, caster, blocker, exposures)
+            for index, some in enumerate(bits):
+                words[index][light][k, here] = some
+        for index, exposure in enumerate(exposures):
+            levels[index][light][k, here] = expose(
+                level[None, :],
+                sensor=scene.sensor,
+                exposure=exposure,
+                full_scale=scene.reflectance.full_scale,
+            )[0]
 
     before = caster.rays_cast
     total, finished = len(places) * len(blocks), 0
@@ -147,14 +204,30 @@ def luminance_matrix(
         for start, block in blocks
     )
     run_all(tasks, threads=threads or available_processors(), done=count)
-    return LuminanceMatrix(levels=tuple(layers), areas=table.patches.areas[seen])
+    areas = table.patches.areas[seen]
+    return tuple(
+        LuminanceMatrix(
+            levels=tuple(levels[index]),
+            areas=areas,
+            visibility=None
+            if view is None
+            else Visibility(
+                trials=view.inspection.trials,
+                words=tuple(words[index]),
+                areas=areas,
+                patch=seen.astype(np.int32),
+                cosines=view.cosines,
+                exposure=exposure,
+            ),
+        )
+        for index, exposure in enumerate(exposures)
+    )
 
 
 def _levels(
-    scene: Scene, surface: SurfacePoints, panel: PanelLight, caster: RayCaster, shadows: bool
+    scene: Scene, surface: SurfacePoints, panel: PanelLight, caster: RayCaster, blocker: RayCaster | None
 ) -> NDArray[np.float32]:
     reflectance = scene.reflectance
-    blocker = caster if shadows else None
     if panel.points == "auto":
         diffuse, specular = shade_converged(
             surface,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
+from lightopt.optimize._visibility import Visibility, taken_rows
 
 __all__ = ["AREA_UNIT_MM2", "Levels", "LuminanceMatrix", "Thresholds", "area_units", "usable_sums"]
 
@@ -93,12 +94,22 @@ class LuminanceMatrix:
         One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light, p).
     areas
         Of the patches [mm²], shape (p,).
+    visibility
+        Which defects the same images show on the same patches; None where nobody asked.
     """
 
     levels: tuple[Levels, ...]
     areas: Float64
+    visibility: Visibility | None = None
 
     def __post_init__(self) -> None:
+        if self.visibility is not None and (
+            self.visibility.shape != self.shape or len(self.visibility.areas) != len(self.areas)
+        ):
+            raise InputError(
+                f"luminance matrix: expected the visibility of the same images, {self.shape} positions of the lights "
+                f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.areas)}"
+            )
         for index, layer in enumerate(self.levels):
             if (
                 layer.ndim != 2
@@ -117,20 +128,25 @@ class LuminanceMatrix:
         """Number of candidates of each light."""
         return tuple(len(layer) for layer in self.levels)
 
-    def rows(self, rows: Sequence[Int64]) -> tuple[Levels, ...]:
-        """The levels of some candidates of each light."""
-        return tuple(_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True))
+    def rows(self, rows: Sequence[Int64]) -> LuminanceMatrix:
+        """Some candidates of each light, ascending."""
+        return LuminanceMatrix(
+            levels=tuple(taken_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True)),
+            areas=self.areas,
+            visibility=None if self.visibility is None else self.visibility.rows(rows),
+        )
 
-    def combination(self, candidates: Sequence[int]) -> Levels:
-        """Levels of the patches under one position of each light, shape (lights, p)."""
-        return np.stack([layer[index] for layer, index in zip(self.levels, candidates, strict=True)])
+    def combination(self, candidates: Sequence[int]) -> LuminanceMatrix:
+        """One candidate of each light."""
+        return self.rows([np.array([index]) for index in candidates])
 
-
-def _rows(layer: Levels, some: Int64) -> Levels:
-    # ascending; neighbours need no copy
-    if len(some) and some[-1] - some[0] == len(some) - 1:
-        return layer[some[0] : some[-1] + 1]
-    return layer[some]
+    def patches(self, start: int, end: int) -> LuminanceMatrix:
+        """The patches from `start` to `end`."""
+        return LuminanceMatrix(
+            levels=tuple(layer[:, start:end] for layer in self.levels),
+            areas=self.areas[start:end],
+            visibility=None if self.visibility is None else self.visibility.patches(start, end),
+        )
 
 
 def _frozen(array: Any) -> Any:

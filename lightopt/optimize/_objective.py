@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.optimize._matrix import Levels, Thresholds
+from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.optimize._work import Share
 
 __all__ = ["Objective"]
@@ -50,13 +50,13 @@ class Objective(Protocol):
         """How much each patch counts in the score and in its ties, shape (p,); areas in [mm²]."""
         ...
 
-    def score(self, levels: Levels, weights: Int64, thresholds: Thresholds) -> int:
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
         """Score of one combination, straight from its definition.
 
         Parameters
         ----------
-        levels
-            Delivered levels of the patches under each light, shape (lights, p).
+        matrix
+            With one candidate of each light.
         weights
             From :meth:`weights`.
         thresholds
@@ -66,7 +66,7 @@ class Objective(Protocol):
 
     def scores(
         self,
-        levels: Sequence[Levels],
+        matrix: LuminanceMatrix,
         weights: Int64,
         thresholds: Thresholds,
         *,
@@ -77,8 +77,8 @@ class Objective(Protocol):
 
         Parameters
         ----------
-        levels
-            One array of shape (candidates, p) per light.
+        matrix
+            With all candidates.
         weights, thresholds
             As in :meth:`score`.
         threads
@@ -89,6 +89,18 @@ class Objective(Protocol):
         """
         ...
 
-    def bound(self, levels: Sequence[Levels], weights: Int64, thresholds: Thresholds) -> int:
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
         """A score that no combination exceeds; parameters as in :meth:`scores`."""
+        ...
+
+    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
+        """What else there is to say of one combination, as JSON; nothing for most objectives.
+
+        Parameters
+        ----------
+        matrices
+            With one candidate of each light; one per posture.
+        weights
+            From :meth:`weights`, of each.
+        """
         ...

@@ -2,34 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from lightopt.errors import InputError
 from lightopt.optimize._coverage import COVERAGE
+from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._paper import PAPER
 
 __all__ = ["OBJECTIVES", "objectives_named"]
 
 OBJECTIVES: dict[str, Objective] = {objective.name: objective for objective in (COVERAGE, PAPER)}
-"""In the order in which they are computed unless asked otherwise; the first one decides where the lights go."""
+"""Those that need levels alone, in the order in which they are computed unless asked otherwise; the first one decides
+where the lights go."""
 
 
-def objectives_named(names: Sequence[str]) -> tuple[Objective, ...]:
-    """The objectives of these names; all of them for none.
+def objectives_named(
+    names: Sequence[str], detectability: Callable[[], Detectability] | None = None
+) -> tuple[Objective, ...]:
+    """The objectives of these names; all that need levels alone for none.
+
+    Parameters
+    ----------
+    names
+        As on the command line.
+    detectability
+        Makes the objective of that name, which depends on a part's catalogue of defects.
 
     Raises
     ------
     InputError
         An unknown name, or one given twice.
     """
+    makers: dict[str, Callable[[], Objective]] = {
+        name: partial(OBJECTIVES.__getitem__, name) for name in OBJECTIVES
+    }
+    if detectability is not None:
+        makers["detectability"] = detectability
     problems = [
-        f'--objective: expected {" or ".join(OBJECTIVES)}, found "{name}"'
-        for name in names
-        if name not in OBJECTIVES
+        f'--objective: expected {" or ".join(makers)}, found "{name}"' for name in names if name not in makers
     ]
     if len(set(names)) < len(names):
         problems.append("--objective: the same objective was given twice")
     if problems:
         raise InputError(*problems)
-    return tuple(OBJECTIVES[name] for name in names) or tuple(OBJECTIVES.values())
+    return tuple(makers[name]() for name in names) or tuple(OBJECTIVES.values())

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from lightopt.errors import InputError
+from lightopt.optimize._contrast import DEFAULT_CONTRAST
 from lightopt.optimize._search import DEFAULT_LIMIT
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 from lightopt.transforms import Posture
@@ -15,6 +17,10 @@ __all__ = ["DEFAULT_SHADE_SHARE", "OptimizeOptions", "check_options"]
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0
 """Share of full scale, above black, below which a level is shaded, unless asked otherwise."""
+
+
+def _no_plan() -> Mapping[str, Any]:
+    return {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +39,10 @@ class OptimizeOptions:
         Whether the lights stand the same for all postures: the sum over the postures decides.
     shade_below
         Share of full scale, above black, below which a level is shaded.
+    seen_in
+        Images that must show a defect, for objective detectability.
+    contrast
+        Times the sensor's noise that a defect must change the level by, for objective detectability.
     postures
         Instead of the part's own.
     points
@@ -51,6 +61,10 @@ class OptimizeOptions:
         Most combinations to score.
     threads
         All the machine's by default. The results do not depend on it.
+    places
+        Elevation and azimuth of each light [°], where somebody chose them before: then nothing is searched.
+    plan
+        What else was asked for, as JSON: part of the result's provenance.
     """
 
     objectives: tuple[str, ...] = ()
@@ -58,6 +72,8 @@ class OptimizeOptions:
     common_elevation: bool = False
     common_lights: bool = False
     shade_below: float = DEFAULT_SHADE_SHARE
+    seen_in: int = 1
+    contrast: float = DEFAULT_CONTRAST
     postures: tuple[Posture, ...] | None = None
     points: int | Literal["auto"] | None = None
     shadows: bool = True
@@ -67,6 +83,8 @@ class OptimizeOptions:
     rows: int = 100
     limit: int = DEFAULT_LIMIT
     threads: int | None = None
+    places: tuple[tuple[float, float], ...] | None = None
+    plan: Mapping[str, Any] = field(default_factory=_no_plan)
 
 
 def check_options(options: OptimizeOptions) -> None:

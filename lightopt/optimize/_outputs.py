@@ -8,10 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lightopt.config import PartConfig, RigConfig, load_rig
-from lightopt.images import make_folder, read_image_set, write_text_atomic
+from lightopt.images import make_folder, read_image_set, write_bytes_atomic, write_png, write_text_atomic
+from lightopt.optimize._appendix import Appendix
 from lightopt.optimize._candidates import Candidates
-from lightopt.optimize._earlier import RESULT_NAME, RIG_NAME, begin_writing, end_writing
+from lightopt.optimize._earlier import REPORT_NAME, RESULT_NAME, RIG_NAME, begin_writing, end_writing
 from lightopt.optimize._matrix import Thresholds
 from lightopt.optimize._options import OptimizeOptions
 from lightopt.optimize._result import SetResult, ranking_csv, result_dict
@@ -38,15 +42,21 @@ class Written:
         Rig files with the new angles, and the postures that each is for.
     images
         Folders of image sets.
+    files
+        Of the appendix.
     overlaps
         Saturated regions of these images, in the order of the postures.
+    report
+        The report; None where none was wanted.
     """
 
     result: Path
     ranking: Path
     rigs: tuple[tuple[Path, tuple[Posture, ...]], ...]
     images: tuple[Path, ...]
+    files: tuple[Path, ...]
     overlaps: tuple[Overlap, ...]
+    report: Path | None
 
 
 def write_outputs(
@@ -59,8 +69,10 @@ def write_outputs(
     *,
     provenance: Mapping[str, Any],
     options: OptimizeOptions,
+    appendix: Appendix,
     force: bool,
     warn: Callable[[str], None],
+    page: Callable[[Mapping[str, Any], Sequence[Overlap]], str] | None = None,
 ) -> Written:
     """Write all files, result.json last: where it is, the others are complete.
 
@@ -78,10 +90,14 @@ def write_outputs(
         Versions, hashes and options, JSON.
     options
         As they were asked for.
+    appendix
+        Further sections and files.
     force
         Replace files that are there and differ.
     warn
         Called with warnings of the rendering.
+    page
+        Makes the report of what result.json will say and of the overlaps; None for no report.
 
     Raises
     ------
@@ -93,13 +109,16 @@ def write_outputs(
         (folder / path, postures, text)
         for path, postures, text in rig_texts(rig, results, candidates, folder=folder)
     )
-    listed = _listed(folder, rigs, options)
-    begin_writing(folder, listed, force=force)
+    names = [*appendix.files, *([] if page is None else [REPORT_NAME])]
+    listed = _listed(folder, rigs, options) | {"files": [{"file": name} for name in names]}
+    ours = begin_writing(folder, listed, force=force)
     ranking = folder / RANKING_NAME
     write_text_atomic(ranking, ranking_csv(results, candidates), overwrite=force)
     for path, _, text in rigs:
         make_folder(path.parent)
         write_text_atomic(path, text, overwrite=force)
+    for name, content in appendix.files.items():
+        _write(folder / name, content, force)
     images = tuple(path.parent / IMAGES_NAME for path, _, _ in rigs) if options.images else ()
     overlaps: list[Overlap] = []
     for home, (path, postures, _) in zip(images, rigs, strict=False):
@@ -118,13 +137,18 @@ def write_outputs(
         ],
         "left_out": [vars(out) for out in candidates.left_out],
         "results": result_dict(results, candidates),
+        **appendix.sections,
         "rigs": listed["rigs"],
+        "files": listed["files"],
         "images": listed["images"],
         "overlaps": [
             {**where, **overlap.as_dict()}
             for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
         ],
     }
+    report = None if page is None else folder / REPORT_NAME
+    if page is not None and report is not None:
+        write_text_atomic(report, page(document, overlaps), overwrite=force or ours)
     result = folder / RESULT_NAME
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
     write_text_atomic(result, text, overwrite=force)
@@ -134,8 +158,20 @@ def write_outputs(
         ranking=ranking,
         rigs=tuple((path, postures) for path, postures, _ in rigs),
         images=images,
+        files=tuple(folder / name for name in appendix.files),
         overlaps=tuple(overlaps),
+        report=report,
     )
+
+
+def _write(path: Path, content: str | bytes | NDArray[np.uint8], force: bool) -> None:
+    make_folder(path.parent)
+    if isinstance(content, str):
+        write_text_atomic(path, content, overwrite=force)
+    elif isinstance(content, bytes):
+        write_bytes_atomic(path, content, overwrite=force)
+    else:
+        write_png(path, content, metadata={}, overwrite=force)
 
 
 def _listed(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 
-__all__ = ["Words", "common_bits", "packed"]
+__all__ = ["Words", "common_bits", "count_bits", "packed"]
 
 Words = NDArray[np.uint64]
 
@@ -21,14 +21,18 @@ def packed(rows: NDArray[np.bool_]) -> Words:
 
 
 @kernel
+def count_bits(word: np.uint64) -> np.uint64:
+    """Number of flags that are set in a word: bits of pairs, of fours, of bytes, then the sum of the bytes."""
+    x = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
+
+
+@kernel
 def common_bits(left: Words, right: Words) -> np.int64:
     """Number of flags that are set in both of two rows of words."""
     total = np.uint64(0)
     for w in range(len(left)):
-        x = left[w] & right[w]
-        # bits of pairs, of fours, of bytes, then the sum of the bytes
-        x -= (x >> np.uint64(1)) & np.uint64(0x5555555555555555)
-        x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
-        x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-        total += (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
+        total += count_bits(left[w] & right[w])
     return np.int64(total)

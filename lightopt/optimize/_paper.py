@@ -24,15 +24,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize._extreme_sums import extreme_tasks
-from lightopt.optimize._matrix import Levels, Thresholds, usable_sums
+from lightopt.optimize._matrix import Levels, LuminanceMatrix, Thresholds, usable_sums
 from lightopt.optimize._minimum_sums import Capped, minimum_tasks
 from lightopt.optimize._reach import reach
 from lightopt.optimize._work import Share, Work, pieces
@@ -84,15 +85,15 @@ class Paper:
         """Every patch counts the same, as every polygon does in the paper."""
         return np.ones(len(areas), np.int64)
 
-    def score(self, levels: Levels, weights: Int64, thresholds: Thresholds) -> int:
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
         """Sort, drop the ends, zero what is not usable, sum."""
-        middle = np.sort(levels, axis=0)[1:-1].astype(np.int64)
+        middle = np.sort(np.concatenate(matrix.levels), axis=0)[1:-1].astype(np.int64)
         usable = (middle >= thresholds.shade) & (middle < thresholds.saturation)
         return int(((middle - thresholds.black) * usable * weights).sum())
 
     def scores(
         self,
-        levels: Sequence[Levels],
+        matrix: LuminanceMatrix,
         weights: Int64,
         thresholds: Thresholds,
         *,
@@ -100,6 +101,7 @@ class Paper:
         progress: Share | None = None,
     ) -> Int64:
         """By tables of minima or combination by combination; `weights` are those of :meth:`weights`, all 1."""
+        levels = matrix.levels
         sizes = [len(layer) for layer in levels]
         tables = _tables(sizes)
         cells, patches = math.prod(sizes), levels[0].shape[1]
@@ -128,13 +130,13 @@ class Paper:
             )
         return result
 
-    def bound(self, levels: Sequence[Levels], weights: Int64, thresholds: Thresholds) -> int:
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
         """The lesser of two limits of each patch: its n − 2 largest usable levels, and its middle greatest levels.
 
         The second holds since the j-th level of any combination is at most the j-th of the lights' greatest levels.
         """
         del weights  # all 1
-        total, black = 0, thresholds.black
+        levels, total, black = matrix.levels, 0, thresholds.black
         for start, end in pieces(levels[0].shape[1], max(1, BLOCK_LEVELS // len(levels))):
             some = [reach(layer, thresholds, start, end) for layer in levels]
             usable = np.sort([np.maximum(one.usable - black, 0) for one in some], axis=0)[2:]
@@ -143,6 +145,11 @@ class Paper:
             middle = np.where(greatest >= thresholds.shade, lit, 0)
             total += int(np.minimum(usable.sum(axis=0), middle.sum(axis=0)).sum())
         return total
+
+    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
+        """Nothing."""
+        del matrices, weights
+        return {}
 
 
 def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:

@@ -5,16 +5,22 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._curves import Curve
+from lightopt.optimize._matrix import Levels
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._search import Found
 from lightopt.transforms import Posture
 
 __all__ = ["Answer", "SetResult", "angles_of", "ranking_csv", "result_dict"]
+
+
+def _no_details() -> Mapping[str, Any]:
+    return {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +35,8 @@ class Answer:
         By the search.
     scores
         Score of the best set under every objective, by name.
+    details
+        What else the objective says of the best set, as JSON.
     nothing
         Why there is no best set: no combination scores at all. None where there is one.
     """
@@ -36,6 +44,7 @@ class Answer:
     objective: Objective
     found: Found
     scores: Mapping[str, int]
+    details: Mapping[str, Any] = field(default_factory=_no_details)
     nothing: str | None = None
 
 
@@ -53,12 +62,19 @@ class SetResult:
         Of the visible patches, summed over the postures [µm²].
     answers
         One per objective.
+    levels
+        Of the best set of the first objective, for each posture: delivered levels of its visible patches under each
+        light, shape (lights, p).
+    curves
+        How the first objective's score goes with one angle; none where nothing scores.
     """
 
     postures: tuple[Posture, ...]
     patches: int
     area: int
     answers: tuple[Answer, ...]
+    levels: tuple[Levels, ...]
+    curves: tuple[Curve, ...]
 
 
 def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, float], ...]:
@@ -74,6 +90,7 @@ def result_dict(results: tuple[SetResult, ...], candidates: Candidates) -> list[
             "visible_patches": result.patches,
             "visible_area_um2": result.area,
             "objectives": [_answer_dict(answer, result, candidates) for answer in result.answers],
+            "curves": [curve.as_dict() for curve in result.curves],
         }
         for result in results
     ]
@@ -109,6 +126,7 @@ def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> d
         "proven": found.proven,
         "complete": found.complete,
         "scores_under": dict(answer.scores),
+        **answer.details,
     }
 
 

@@ -13,7 +13,7 @@ from lightopt.optimize._earlier import RIG_NAME
 from lightopt.optimize._result import SetResult, angles_of
 from lightopt.transforms import Posture
 
-__all__ = ["check_editable", "rig_texts"]
+__all__ = ["check_editable", "degrees_text", "rig_texts"]
 
 
 def check_editable(rig: RigConfig) -> None:
@@ -58,15 +58,15 @@ def _edited(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -
     values = relocated(rig, home)
     for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
         if light.elevation_range_deg is not None:
-            values["lights", index, "elevation_deg"] = _degrees(elevation)
+            values["lights", index, "elevation_deg"] = degrees_text(elevation)
         if light.azimuth_range_deg is not None:
-            values["lights", index, "azimuth_deg"] = _degrees(azimuth)
+            values["lights", index, "azimuth_deg"] = degrees_text(azimuth)
     try:
         return with_values(rig.source.text, values)
     except InputError as error:
         raise InputError(*(f"{rig.source.path}: {text}" for text in error.messages)) from None
 
 
-def _degrees(angle: float) -> str:
-    # at most nine decimals, which is finer than any stage, and no exponent
+def degrees_text(angle: float) -> str:
+    """An angle as a file is to say it: at most nine decimals, which is finer than any stage, and no exponent."""
     return f"{round(angle, 9):.9f}".rstrip("0").rstrip(".")

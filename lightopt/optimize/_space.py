@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Rows", "Space", "allowed_mask"]
+__all__ = ["Rows", "Space", "allowed_mask", "is_allowed"]
 
 Int64 = NDArray[np.int64]
 Rows = tuple[Int64, ...]
@@ -44,6 +44,13 @@ class Space:
     def of(sizes: Sequence[int]) -> Space:
         """Every combination."""
         return Space(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
+
+
+def is_allowed(space: Space, combination: Sequence[int]) -> bool:
+    """Whether one combination, a candidate of each light, belongs to the space."""
+    if any(clash[combination[i], combination[j]] for (i, j), clash in space.clashes.items()):
+        return False
+    return any(all(k in row for k, row in zip(combination, rows, strict=True)) for rows in space.groups)
 
 
 def allowed_mask(space: Space, rows: Rows) -> NDArray[np.bool_] | None:

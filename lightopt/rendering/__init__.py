@@ -40,6 +40,7 @@ from lightopt.rendering._pixels import (
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
 from lightopt.rendering._threads import Task, available_processors, in_threads, run_all
+from lightopt.rendering._variants import SurfaceVariants, VariantLevels, shade_variants, surface_variants
 
 __all__ = [
     "DEFAULT_PATCH_BUDGET",
@@ -60,8 +61,10 @@ __all__ = [
     "RenderedSet",
     "Report",
     "SurfacePoints",
+    "SurfaceVariants",
     "Task",
     "TooFewPixels",
+    "VariantLevels",
     "available_processors",
     "build_patches",
     "cast_rays_at",
@@ -81,6 +84,8 @@ __all__ = [
     "run_all",
     "shade_converged",
     "shade_points",
+    "shade_variants",
+    "surface_variants",
     "too_few_pixels",
     "trace_pixels",
     "trace_samples",

@@ -8,7 +8,7 @@ remain are worked out by :mod:`lightopt.rendering._penumbra`.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,12 @@ __all__ = [
     "ConvergedPanel",
     "PanelSight",
     "converged_panel",
+    "panel_probes",
+    "probe_targets",
     "shade_again",
     "shade_converged",
     "shade_seeing",
+    "verdict_of_probes",
 ]
 
 Float64 = NDArray[np.float64]
@@ -161,13 +164,18 @@ def shade_seeing(
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
+    verdict: NDArray[np.uint8] | None = None,
 ) -> tuple[Float64, Float64, PanelSight]:
-    """As :func:`shade_converged`, and what the points see of the panel, for :func:`shade_again`."""
+    """As :func:`shade_converged`, and what the points see of the panel, for :func:`shade_again`.
+
+    `verdict` is what the coarse rays say, from :func:`verdict_of_probes`, where they have been cast before.
+    """
     if caster is None:
         verdict = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
         uncertain = np.zeros(len(surface), np.bool_)
     else:
-        verdict = _coarse_verdict(surface, converged.light, caster)
+        if verdict is None:
+            verdict = _coarse_verdict(surface, converged.light, caster)
         uncertain = _disagreeing(verdict, sample, shape)
     diffuse, specular = _unshadowed(surface, converged, verdict, reflectance)
     looked_at = np.zeros(len(surface), np.bool_)
@@ -276,21 +284,48 @@ def _add_penumbrae(
     return penumbra
 
 
-def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> NDArray[np.uint8]:
+def probe_targets(light: PanelLight) -> Float64:
+    """Where the coarse rays go: the panel's centre and nearly its corners, shape (5, 3) [mm]."""
     half = 0.5 * PROBE_INSET
-    targets = np.array(
+    return np.array(
         [
             light.centre + s * light.size[0] * light.across + t * light.size[1] * light.along
             for s, t in ((0.0, 0.0), (-half, -half), (-half, half), (half, -half), (half, half))
         ]
     )
+
+
+def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> NDArray[np.bool_]:
+    """Which probes each point's face, whatever its normal, faces and sees, shape (k, 5)."""
+    point, target = facing_pairs(replace(surface, normals=surface.facets), targets, geometric=False)
+    blocked = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=target)
+    clear = np.zeros((len(surface), len(targets)), np.bool_)
+    clear[point[~blocked], target[~blocked]] = True
+    return clear
+
+
+def verdict_of_probes(
+    surface: SurfacePoints, targets: Float64, clear: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """What the coarse rays say of each point with its own normal, from :func:`panel_probes`, shape (k,)."""
+    above = np.zeros_like(clear)
+    above[facing_pairs(surface, targets, geometric=False)] = True
+    return _verdict((clear & above).sum(axis=1), above.sum(axis=1))
+
+
+def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> NDArray[np.uint8]:
+    targets = probe_targets(light)
     point, target = facing_pairs(surface, targets, geometric=True)
     blocked = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=target)
-    clear = np.bincount(point[~blocked], minlength=len(surface))
     # a point above the interpolated horizon but below the face's own plane is hidden by the face itself
     above, _ = facing_pairs(surface, targets, geometric=False)
-    all_above = np.bincount(above, minlength=len(surface))
-    verdict = np.full(len(surface), _MIXED, np.uint8)
+    return _verdict(
+        np.bincount(point[~blocked], minlength=len(surface)), np.bincount(above, minlength=len(surface))
+    )
+
+
+def _verdict(clear: NDArray[np.intp], all_above: NDArray[np.intp]) -> NDArray[np.uint8]:
+    verdict = np.full(len(clear), _MIXED, np.uint8)
     verdict[clear == 0] = _HIDDEN
     verdict[clear == all_above] = _CLEAR
     verdict[all_above == 0] = _DARK

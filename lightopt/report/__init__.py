@@ -1,15 +1,48 @@
-"""Pictures for people: contact sheets, drawings, charts of fits. The one home of Pillow."""
+"""Pictures and pages for people: contact sheets, drawings, charts, HTML reports. The one home of Pillow."""
 
 from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
 from lightopt.report._fit_pictures import fit_chart, residual_picture
 from lightopt.report._frames_drawing import frames_drawing
+from lightopt.report._optimum_report import optimum_page, optimum_report
+from lightopt.report._page import (
+    Answer,
+    Block,
+    Facts,
+    Gallery,
+    Note,
+    Page,
+    Picture,
+    Section,
+    SurfaceView,
+    Table,
+    Warnings,
+)
+from lightopt.report._page_html import page_html
 from lightopt.report._rig_drawing import rig_drawing
+from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 
 __all__ = [
+    "Answer",
+    "Block",
+    "ColouredSurface",
+    "Facts",
+    "Gallery",
+    "Note",
+    "Page",
+    "Picture",
+    "Section",
+    "SurfaceClass",
+    "SurfaceLayer",
+    "SurfaceView",
+    "Table",
+    "Warnings",
     "add_contact_sheets",
     "contact_sheet",
     "fit_chart",
     "frames_drawing",
+    "optimum_page",
+    "optimum_report",
+    "page_html",
     "residual_picture",
     "rig_drawing",
 ]

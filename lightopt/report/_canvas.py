@@ -14,7 +14,7 @@ from PIL import Image, ImageColor, ImageDraw
 from lightopt.errors import InputError
 from lightopt.images import write_bytes_atomic
 
-__all__ = ["FINE", "Canvas", "Points", "check_png_path", "write_picture"]
+__all__ = ["FINE", "Canvas", "Points", "check_png_path", "png_bytes", "write_picture"]
 
 FINE = 3
 """Resolution of what is drawn, relative to the finished picture."""
@@ -122,10 +122,15 @@ def write_picture(path: Path, image: Image.Image, *, overwrite: bool = True) -> 
     InputError
         When the file cannot be written, or one of other content is there and `overwrite` is False.
     """
+    write_bytes_atomic(path, png_bytes(image), overwrite=overwrite)
+    return path
+
+
+def png_bytes(image: Image.Image) -> bytes:
+    """A picture as the bytes of a PNG file; the same picture gives the same bytes."""
     data = io.BytesIO()
     image.save(data, format="PNG", compress_level=6)
-    write_bytes_atomic(path, data.getvalue(), overwrite=overwrite)
-    return path
+    return data.getvalue()
 
 
 def _fine(points: Points) -> list[tuple[float, float]]:

@@ -10,17 +10,38 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightopt.report._canvas import Canvas, check_png_path, write_picture
 from lightopt.report._typeface import Typeface
 
-__all__ = ["ChartPanel", "draw_chart"]
+__all__ = ["ChartLine", "ChartPanel", "chart_image", "draw_chart"]
 
 INK, SOFT, FAINT, LINE, MARK = "#1c1f24", "#5c636e", "#e3e6ea", "#1f5fbf", "#c2410c"
 SHADE = "#c2410c33"
 WIDTH, PANEL_HEIGHT = 900, 300
 LEFT, RIGHT, TOP, GAP, BOTTOM = 110, 30, 70, 60, 60
 MOST_TICKS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChartLine:
+    """A line beside others, named above the panel.
+
+    Attributes
+    ----------
+    label
+        What it is.
+    x, values
+        Its points, shape (n,).
+    colour
+        ``#rrggbb``.
+    """
+
+    label: str
+    x: NDArray[np.float64]
+    values: NDArray[np.float64]
+    colour: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +62,8 @@ class ChartPanel:
         Further places (x, value) beside the line, shape (k, 2).
     span
         Interval (from, to) of the common axis that is shaded; None for none.
+    lines
+        Further lines, with points of their own.
     """
 
     label: str
@@ -49,6 +72,7 @@ class ChartPanel:
     mark: tuple[float, float] | None = None
     dots: NDArray[np.float64] | None = None
     span: tuple[float, float] | None = None
+    lines: tuple[ChartLine, ...] = ()
 
 
 def draw_chart(
@@ -81,14 +105,22 @@ def draw_chart(
         The name does not end in ``.png``, or the file cannot be written.
     """
     path = check_png_path(path)
+    return write_picture(path, chart_image(title=title, x_label=x_label, x=x, panels=panels, log_x=log_x))
+
+
+def chart_image(
+    *, title: str, x_label: str, x: NDArray[np.float64], panels: Sequence[ChartPanel], log_x: bool = False
+) -> Image.Image:
+    """The picture that :func:`draw_chart` writes."""
     height = TOP + len(panels) * PANEL_HEIGHT + (len(panels) - 1) * GAP + BOTTOM
     canvas = Canvas(WIDTH, height)
     texts: list[tuple[float, float, str, Literal["left", "centre", "right"]]] = []
-    across = _Axis.over([x], log_x)
+    across = _Axis.over([x, *(line.x for panel in panels for line in panel.lines)], log_x)
+    names: list[tuple[float, float, str, str]] = []
     for i, panel in enumerate(panels):
         top = TOP + i * (PANEL_HEIGHT + GAP)
         dots = np.empty((0, 2)) if panel.dots is None else panel.dots
-        up = _Axis.over([panel.values, dots[:, 1]], panel.log)
+        up = _Axis.over([panel.values, dots[:, 1], *(line.values for line in panel.lines)], panel.log)
         if panel.span is not None:
             left, right = (LEFT + across.share(end) * (WIDTH - LEFT - RIGHT) for end in panel.span)
             corners = [[left, top], [right, top], [right, top + PANEL_HEIGHT], [left, top + PANEL_HEIGHT]]
@@ -105,19 +137,39 @@ def draw_chart(
         places = [_place(across, up, top, a, b) for a, b in zip(x, panel.values, strict=True)]
         for x_dot, y_dot in dots:
             canvas.disc(np.array(_place(across, up, top, x_dot, y_dot)), 1.5, fill=SOFT)
-        canvas.line(np.array(places), colour=LINE, width=2.0)
-        for place in places:
-            canvas.disc(np.array(place), 2.5, fill=LINE)
+        drawn = [(places, LINE)]
+        for line in panel.lines:
+            own = [_place(across, up, top, a, b) for a, b in zip(line.x, line.values, strict=True)]
+            drawn.append((own, line.colour))
+        for own, colour in drawn:
+            canvas.line(np.array(own).reshape(-1, 2), colour=colour, width=2.0)
+            for place in own:
+                canvas.disc(np.array(place), 2.5, fill=colour)
         if panel.mark is not None:
             canvas.disc(np.array(_place(across, up, top, *panel.mark)), 6.0, fill=MARK)
         texts.append((LEFT, top - 12, panel.label, "left"))
+        names += _names(panel, top - 12)
     image = canvas.finished()
     head, body = Typeface(22), Typeface(15)
     head.paint(image, LEFT, 32, head.fit(title, WIDTH - LEFT - RIGHT), fill=INK)
     for left, baseline, text, align in texts:
         body.paint(image, left, baseline, text, fill=SOFT, align=align)
+    for right, baseline, text, colour in names:
+        body.paint(image, right, baseline, text, fill=colour, align="right")
     body.paint(image, 0.5 * (LEFT + WIDTH - RIGHT), height - 14, x_label, fill=INK, align="centre")
-    return write_picture(path, image)
+    return image
+
+
+def _names(panel: ChartPanel, baseline: float) -> list[tuple[float, float, str, str]]:
+    """Names of the lines in their colours, from the right edge leftwards: place, text and colour."""
+    body = Typeface(15)
+    names: list[tuple[float, float, str, str]] = []
+    right = float(WIDTH - RIGHT)
+    for line in reversed(panel.lines):
+        text = body.fit(line.label, 200)
+        names.append((right, baseline, text, line.colour))
+        right -= body.width(text) + 18
+    return names
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from lightopt.report._sheet_layout import (
 from lightopt.report._thumbnail import SATURATED_COLOUR, Thumbnail, shade_of_saturation, thumbnail
 from lightopt.report._typeface import Typeface
 
-__all__ = ["add_contact_sheets", "contact_sheet"]
+__all__ = ["add_contact_sheets", "contact_sheet", "entry_thumbnail", "saturation_text"]
 
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
 RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)
@@ -114,7 +114,7 @@ def contact_sheet(
     shown = _exposure(image_set, exposure)
     table = sheet_table(image_set, shown)
     limit = thumbnail_limit(table)
-    thumbnails = {key: _load(image_set, entry, limit) for key, entry in table.entries.items()}
+    thumbnails = {key: entry_thumbnail(image_set, entry, limit) for key, entry in table.entries.items()}
     type_ = SheetType(title=Typeface(32), head=Typeface(21), text=Typeface(16))
     heading = title or _names(image_set.manifest)
     facts = _facts(image_set.manifest, table, shown)
@@ -153,7 +153,8 @@ def _exposure(image_set: ImageSet, asked: float | None) -> float:
     return found[0]
 
 
-def _load(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
+def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
+    """An image of a set as the camera delivered it, made small; neither side longer than `limit` [px]."""
     image = image_set.load(entry)
     share = image.levels * np.float32(entry.exposure / image_set.manifest.full_scale)
     return thumbnail(share, image.saturated, limit=limit)
@@ -227,12 +228,15 @@ def _paint_cell(
     image.paste(Image.fromarray(thumbnail.picture), (x, y + (cell[1] - rows) // 2))
     if columns < cell[0]:  # a narrow image is framed, lest its black run into nothing
         ImageDraw.Draw(image).rectangle([x, y, x + cell[0] - 1, y + cell[1] - 1], outline=FAINT)
-    type_.text.paint(image, x, baseline, _caption(thumbnail), fill=RED if thumbnail.saturated else SOFT)
+    type_.text.paint(
+        image, x, baseline, saturation_text(thumbnail), fill=RED if thumbnail.saturated else SOFT
+    )
     if note:
         type_.text.paint(image, x, baseline + type_.text.line_height, note, fill=SOFT)
 
 
-def _caption(thumbnail: Thumbnail) -> str:
+def saturation_text(thumbnail: Thumbnail) -> str:
+    """How many pixels of the full image are saturated."""
     if not thumbnail.saturated:
         return "0 px saturated"
     percent = 100.0 * thumbnail.saturated / thumbnail.pixels

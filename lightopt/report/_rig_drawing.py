@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightopt.raycast import RayCaster
 from lightopt.rendering import cast_rays_at
@@ -31,7 +32,7 @@ from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene
 from lightopt.transforms import Posture
 
-__all__ = ["rig_drawing"]
+__all__ = ["rig_drawing", "rig_image"]
 
 Float64 = NDArray[np.float64]
 
@@ -72,6 +73,11 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwr
         When the file cannot be written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
+    return write_picture(path, rig_image(scene, annotate=annotate), overwrite=overwrite)
+
+
+def rig_image(scene: Scene, *, annotate: bool = True) -> Image.Image:
+    """The picture that :func:`rig_drawing` writes."""
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
     caster = cast_rays_at(scene)
     shape = camera_shape(scene.camera, 0.13 * rig_size(scene))
@@ -93,7 +99,7 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwr
     main_box = (8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0)
     paint_labels(image, place_labels(pen.labels, typeface, ink=ink, bounds=main_box), typeface)
     paint_labels(image, place_labels(stage.labels, small, ink=ink, bounds=stage.box), small)
-    return write_picture(path, image, overwrite=overwrite)
+    return image
 
 
 def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> ParallelView:

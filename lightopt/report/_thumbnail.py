@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SATURATED_COLOUR", "Thumbnail", "shade_of_saturation", "thumbnail", "thumbnail_size"]
+__all__ = [
+    "SATURATED_COLOUR",
+    "Thumbnail",
+    "shade_of_saturation",
+    "shrunk",
+    "thumbnail",
+    "thumbnail_size",
+]
 
 SATURATED_COLOUR = (225, 29, 42)
 """Of a cell all of whose pixels are saturated."""
@@ -61,6 +68,13 @@ def thumbnail(level: NDArray[np.floating], saturated: NDArray[np.bool_], *, limi
     picture = np.floor(blend + 0.5).astype(np.uint8).repeat(enlarge, axis=0).repeat(enlarge, axis=1)
     picture.flags.writeable = False
     return Thumbnail(picture, int(np.count_nonzero(saturated)), saturated.size)
+
+
+def shrunk(picture: NDArray[np.uint8] | NDArray[np.uint8 | np.uint16], *, limit: int) -> NDArray[np.uint8]:
+    """A colour picture of 8 bits, shape (rows, columns, 3), by means of square cells; no side longer than `limit`."""
+    shrink, _ = _factors(picture.shape[1], picture.shape[0], limit)
+    channels = [_cell_means(picture[..., k].astype(np.float64), shrink) for k in range(3)]
+    return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
 
 
 def shade_of_saturation(share: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,6 +27,7 @@ from lightopt.scene._sampling import (
     points_advice,
 )
 from lightopt.scene._scene import PartView, Placement, Scene, view_from_part
+from lightopt.scene._travel import travel_order, travel_s
 from lightopt.transforms import Posture
 
 __all__ = [
@@ -66,6 +67,8 @@ __all__ = [
     "rectangles_meet",
     "screen_window",
     "segments_blocked",
+    "travel_order",
+    "travel_s",
     "unit_hint",
     "view_from_part",
     "view_size",

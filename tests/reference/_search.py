@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-__all__ = ["all_combinations", "coverage_value", "paper_value", "usable_value"]
+__all__ = ["all_combinations", "coverage_value", "detectability_value", "paper_value", "usable_value"]
 
 
 def paper_value(columns, shade, saturation, black=0):
@@ -29,6 +29,17 @@ def coverage_value(columns, shade, saturation, areas):
     usable = np.count_nonzero((matrix >= shade) & (matrix < saturation), axis=0)
     saturated = np.count_nonzero(matrix >= saturation, axis=0)
     return int(sum(int(a) for a, u, s in zip(areas, usable, saturated, strict=True) if u >= 2 and s <= 1))
+
+
+def detectability_value(images, areas, trial_weights, seen_in):
+    """Area times weight of the defects that are visible in `seen_in` images or more; images of (patches, trials)."""
+    counts = np.sum([np.asarray(image, dtype=np.int64) for image in images], axis=0)
+    total = 0
+    for p, area in enumerate(areas):
+        for t, weight in enumerate(trial_weights):
+            if counts[p, t] >= seen_in:
+                total += int(area) * int(weight)
+    return total
 
 
 def usable_value(columns, shade, saturation, weights, black=0):

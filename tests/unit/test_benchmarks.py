@@ -136,7 +136,9 @@ def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
         command.measure([sys.executable, "-c", "import sys; print('sorry', file=sys.stderr); sys.exit(3)"])
 
 
-@pytest.mark.parametrize("name", ["bare", "peers", "auto", "command", "search", "fit", "capture"])
+@pytest.mark.parametrize(
+    "name", ["bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "capture"]
+)
 def test_each_benchmark_runs_and_writes_its_numbers(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,9 +7,9 @@ import itertools
 import pytest
 
 from lightopt.capture import CaptureOptions, make_plan
-from lightopt.capture._order import travel_order
 from lightopt.config import load_part, load_rig
 from lightopt.errors import InputError
+from lightopt.scene import travel_order
 from lightopt.transforms import Posture
 
 HARDWARE = """\

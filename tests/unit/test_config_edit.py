@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lightopt.config import with_values
+from lightopt.config import with_list, with_values
 from lightopt.errors import InputError
 
 TEXT = """\
@@ -47,3 +47,51 @@ def test_an_anchor_that_would_be_lost_is_refused():
     with pytest.raises(InputError, match="anchors"):
         with_values(text, {("a",): "4"})
     assert with_values(text, {("b",): "4"}) == "a: &x 3\nb: 4\n"
+
+
+BLOCK = """\
+postures:   # two
+  - {elevation_deg: 0, rotation_deg: 0}
+  # then
+  - elevation_deg: 1
+    rotation_deg: 3
+"""
+
+
+@pytest.mark.parametrize(
+    ("there", "rest"),
+    [
+        ("postures: [{elevation_deg: 0, rotation_deg: 0}]   # the usual\n", "   # the usual\n"),
+        (
+            BLOCK,
+            "\n",
+        ),
+        ("postures:\n- {elevation_deg: 0,\n   rotation_deg: 0}\n", "\n"),
+    ],
+)
+def test_a_list_takes_the_place_of_another(there, rest):
+    before, after = "# a part\nformat: x   # one\n", "# next comes\nreflectance: {R_d: 1}   # all\n"
+    new = ["{elevation_deg: 5, rotation_deg: 6}", "{elevation_deg: 7, rotation_deg: 8}"]
+    done = with_list(before + there + after, "postures", new, comment="planned", replace=True)
+    block = f"# planned\npostures:\n  - {new[0]}\n  - {new[1]}"
+    assert done == before + block + rest + after
+    with pytest.raises(InputError, match="it has such a key"):
+        with_list(before + there + after, "postures", new, comment="planned")
+    # at the end of the file, and where there is none yet
+    assert (
+        with_list(before + there, "postures", new, comment="planned", replace=True) == before + block + rest
+    )
+    assert with_list(before, "postures", new, comment="planned", replace=True) == f"{before}\n{block}\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{format: x, postures: [{a: 1}]}\n",
+        "x: &p [{a: 1}]\npostures: *p\n",
+        "x: &p {a: 1}\npostures:\n  - *p\n",
+    ],
+)
+def test_a_list_in_braces_or_behind_an_alias_is_refused(text):
+    with pytest.raises(InputError, match="postures cannot be"):
+        with_list(text, "postures", ["{a: 2}"], comment="planned", replace=True)

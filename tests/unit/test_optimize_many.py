@@ -94,8 +94,8 @@ def test_more_moving_lights_than_numpy_has_axes_end_with_a_bound():
         found = search([matrix], objective, THRESHOLDS, keep=2, limit=100_000, table_cells=64)
         assert found.left > 2**79
         assert found.bound >= found.best.score
-        columns, weights = matrix.combination(found.best.candidates), objective.weights(matrix.areas)
-        assert objective.score(columns, weights, THRESHOLDS) == found.best.score
+        one, weights = matrix.combination(found.best.candidates), objective.weights(matrix.areas)
+        assert objective.score(one, weights, THRESHOLDS) == found.best.score
     with pytest.raises(InputError, match=r"more than 10\^300 combinations; take a larger --step"):
         search([random_matrix((2,) * 1000, 3)], OBJECTIVES["coverage"], THRESHOLDS)
 
@@ -278,7 +278,7 @@ def test_a_search_holds_no_second_copy_of_the_levels(name, change):
 def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     matrix = random_matrix((5, 1, 4, 3), 700)
     whole = {
-        name: o.scores(matrix.levels, o.weights(matrix.areas), THRESHOLDS, threads=2)
+        name: o.scores(matrix, o.weights(matrix.areas), THRESHOLDS, threads=2)
         for name, o in OBJECTIVES.items()
     }
     for module, names in {
@@ -294,5 +294,5 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
         monkeypatch.setattr("lightopt.optimize._paper.DIRECT_COST", cost)
         monkeypatch.setattr("lightopt.optimize._coverage.BITS_SHARE", share)
         weights = objective.weights(matrix.areas)
-        again = objective.scores(matrix.levels, weights, THRESHOLDS, threads=3)
+        again = objective.scores(matrix, weights, THRESHOLDS, threads=3)
         np.testing.assert_array_equal(again, whole[name])

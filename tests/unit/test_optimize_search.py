@@ -128,13 +128,13 @@ def test_scores_are_those_of_the_definition_and_below_the_bound(name):
     levels = random_levels(rng, (3, 4, 2, 3), 200)
     thresholds = Thresholds(shade=10, saturation=255)
     objective = OBJECTIVES[name]
-    weights = objective.weights(rng.random(200))
-    scores = objective.scores(levels, weights, thresholds, threads=1).reshape(3, 4, 2, 3)
+    matrix = LuminanceMatrix(levels=levels, areas=rng.random(200))
+    weights = objective.weights(matrix.areas)
+    scores = objective.scores(matrix, weights, thresholds, threads=1).reshape(3, 4, 2, 3)
     for place in np.ndindex(3, 4, 2, 3):
-        columns = np.stack([layer[i] for layer, i in zip(levels, place, strict=True)])
-        assert scores[place] == objective.score(columns, weights, thresholds)
-    assert scores.max() <= objective.bound(levels, weights, thresholds)
-    assert (scores.ravel() == objective.scores(levels, weights, thresholds, threads=3)).all()
+        assert scores[place] == objective.score(matrix.combination(place), weights, thresholds)
+    assert scores.max() <= objective.bound(matrix, weights, thresholds)
+    assert (scores.ravel() == objective.scores(matrix, weights, thresholds, threads=3)).all()
 
 
 def test_runs_and_packed_bits_agree_on_any_weights():
@@ -157,8 +157,8 @@ def test_more_patches_than_a_kernel_takes_at_once():
     for objective in OBJECTIVES.values():
         found = search([matrix], objective, thresholds, keep=8)
         for ranked in found.ranking:
-            columns = matrix.combination(ranked.candidates)
-            assert ranked.score == objective.score(columns, objective.weights(matrix.areas), thresholds)
+            one = matrix.combination(ranked.candidates)
+            assert ranked.score == objective.score(one, objective.weights(matrix.areas), thresholds)
 
 
 def test_a_limit_leaves_a_bound_that_holds():

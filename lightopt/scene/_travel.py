@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import permutations
 
+from lightopt.config import StageDeviceConfig
 from lightopt.transforms import Posture
 
-__all__ = ["travel_order"]
+__all__ = ["travel_order", "travel_s"]
 
 _EXACT_UP_TO = 7
 
@@ -30,6 +31,15 @@ def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> 
         # ties go to the first permutation, the one nearest to the order given; rounding must not break them
         return min(permutations(postures), key=lambda order: round(_total(order, start, time), 6))
     return _improved(_nearest_next(postures, start, time), start, time)
+
+
+def travel_s(stage: StageDeviceConfig | None, start: Posture, end: Posture) -> float:
+    """Seconds that a stage takes from one posture to another, both axes at a time; at 1 °/s where there is none."""
+    tilt, turn = end.elevation_deg - start.elevation_deg, end.rotation_deg - start.rotation_deg
+    if stage is None:
+        return max(abs(tilt), abs(turn))
+    ways = ((stage.elevation, tilt), (stage.rotation, turn))
+    return max((abs(way) / axis.speed_deg_per_s for axis, way in ways if axis is not None), default=0.0)
 
 
 def _total(order: Sequence[Posture], start: Posture, time: Time) -> float:

@@ -1,0 +1,146 @@
+"""A hundred candidate postures planned with the lights, and what tolerances cost: seconds, memory, and the bound."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+from benchmarks._case import CONFIGS, RIG, Size, resized
+from benchmarks._report import Report, Table
+from benchmarks.bare import THREADS
+from benchmarks.search import peak_bytes
+from lightopt import build_scene, load_part, load_rig
+from lightopt.optimize import Contrast, Inspection, find_candidates, unroll
+from lightopt.plan import (
+    DRAWN_PATCHES,
+    Choice,
+    PairAssessment,
+    Setup,
+    Survey,
+    Tolerances,
+    Wanted,
+    choose_postures,
+    drawn_patches,
+    trust_of,
+)
+from lightopt.rendering import build_patches, cast_rays_at
+from lightopt.scene import Posture, build_catalogue
+
+__all__ = ["run"]
+
+PARTS = ("cover-knob", "spout")
+TILTS = (-40.0, -20.0, 0.0, 20.0, 40.0)
+TARGET_S, TARGET_BYTES = 600.0, 3e9
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Rotations of the grid, patches, those that are drawn, postures to choose."""
+
+    rotations: int
+    patches: int
+    drawn: int
+    chosen: int
+
+
+SCALES = {
+    "full": Scale(20, 200_000, DRAWN_PATCHES, 8),
+    "quick": Scale(4, 20_000, 5_000, 4),
+    "toy": Scale(1, 600, 200, 2),
+}
+
+
+def run(size: Size) -> Report:
+    """Plan both sample parts from nothing: patches of all postures, turns of postures and lights, the final cover."""
+    scale = SCALES[size.name]
+    rows: list[tuple[str, ...]] = []
+    trust_rows: list[tuple[str, ...]] = []
+    numbers: dict[str, object] = {}
+    rig = load_rig(RIG)
+    candidates = find_candidates(rig, step_deg=5.0)
+    for name in PARTS:
+        part = load_part(CONFIGS / "parts" / f"{name}.yaml")
+        start = time.perf_counter()
+        scene = build_scene(rig, part)
+        turns = [360.0 * k / scale.rotations for k in range(scale.rotations)]
+        scene = replace(
+            scene,
+            camera=resized(scene.camera, size.width),
+            postures=tuple(Posture(tilt, turn) for tilt in TILTS for turn in turns),
+        )
+        caster = cast_rays_at(scene)
+        table = build_patches(scene, caster=caster, budget=scale.patches)
+        contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
+        trials = unroll(build_catalogue(part))
+        whole = Survey(
+            scene=scene,
+            table=table,
+            caster=caster,
+            inspection=Inspection(trials=trials, contrast=contrast),
+            threads=THREADS,
+        )
+        drawn = replace(whole, table=drawn_patches(table, scale.drawn))
+        cut = time.perf_counter() - start
+        choice = choose_postures(
+            whole, drawn, scene.postures, scene.lights, candidates, Wanted(count=scale.chosen)
+        )
+        seconds = time.perf_counter() - start
+        cover = choice.cover
+        rows.append(
+            (
+                name,
+                f"{len(scene.postures)} × {len(whole.patches):,} × {len(trials)}",
+                f"{cut:.0f}",
+                f"{seconds:.0f}",
+                f"{peak_bytes() / 1e9:.2f}",
+                f"{cover.share:.1%}",
+                f"{cover.bound_share:.1%}",
+                f"{cover.all_reached / cover.total:.1%}",
+            )
+        )
+        start = time.perf_counter()
+        keeps, patches = tolerances(drawn, choice)
+        trust_seconds = time.perf_counter() - start
+        trust_rows.append((name, f"{patches:,}", f"{trust_seconds:.0f}", f"{keeps:.1%}"))
+        numbers[name] = {
+            "seconds": seconds,
+            "patch_seconds": cut,
+            "tolerance_seconds": trust_seconds,
+            "peak_bytes": peak_bytes(),
+            "share": cover.share,
+            "bound": cover.bound_share,
+            "turns": choice.turns,
+        }
+    return Report(
+        "plan",
+        [
+            Table(
+                f"{scale.chosen} postures chosen with the lights, {THREADS} threads "
+                f"(targets: {TARGET_S:.0f} s, {TARGET_BYTES / 1e9:.0f} GB)",
+                ("part", "postures × patches × trials", "patches s", "whole s", "GB", "seen", "bound", "all"),
+                rows,
+            ),
+            Table(
+                "tolerances of the first posture, 2° for lights and 1° for the part",
+                ("part", "patches", "s", "worst corner keeps"),
+                trust_rows,
+            ),
+        ],
+        numbers,
+        ["memory is the most that the process has had so far"],
+    )
+
+
+def tolerances(drawn: Survey, choice: Choice) -> tuple[float, int]:
+    """What the worst corner keeps of the first posture's score, and the patches that this was worked out on."""
+    rig = load_rig(RIG)
+    setup = Setup(
+        rig=rig,
+        postures=choice.postures[:1],
+        angles=(tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights),),
+        exposures=((1.0,),),
+    )
+    names = [light.name for light in rig.lights]
+    assess = PairAssessment(drawn, setup, least=1)
+    trust = trust_of(assess, names, Tolerances(light_deg=2.0, pose_deg=1.0))
+    return trust.worst / max(1, trust.score), len(drawn.patches)

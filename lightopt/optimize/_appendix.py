@@ -1,0 +1,71 @@
+"""What a caller of the optimisation adds to its result, knowing what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.optimize._blind_files import BLIND_NAMES
+from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._matrix import Thresholds
+from lightopt.optimize._result import SetResult
+from lightopt.raycast import RayCaster
+from lightopt.rendering import PatchTable
+from lightopt.scene import Scene
+
+__all__ = ["APPENDED_NAMES", "Appendix", "Appraise", "Outcome"]
+
+APPENDED_NAMES = ("part.planned.yaml", *BLIND_NAMES)
+"""Files that an appendix may have; with ``--force`` no others are removed."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Outcome:
+    """What was found, before it is written.
+
+    Attributes
+    ----------
+    scene, caster
+        The part in its postures.
+    candidates, thresholds
+        What there was to choose from, and which levels are usable.
+    results
+        One per posture, or one for all of them.
+    table
+        Makes the patches, or gives those that are made.
+    """
+
+    scene: Scene
+    caster: RayCaster
+    candidates: Candidates
+    thresholds: Thresholds
+    results: tuple[SetResult, ...]
+    table: Callable[[], PatchTable]
+
+
+def _nothing() -> Mapping[str, Any]:
+    return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Appendix:
+    """More for the output folder.
+
+    Attributes
+    ----------
+    sections
+        Of result.json, beside its own.
+    files
+        Further files by path inside the folder: text, bytes, or a picture of shape (height, width, 3); the name is one
+        of :data:`APPENDED_NAMES`.
+    """
+
+    sections: Mapping[str, Any] = field(default_factory=_nothing)
+    files: Mapping[str, str | bytes | NDArray[np.uint8]] = field(default_factory=_nothing)
+
+
+Appraise = Callable[[Outcome], Appendix]

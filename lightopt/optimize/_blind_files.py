@@ -1,0 +1,148 @@
+"""Blind spots as files: a table, a coloured surface in the coordinates of the part's file, a picture per posture."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.images import posture_folder
+from lightopt.mesh import Patches
+from lightopt.optimize._blind import Blind, BlindSpots
+from lightopt.optimize._blind_report import BlindReport, reason_names
+from lightopt.raycast import RayCaster
+from lightopt.rendering import trace_samples
+from lightopt.scene import Placement, Scene, view_from_part
+
+__all__ = ["BLIND_NAMES", "blind_files", "blind_pictures", "patch_colours"]
+
+BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
+
+COLOURS = {
+    Blind.SEEN: (225, 225, 225),
+    Blind.CAMERA: (90, 90, 90),
+    Blind.GRAZING: (170, 68, 153),
+    Blind.SHADOWED: (51, 34, 136),
+    Blind.CONTRAST: (221, 170, 51),
+    Blind.SATURATED: (204, 51, 17),
+}
+"""Of what is seen and of the reasons: Paul Tol's muted and high-contrast schemes, which the colour-blind tell apart. A
+patch on which some defects are seen has a mixture of the two colours."""
+
+BACKGROUND = (0, 0, 0)
+
+BLOCK_ROWS = 64
+"""Of a picture, traced at once."""
+
+
+def blind_files(report: BlindReport, patches: Patches, placement: Placement) -> Mapping[str, str | bytes]:
+    """``blind.csv`` and ``blind.ply``.
+
+    Parameters
+    ----------
+    report
+        The blind spots.
+    patches
+        That they are of.
+    placement
+        Of the mesh file in the part's frame.
+    """
+    return {BLIND_CSV: _csv(report), BLIND_PLY: _ply(report, patches, placement)}
+
+
+def blind_pictures(
+    report: BlindReport, patches: Patches, scene: Scene, caster: RayCaster
+) -> Mapping[str, NDArray[np.uint8]]:
+    """What the camera sees in each posture, coloured by what the chosen lights show of the defects, by file name."""
+    pictures: dict[str, NDArray[np.uint8]] = {}
+    for posture, spots in zip(report.postures, report.chosen_in, strict=True):
+        camera = view_from_part(scene, posture).camera
+        colours = patch_colours(spots)
+        picture = np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8)
+        for top in range(0, camera.height, BLOCK_ROWS):
+            rows = picture[top : top + BLOCK_ROWS]
+            y, x = np.divmod(np.arange(len(rows) * camera.width), camera.width)
+            hits, surface = trace_samples(caster, scene.mesh, camera, x + 0.5, top + y + 0.5)
+            # the shape is told by how much the surface faces the camera
+            facing = np.abs(np.einsum("ij,ij->i", surface.normals, surface.views))
+            shaded = colours[patches.patch_at(hits.face, hits.u, hits.v)] * (0.55 + 0.45 * facing[:, None])
+            rows.reshape(-1, 3)[hits.ray] = np.rint(shaded).astype(np.uint8)
+        pictures[f"{posture_folder(posture)}/{BLIND_PNG}"] = picture
+    return pictures
+
+
+def patch_colours(spots: BlindSpots) -> NDArray[np.float64]:
+    """Red, green and blue of each patch, 0 to 255, shape (n, 3)."""
+    table = np.array([COLOURS[code] for code in Blind], np.float64)
+    reason = table[np.minimum(spots.codes, Blind.SATURATED)]
+    return reason + spots.share[:, None] * (table[Blind.SEEN] - reason)
+
+
+def _csv(report: BlindReport) -> str:
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["postures", "lights", "what", "share", "area_mm2", "colour"])
+    names = dict(reason_names(report.lights))
+    surface = float(report.chosen.areas.sum())
+    for posture, chosen, possible in report.parts():
+        where = "all" if posture is None else f"{posture.elevation_deg:g},{posture.rotation_deg:g}"
+        for lights, spots in (("chosen", chosen), ("any position", possible)):
+            for code, share in {int(Blind.SEEN): spots.seen, **spots.by_reason()}.items():
+                colour = "#{:02x}{:02x}{:02x}".format(*COLOURS[Blind(min(code, Blind.SATURATED))])
+                table.writerow([where, lights, names[code], f"{share:.6f}", f"{share * surface:.6g}", colour])
+    return text.getvalue()
+
+
+def _ply(report: BlindReport, patches: Patches, placement: Placement) -> bytes:
+    # corners in the coordinates of the mesh file: x_file = Rᵀ·(x − t)
+    vertices = (patches.vertices - placement.translation) @ placement.rotation
+    legend = [f"comment code {code}: {name}" for code, name in reason_names(report.lights)]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment lightopt blind spots; lengths in mm, coordinates of the part's own file (GLB: Z up)",
+        f"comment seen and code: chosen lights; {report.objective.seen_in} or more images of a posture show a defect",
+        "comment reachable and reachable_code: each light where it shows the defect, whatever the others",
+        "comment seen, reachable: weighted share of the defects, 0 to 1",
+        *legend,
+        f"element vertex {len(vertices)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        f"element face {len(patches)}",
+        "property list uchar int vertex_indices",
+        *(f"property uchar {channel}" for channel in ("red", "green", "blue")),
+        "property float seen",
+        "property uchar code",
+        "property float reachable",
+        "property uchar reachable_code",
+        "end_header",
+    ]
+    faces = np.zeros(
+        len(patches),
+        np.dtype(
+            [
+                ("count", "u1"),
+                ("corners", "<i4", 3),
+                ("colour", "u1", 3),
+                ("seen", "<f4"),
+                ("code", "u1"),
+                ("reachable", "<f4"),
+                ("reachable_code", "u1"),
+            ]
+        ),
+    )
+    faces["count"] = 3
+    faces["corners"] = patches.triangles
+    faces["colour"] = np.rint(patch_colours(report.chosen)).astype(np.uint8)
+    faces["seen"], faces["code"] = report.chosen.share, np.minimum(report.chosen.codes, 255)
+    faces["reachable"] = report.possible.share
+    faces["reachable_code"] = np.minimum(report.possible.codes, 255)
+    text = "".join(f"{_printable(line)}\n" for line in header)
+    return text.encode("ascii") + vertices.astype("<f4").tobytes() + faces.tobytes()
+
+
+def _printable(line: str) -> str:
+    # a header is ASCII without control characters, whatever lights are called
+    return "".join(c if c.isascii() and c.isprintable() else "?" for c in line)

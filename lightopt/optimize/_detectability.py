@@ -1,0 +1,166 @@
+"""Objective ``detectability``: of the defects that the inspection is planned for, those that enough images show.
+
+With the trials t of the part's catalogue (:mod:`lightopt.optimize._trials`), n(p, t) the number of images in which
+trial t is visible on patch p (:mod:`lightopt.optimize._contrast`), and k from ``--seen-in``,
+
+    score = Σ_p area(p) · Σ_t weight(t) · [n(p, t) ≥ k],
+
+areas in whole square micrometres. Divided by the visible area and the sum of the weights it is the share of (patch,
+defect) pairs that are seen. The bits change a few times along the candidates of a light: see
+:mod:`lightopt.optimize._bit_runs`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+from lightopt.optimize._bit_runs import bit_run_scores, flags_of
+from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._trials import Trial
+from lightopt.optimize._visibility import Visibility
+from lightopt.optimize._work import Share
+
+__all__ = ["Detectability"]
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Detectability:
+    """Defects that enough images show; see the module's text.
+
+    Attributes
+    ----------
+    trials
+        The defects.
+    seen_in
+        Images that must show a defect.
+    """
+
+    trials: tuple[Trial, ...]
+    seen_in: int = 1
+    name: str = "detectability"
+    unit: str = "µm² × weight of the defects"
+
+    def __post_init__(self) -> None:
+        if self.seen_in < 1:
+            raise InputError(
+                f"--seen-in: expected the number of images that must show a defect, 1 or more, found {self.seen_in}"
+            )
+
+    @property
+    def total_weight(self) -> int:
+        """Sum of the trials' weights."""
+        return sum(trial.weight for trial in self.trials)
+
+    def shown(self, score: int) -> str:
+        """In mm², of the mean defect."""
+        return f"{score / self.total_weight * AREA_UNIT_MM2:,.2f} mm²"
+
+    def share(self, score: int, area: int) -> float | None:
+        """The share of the (patch, defect) pairs that are seen, by area and weight."""
+        return score / max(1, area * self.total_weight)
+
+    def refusal(self, lights: int) -> str | None:
+        """There are no more images than lights."""
+        if lights >= self.seen_in:
+            return None
+        return (
+            f"objective detectability wants each defect seen in {self.seen_in} images, and there are {lights} lights "
+            "only; lower --seen-in"
+        )
+
+    def weights(self, areas: Float64) -> Int64:
+        """Each patch counts by its area."""
+        return area_units(areas)
+
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+        """Count images, compare, add weights."""
+        del thresholds
+        per_trial = weights @ self._seen(_visibility(matrix))
+        return int(per_trial @ self._trial_weights())
+
+    def scores(
+        self,
+        matrix: LuminanceMatrix,
+        weights: Int64,
+        thresholds: Thresholds,
+        *,
+        threads: int,
+        progress: Share | None = None,
+    ) -> Int64:
+        """By the places where bits change, or by packed bits."""
+        del thresholds
+        visibility = _visibility(matrix)
+        return bit_run_scores(
+            visibility.words,
+            weights,
+            visibility.planes,
+            self._trial_weights(),
+            least=self.seen_in,
+            threads=threads,
+            progress=progress,
+        )
+
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+        """What could be seen if each light stood where it serves each defect best."""
+        del thresholds
+        visibility = _visibility(matrix)
+        return int(weights @ visibility.weights(visibility.reachable(self.seen_in)))
+
+    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
+        """Share of the area on which each kind of defect is seen, the worst kind, and the worst direction of walls."""
+        area = max(1, sum(int(own.sum()) for own in weights))
+        seen = sum(
+            (own @ self._seen(_visibility(matrix)) for matrix, own in zip(matrices, weights, strict=True)),
+            start=np.zeros(len(self.trials), np.int64),
+        )
+        kinds = self._mean_shares([trial.name for trial in self.trials], seen / area)
+        facts: dict[str, Any] = {
+            "seen_in": self.seen_in,
+            "defects": kinds,
+            "worst_defect": min(kinds, key=lambda name: kinds[name]),
+        }
+        leaning = [k for k, trial in enumerate(self.trials) if trial.slope > 0.0]
+        if leaning:
+            around = self._mean_shares(
+                [f"{round(math.degrees(self.trials[k].direction), 6):g}" for k in leaning],
+                seen[leaning] / area,
+            )
+            worst = min(around, key=lambda name: around[name])
+            facts["directions_deg"] = around
+            facts["worst_direction_deg"] = float(worst)
+        return facts
+
+    def _seen(self, visibility: Visibility) -> NDArray[np.bool_]:
+        # of one position of each light: which trials enough images show, shape (p, t)
+        count = len(self.trials)
+        images = sum((flags_of(layer[0], count) for layer in visibility.words), start=np.uint8(0))
+        return np.asarray(images >= self.seen_in)
+
+    def _trial_weights(self) -> Int64:
+        return np.array([trial.weight for trial in self.trials], np.int64)
+
+    def _mean_shares(self, names: Sequence[str], shares: Float64) -> dict[str, float]:
+        # mean over the trials of a name, in the order of the names
+        return {
+            name: round(float(np.mean([x for n, x in zip(names, shares, strict=True) if n == name])), 6)
+            for name in dict.fromkeys(names)
+        }
+
+
+def _visibility(matrix: LuminanceMatrix) -> Visibility:
+    if matrix.visibility is None:
+        raise InputError(
+            "objective detectability: expected a luminance matrix with the visibility of the defects, found levels "
+            "alone"
+        )
+    return matrix.visibility

@@ -1,0 +1,78 @@
+"""Which postures, which exposures, and how exactly the machine must hold its angles.
+
+What is planned for are *pairs* of a patch of the surface and a defect of the part's catalogue, as the objective
+detectability counts them. In how many images a pair is seen is counted over all postures and exposures of a plan.
+"""
+
+from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
+from lightopt.plan._choose import Choice, Wanted, choose_postures
+from lightopt.plan._combinations import Places, combination_sums, place_lights
+from lightopt.plan._counts import (
+    Counts,
+    PairWeights,
+    added,
+    counts_of_images,
+    gain_of,
+    no_counts,
+    reached,
+    worth,
+)
+from lightopt.plan._cover import Cover, Step, greedy_cover
+from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, Brackets, Shot, pick_shots, plan_exposures
+from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
+from lightopt.plan._options import PlanOptions
+from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf
+from lightopt.plan._run import Planned, plan
+from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
+from lightopt.plan._trust import DEFAULT_TOLERANCE_TARGET, Assess, Offset, Tolerances, Trust, Widest, trust_of
+from lightopt.plan._write import PLANNED_PART_NAME, planned_text
+
+__all__ = [
+    "DEFAULT_EXPOSURE_GAIN",
+    "DEFAULT_POSTURE_STEP",
+    "DEFAULT_TOLERANCE_TARGET",
+    "DRAWN_PATCHES",
+    "PLANNED_PART_NAME",
+    "Assess",
+    "Brackets",
+    "Choice",
+    "ChosenPostures",
+    "Counts",
+    "Cover",
+    "LeftOutPosture",
+    "ObjectiveAssessment",
+    "Offset",
+    "PairAssessment",
+    "PairWeights",
+    "Places",
+    "PlanOptions",
+    "PlanResult",
+    "Planned",
+    "Setup",
+    "Shot",
+    "Step",
+    "Survey",
+    "Tolerances",
+    "Trust",
+    "TrustOf",
+    "Wanted",
+    "Widest",
+    "added",
+    "choose_postures",
+    "combination_sums",
+    "counts_of_images",
+    "drawn_patches",
+    "gain_of",
+    "greedy_cover",
+    "no_counts",
+    "pick_shots",
+    "place_lights",
+    "plan",
+    "plan_exposures",
+    "planned_text",
+    "posture_grid",
+    "reached",
+    "trust_of",
+    "usable_postures",
+    "worth",
+]

@@ -1,0 +1,162 @@
+"""Exposures and tolerances of the lights and postures that were found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.images import posture_folder
+from lightopt.optimize import RIG_NAME, OptimizeOptions, Outcome, angles_of
+from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
+from lightopt.plan._exposures import Brackets, plan_exposures
+from lightopt.plan._options import OBJECTIVE, PlanOptions
+from lightopt.plan._postures import inspection_of
+from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf, commands
+from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
+from lightopt.plan._trust import Tolerances, trust_of
+from lightopt.plan._write import PLANNED_PART_NAME
+from lightopt.transforms import Posture
+
+__all__ = ["appraised"]
+
+Tell = Callable[[str, float], None]
+
+Angles = tuple[tuple[float, float], ...]
+
+
+def appraised(
+    rig: RigConfig,
+    part: PartConfig,
+    outcome: Outcome,
+    options: OptimizeOptions,
+    wanted: PlanOptions,
+    chosen: ChosenPostures | None,
+    survey: Survey | None,
+    searching: Tell | None,
+) -> PlanResult:
+    """The whole plan, with what is asked of it beside postures and lights.
+
+    Parameters
+    ----------
+    rig, part, options, wanted
+        What is planned.
+    outcome
+        Of the optimisation.
+    chosen
+        Postures; None for the part's own.
+    survey
+        The part that they were chosen on, so that all shares are of the same surface; None for the part's own.
+    searching
+        Called with what is going on and the share of that which is done.
+    """
+    if any(result.answers[0].nothing is not None for result in outcome.results):
+        return PlanResult(chosen=chosen)
+    angles = {
+        posture: angles_of(outcome.candidates, result.answers[0].found.best)
+        for result in outcome.results
+        for posture in result.postures
+    }
+    brackets: Brackets | None = None
+    trust: tuple[TrustOf, ...] = ()
+    if wanted.exposures or wanted.tolerances is not None:
+        survey = survey or Survey(
+            scene=outcome.scene,
+            table=outcome.table(),
+            caster=outcome.caster,
+            inspection=inspection_of(outcome.scene, part, options),
+            shadows=options.shadows,
+            threads=options.threads,
+        )
+        asked = _Asked(
+            rig=rig, outcome=outcome, options=options, survey=survey, angles=angles, tell=searching
+        )
+        if wanted.exposures:
+            brackets = asked.brackets(wanted)
+        if wanted.tolerances is not None:
+            trust = asked.trust(wanted.tolerances, brackets)
+    if chosen is None and brackets is None:
+        return PlanResult(trust=trust)
+    files = {posture: _rig_file(posture, angles) for posture in angles}
+    return PlanResult(
+        chosen=chosen,
+        brackets=brackets,
+        trust=trust,
+        commands=commands(files, PLANNED_PART_NAME, brackets),
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Asked:
+    """Lights and postures, and what they are looked at on; angles of the lights by posture [°]."""
+
+    rig: RigConfig
+    outcome: Outcome
+    options: OptimizeOptions
+    survey: Survey
+    angles: Mapping[Posture, Angles]
+    tell: Tell | None
+
+    def brackets(self, wanted: PlanOptions) -> Brackets:
+        """Further exposures."""
+        postures = tuple(self.angles)
+        setup = self._setup(postures, None)
+        lights = range(len(self.rig.lights))
+        return plan_exposures(
+            self.survey,
+            postures,
+            [[setup.panel(i, light, (0.0, 0.0)) for light in lights] for i in range(len(postures))],
+            wanted.exposures,
+            least=self.options.seen_in,
+            gain_points=wanted.exposure_gain,
+            tell=self._teller("exposures"),
+        )
+
+    def trust(self, tolerances: Tolerances, brackets: Brackets | None) -> tuple[TrustOf, ...]:
+        """How far the score falls, of each posture and of all together."""
+        drawn = replace(self.survey, table=drawn_patches(self.survey.table, DRAWN_PATCHES))
+        postures = tuple(self.angles)
+        groups = [(posture,) for posture in postures] + ([postures] if len(postures) > 1 else [])
+        return tuple(
+            TrustOf(
+                postures=group,
+                trust=trust_of(
+                    self._assessment(drawn, self._setup(group, brackets)),
+                    [light.name for light in self.rig.lights],
+                    tolerances,
+                    progress=self._teller(f"tolerances, {', '.join(map(str, group))}"),
+                ),
+                patches=len(drawn.patches),
+            )
+            for group in groups
+        )
+
+    def _assessment(self, drawn: Survey, setup: Setup) -> PairAssessment | ObjectiveAssessment:
+        objective = self.outcome.results[0].answers[0].objective
+        if objective.name == OBJECTIVE:
+            return PairAssessment(drawn, setup, least=self.options.seen_in)
+        # an objective of levels knows exposure 1 only
+        return ObjectiveAssessment(
+            replace(drawn, inspection=None),
+            replace(setup, exposures=((1.0,),) * len(setup.postures)),
+            objective=objective,
+            thresholds=self.outcome.thresholds,
+        )
+
+    def _setup(self, postures: Sequence[Posture], brackets: Brackets | None) -> Setup:
+        return Setup(
+            rig=self.rig,
+            postures=tuple(postures),
+            angles=tuple(self.angles[posture] for posture in postures),
+            exposures=tuple(brackets.of(posture) if brackets else (1.0,) for posture in postures),
+            points=self.options.points,
+        )
+
+    def _teller(self, stage: str) -> Callable[[float], None] | None:
+        tell = self.tell
+        return None if tell is None else lambda share: tell(stage, share)
+
+
+def _rig_file(posture: Posture, angles: Mapping[Posture, Angles]) -> str:
+    # as the optimisation writes them: one rig where all postures have the same lights
+    return RIG_NAME if len(set(angles.values())) == 1 else f"{posture_folder(posture)}/{RIG_NAME}"

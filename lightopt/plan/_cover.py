@@ -1,0 +1,249 @@
+"""Which few of many candidates see most: greedy cover with counts, and how far from the best it can be.
+
+Each candidate (a posture, or a posture at a further exposure) sees each pair in some number of images. The worth of a
+set S is Σ weight · min(k, Σ counts of its members): monotone and submodular, what one more candidate adds never grows
+with the set. So, after any steps of the greedy choice with set S' and remaining gains g, no N candidates are worth more
+than worth(S') + the sum of the N largest g; and N greedy steps reach at least the share 1 − (1 − 1/N)^N > 1 − 1/e of
+the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). Both are printed, the least of the first counts.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lightopt.errors import InputError
+from lightopt.plan._counts import Counts, PairWeights, added, gain_of, no_counts, reached, worth
+
+__all__ = ["Cover", "Step", "greedy_cover"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One candidate of a cover.
+
+    Attributes
+    ----------
+    candidate
+        Its index.
+    gain
+        What it adds to the worth of those before it.
+    worth
+        Of those before it and itself: Σ weight · min(k, count).
+    reached
+        Weight of the pairs that these see in k images or more.
+    """
+
+    candidate: int
+    gain: int
+    worth: int
+    reached: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cover:
+    """A choice of candidates.
+
+    Attributes
+    ----------
+    steps
+        The chosen ones, in the order in which they were chosen.
+    dropped
+        Candidates that were chosen and proved redundant by later ones.
+    k
+        Images that a pair has to be seen in.
+    total
+        Weight of all pairs.
+    bound
+        No set of as many candidates is worth more.
+    all_worth, all_reached
+        Of all candidates together.
+    least
+        No set of fewer candidates reaches the target; None without a target, or where it cannot be reached.
+    """
+
+    steps: tuple[Step, ...]
+    dropped: tuple[int, ...]
+    k: int
+    total: int
+    bound: int
+    all_worth: int
+    all_reached: int
+    least: int | None
+
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        """Indices of the chosen candidates."""
+        return tuple(step.candidate for step in self.steps)
+
+    @property
+    def worth(self) -> int:
+        """Of the chosen ones together."""
+        return self.steps[-1].worth if self.steps else 0
+
+    @property
+    def reached(self) -> int:
+        """Weight of the pairs that the chosen ones see in k images or more."""
+        return self.steps[-1].reached if self.steps else 0
+
+    @property
+    def share(self) -> float:
+        """Of all pairs, by weight, those seen in k images or more."""
+        return self.reached / max(1, self.total)
+
+    @property
+    def bound_share(self) -> float:
+        """No set of as many candidates sees more than this share in k images or more."""
+        # [count ≥ k] ≤ min(k, count) / k
+        return min(self.bound / self.k, self.all_reached) / max(1, self.total)
+
+    @property
+    def guarantee(self) -> float:
+        """Share of the best worth that the greedy choice of as many reaches whatever the candidates."""
+        n = len(self.steps)
+        return 1.0 - (1.0 - 1.0 / n) ** n if n else 1.0
+
+
+def greedy_cover(
+    candidates: Sequence[Counts],
+    weights: PairWeights,
+    *,
+    count: int | None = None,
+    target: float | None = None,
+    among: Sequence[int] | None = None,
+) -> Cover:
+    """Choose candidates one after the other, each time the one that adds most; the earlier one where two add the same.
+
+    Stops after `count`, when the share `target` of the weight is seen in k images, or when nothing adds anything. Those
+    that the later ones make redundant are dropped, and the choice goes on as far as it may.
+
+    Parameters
+    ----------
+    candidates
+        Counts of each, shape (k, p, words), all of one k.
+    weights
+        Of the pairs.
+    count
+        Most candidates to choose; as many as are needed by default.
+    target
+        Share of all pairs to be seen in k images or more, above 0 and up to 1.
+    among
+        Only these may be chosen; the bound is that of all.
+
+    Raises
+    ------
+    InputError
+        No candidate, a count below 1, a target out of range.
+    """
+    if not candidates:
+        raise InputError("cover: expected at least one candidate, found none")
+    if count is not None and count < 1:
+        raise InputError(f"cover: expected a count of 1 or more, found {count}")
+    if target is not None and not 0.0 < target <= 1.0:
+        raise InputError(f"cover: expected a target above 0 and up to 1, found {target:g}")
+    return _Greedy(candidates, weights, count, target, among).cover()
+
+
+class _Greedy:
+    def __init__(
+        self,
+        candidates: Sequence[Counts],
+        weights: PairWeights,
+        count: int | None,
+        target: float | None,
+        among: Sequence[int] | None,
+    ) -> None:
+        self.candidates, self.weights = candidates, weights
+        self.k = len(candidates[0])
+        self.allowed = range(len(candidates)) if among is None else sorted(among)
+        self.most = min(len(candidates), count or len(candidates))
+        self.total = weights.total
+        self.goal = None if target is None else target * self.total
+        self.chosen: list[int] = []
+        self.dropped: list[int] = []
+        # worth before a step and the gains then left, largest first: what bounds are made of
+        self.seen: list[tuple[int, list[int]]] = []
+
+    def cover(self) -> Cover:
+        everything = self._together(range(len(self.candidates)))
+        all_worth, all_reached = worth(everything, self.weights), reached(everything, self.weights)
+        while True:
+            self._choose()
+            redundant = self._redundant()
+            if redundant is None:
+                break
+            self.chosen.remove(redundant)
+            self.dropped.append(redundant)
+        reachable = self.goal is not None and all_reached >= self.goal
+        return Cover(
+            steps=tuple(self._steps()),
+            dropped=tuple(one for one in self.dropped if one not in self.chosen),
+            k=self.k,
+            total=self.total,
+            bound=min(all_worth, self._bound(len(self.chosen))),
+            all_worth=all_worth,
+            all_reached=all_reached,
+            least=self._least() if reachable else None,
+        )
+
+    def _choose(self) -> None:
+        now = self._together(self.chosen)
+        while True:
+            here = worth(now, self.weights)
+            gains = [
+                0 if i in self.chosen else gain_of(now, candidate, self.weights)
+                for i, candidate in enumerate(self.candidates)
+            ]
+            self.seen.append((here, sorted(gains, reverse=True)))
+            best = max(self.allowed, key=lambda i: gains[i])
+            met = self.goal is not None and reached(now, self.weights) >= self.goal
+            if met or len(self.chosen) >= self.most or gains[best] == 0:
+                return
+            self.chosen.append(best)
+            now = added(now, self.candidates[best])
+
+    def _redundant(self) -> int | None:
+        # the one whose loss costs least, the latest of those: nothing at all, or what the target can spare
+        whole = worth(self._together(self.chosen), self.weights)
+        spare: list[tuple[int, int, int]] = []
+        for place, one in enumerate(self.chosen):
+            rest = self._together([other for other in self.chosen if other != one])
+            loss = whole - worth(rest, self.weights)
+            enough = self.goal is not None and reached(rest, self.weights) >= self.goal
+            if loss == 0 or enough:
+                spare.append((loss, -place, one))
+        return min(spare)[2] if spare else None
+
+    def _steps(self) -> list[Step]:
+        steps: list[Step] = []
+        now = no_counts(self.weights, self.k)
+        for one in self.chosen:
+            gain = gain_of(now, self.candidates[one], self.weights)
+            now = added(now, self.candidates[one])
+            steps.append(
+                Step(
+                    candidate=one,
+                    gain=gain,
+                    worth=worth(now, self.weights),
+                    reached=reached(now, self.weights),
+                )
+            )
+        return steps
+
+    def _together(self, some: Sequence[int]) -> Counts:
+        now = no_counts(self.weights, self.k)
+        for one in some:
+            now = added(now, self.candidates[one])
+        return now
+
+    def _bound(self, size: int) -> int:
+        return min(here + sum(heapq.nlargest(size, gains)) for here, gains in self.seen)
+
+    def _least(self) -> int:
+        # a pair seen in k images is worth k
+        assert self.goal is not None
+        size = 0
+        while self._bound(size) < self.k * self.goal and size < len(self.chosen):
+            size += 1
+        return size

@@ -1,0 +1,89 @@
+"""What is asked of a plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from lightopt.errors import InputError
+from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
+from lightopt.plan._grid import DEFAULT_POSTURE_STEP
+from lightopt.plan._trust import Tolerances
+
+__all__ = ["OBJECTIVE", "PlanOptions", "check_plan"]
+
+OBJECTIVE = "detectability"
+"""The objective whose pairs of patch and defect are planned for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """What is asked of a plan, beside :class:`lightopt.optimize.OptimizeOptions`.
+
+    Attributes
+    ----------
+    postures
+        How many to choose; as many as the target takes where None.
+    target
+        Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
+    posture_step_deg
+        Of the grid to choose from [°].
+    exposures
+        Offered beside exposure 1; none by default.
+    exposure_gain
+        Points that one has to add.
+    tolerances
+        What may be off; None where nobody asks.
+    """
+
+    postures: int | None = None
+    target: float | None = None
+    posture_step_deg: float = DEFAULT_POSTURE_STEP
+    exposures: tuple[float, ...] = ()
+    exposure_gain: float = DEFAULT_EXPOSURE_GAIN
+    tolerances: Tolerances | None = None
+
+    @property
+    def chooses(self) -> bool:
+        """Whether postures are to be chosen."""
+        return self.postures is not None or self.target is not None
+
+    def facts(self) -> dict[str, Any]:
+        """What was asked for, as JSON; nothing where nothing was."""
+        facts: dict[str, Any] = {}
+        if self.chooses:
+            facts["choose_postures"] = self.postures
+            facts["target"] = self.target
+            facts["posture_step_deg"] = self.posture_step_deg
+        if self.exposures:
+            facts["exposures"] = list(self.exposures)
+            facts["exposure_gain"] = self.exposure_gain
+        if self.tolerances is not None:
+            facts["tolerances"] = {
+                "light_deg": self.tolerances.light_deg,
+                "pose_deg": self.tolerances.pose_deg,
+                "target": self.tolerances.target,
+                "draws": self.tolerances.draws,
+                "seed": self.tolerances.seed,
+            }
+        return facts
+
+
+def check_plan(options: PlanOptions) -> None:
+    """Say all that is wrong with the options at once.
+
+    Raises
+    ------
+    InputError
+        Anything out of range.
+    """
+    problems: list[str] = []
+    if options.postures is not None and options.postures < 1:
+        problems.append(f"--choose-postures: expected 1 posture or more, found {options.postures}")
+    if options.target is not None and not 0.0 < options.target <= 1.0:
+        problems.append(
+            f"--target: expected a share of the surface above 0 and up to 1, such as 0.95, found {options.target:g}"
+        )
+    problems += check_exposures(options.exposures, options.exposure_gain)
+    if problems:
+        raise InputError(*problems)

@@ -1,0 +1,138 @@
+"""The postures of a plan, from a rig and a part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import CheckFailed
+from lightopt.optimize import (
+    Candidates,
+    Contrast,
+    Inspection,
+    OptimizeOptions,
+    find_candidates,
+    unroll,
+)
+from lightopt.plan._choose import Choice, Wanted, choose_postures
+from lightopt.plan._grid import posture_grid, usable_postures
+from lightopt.plan._options import PlanOptions
+from lightopt.plan._result import ChosenPostures
+from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
+from lightopt.plan._unreached import unreached
+from lightopt.rendering import build_patches, cast_rays_at
+from lightopt.scene import Scene, build_catalogue, build_lights, build_scene, travel_order, travel_s
+from lightopt.transforms import Posture
+
+__all__ = ["HOME", "inspection_of", "places_of", "plan_postures"]
+
+HOME = Posture(0.0, 0.0)
+"""Where the stage's way begins."""
+
+
+def plan_postures(
+    rig: RigConfig,
+    part: PartConfig,
+    options: OptimizeOptions,
+    wanted: PlanOptions,
+    tell: Callable[[str], None] | None,
+    searching: Callable[[str, float], None] | None,
+) -> tuple[ChosenPostures, Survey]:
+    """Choose the postures, and the places of the lights that go with them; and the part that they were chosen on.
+
+    Parameters
+    ----------
+    rig, part, options, wanted
+        What is planned.
+    tell
+        Called with how many postures there are.
+    searching
+        Called with what is going on and the share of that which is done.
+
+    Raises
+    ------
+    InputError
+        Whatever is wrong with the files or the options.
+    CheckFailed
+        A target that cannot be reached.
+    """
+    candidates = _candidates(rig, options)
+    scene = build_scene(rig, part, points=options.points, defects=False)
+    grid = posture_grid(rig, part, step_deg=wanted.posture_step_deg)
+    caster = cast_rays_at(scene)
+    lights = build_lights(rig, None, options.points)
+    places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
+    postures, left_out = usable_postures(replace(scene, postures=grid), places, caster)
+    if tell is not None:
+        tell(f"{len(postures)} postures to choose from, {len(left_out)} left out")
+    scene = replace(scene, postures=postures)
+    table = build_patches(scene, caster=caster, budget=options.patch_budget)
+    whole = Survey(
+        scene=scene,
+        table=table,
+        caster=caster,
+        inspection=inspection_of(scene, part, options),
+        shadows=options.shadows,
+        threads=options.threads,
+    )
+    drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
+    choice = choose_postures(
+        whole,
+        drawn,
+        postures,
+        lights,
+        candidates,
+        Wanted(least=options.seen_in, count=wanted.postures, target=wanted.target),
+        tell=searching,
+    )
+    if wanted.target is not None and choice.cover.share < wanted.target:
+        raise CheckFailed(unreached(wanted.target, choice, drawn, least=options.seen_in))
+    stage = None if rig.hardware is None else rig.hardware.stage
+
+    def time(start: Posture, end: Posture) -> float:
+        return travel_s(stage, start, end)
+
+    order = travel_order(choice.postures, start=HOME, time=time)
+    chosen = ChosenPostures(
+        choice=choice,
+        offered=len(postures),
+        left_out=left_out,
+        order=order,
+        travel_s=sum(time(a, b) for a, b in zip((HOME, *order), order, strict=False)),
+        least=options.seen_in,
+        target=wanted.target,
+        drawn=len(drawn.patches),
+        patches=len(whole.patches),
+        visible_share=float(np.sum(table.patches.areas[whole.patches]) / np.sum(table.patches.areas)),
+    )
+    return chosen, whole
+
+
+def places_of(rig: RigConfig, choice: Choice, options: OptimizeOptions) -> tuple[tuple[float, float], ...]:
+    """Elevation and azimuth of each light in a choice [°]."""
+    if choice.lights is None:
+        return tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights)
+    angles = _candidates(rig, options)
+    assert angles is not None
+    return tuple(places[k] for places, k in zip(angles.angles, choice.lights, strict=True))
+
+
+def inspection_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> Inspection:
+    """What the images are looked at for: the part's catalogue, with the sensor's noise."""
+    return Inspection(
+        trials=unroll(build_catalogue(part)),
+        contrast=Contrast(
+            sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.contrast
+        ),
+    )
+
+
+def _candidates(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
+    if all(light.elevation_range_deg is None and light.azimuth_range_deg is None for light in rig.lights):
+        return None
+    return find_candidates(
+        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
+    )

@@ -1,0 +1,169 @@
+"""From two YAML files to a plan on disk: postures, lights, exposures, and how far they can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lightopt.config import PartConfig, RigConfig, load_part, load_rig
+from lightopt.errors import InputError
+from lightopt.images import file_sha256
+from lightopt.optimize import (
+    Appendix,
+    Draft,
+    OptimizeOptions,
+    Optimum,
+    Outcome,
+    optimize,
+    refuse_other_result,
+)
+from lightopt.plan._appraise import appraised
+from lightopt.plan._options import OBJECTIVE, PlanOptions, check_plan
+from lightopt.plan._postures import HOME, places_of, plan_postures
+from lightopt.plan._result import ChosenPostures, PlanResult, plan_dict
+from lightopt.plan._survey import Survey
+from lightopt.plan._write import PLANNED_PART_NAME, planned_text
+from lightopt.rendering import Report
+
+__all__ = ["Planned", "plan"]
+
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """What :func:`plan` found and left on disk.
+
+    Attributes
+    ----------
+    optimum
+        The lights, and the files.
+    result
+        Postures, exposures, trust.
+    """
+
+    optimum: Optimum
+    result: PlanResult
+
+
+def plan(
+    rig: RigConfig | Path | str,
+    part: PartConfig | Path | str,
+    folder: Path | str,
+    *,
+    options: OptimizeOptions,
+    wanted: PlanOptions,
+    force: bool = False,
+    warn: Callable[[str], None] | None = None,
+    tell: Callable[[str], None] | None = None,
+    report: Report | None = None,
+    searching: Tell | None = None,
+    page: Callable[[Draft], str] | None = None,
+) -> Planned:
+    """Plan postures and exposures, say how exactly the angles must hold, and write it all with the best lights.
+
+    Parameters
+    ----------
+    rig, part, folder, force, warn, tell, report, searching, page
+        As for :func:`lightopt.optimize.optimize`.
+    options
+        Of the optimisation.
+    wanted
+        Of the plan.
+
+    Raises
+    ------
+    InputError
+        Whatever is wrong with the files, the options or the folder.
+    CheckFailed
+        A target that cannot be reached: the message says the best that can, and why.
+    """
+    rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
+    part = part if isinstance(part, PartConfig) else load_part(part)
+    check_plan(wanted)
+    options = replace(options, plan={**options.plan, **wanted.facts()})
+    chosen: ChosenPostures | None = None
+    survey: Survey | None = None
+    if wanted.chooses or wanted.exposures:
+        planned_text(part, [HOME], folder=Path(folder), comment="")  # says now what would be wrong with it
+    if wanted.chooses:
+        _check_chooses(options)
+        if not force:
+            refuse_other_result(Path(folder), _early_provenance(rig, part, options))
+        chosen, survey = plan_postures(rig, part, options, wanted, tell, searching)
+        options = replace(
+            options,
+            objectives=options.objectives or (OBJECTIVE,),
+            postures=chosen.order,
+            common_lights=True,
+            places=places_of(rig, chosen.choice, options),
+        )
+    found: list[PlanResult] = []
+
+    def appraise(outcome: Outcome) -> Appendix:
+        found.append(appraised(rig, part, outcome, options, wanted, chosen, survey, searching))
+        files = {}
+        if found[0].commands:
+            files[PLANNED_PART_NAME] = planned_text(
+                part,
+                outcome.scene.postures,
+                folder=Path(folder),
+                comment=f"planned by: lightopt optimize {_asked(wanted)}",
+            )
+        names = [light.name for light in rig.lights]
+        return Appendix(sections=plan_dict(found[0], names), files=files)
+
+    optimum = optimize(
+        rig,
+        part,
+        folder,
+        options=options,
+        force=force,
+        warn=warn,
+        tell=tell,
+        report=report,
+        searching=searching,
+        appraise=appraise,
+        page=page,
+    )
+    return Planned(optimum=optimum, result=found[0])
+
+
+def _asked(wanted: PlanOptions) -> str:
+    if not wanted.chooses:
+        return f"--exposures {','.join(f'{x:.9g}' for x in wanted.exposures)}"
+    count = [] if wanted.postures is None else [f"--choose-postures {wanted.postures}"]
+    target = [] if wanted.target is None else [f"--target {wanted.target:g}"]
+    return " ".join([*count, *target, f"--posture-step {wanted.posture_step_deg:g}"])
+
+
+def _check_chooses(options: OptimizeOptions) -> None:
+    problems: list[str] = []
+    if options.postures is not None:
+        problems.append("--posture: postures are chosen here; leave --posture or --choose-postures out")
+    if options.objectives and options.objectives[0] != OBJECTIVE:
+        problems.append(
+            f"--objective: postures are chosen by what they show of the defects: expected {OBJECTIVE} first, found "
+            f'"{options.objectives[0]}"'
+        )
+    if problems:
+        raise InputError(*problems)
+
+
+def _early_provenance(rig: RigConfig, part: PartConfig, options: OptimizeOptions) -> dict[str, Any]:
+    # of what is known before the postures are: a part of what the result will say
+    return {
+        "rig": {"sha256": rig.source.sha256},
+        "part": {"sha256": part.source.sha256},
+        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+        "options": {
+            "step_deg": options.step_deg,
+            "common_elevation": options.common_elevation,
+            "points": options.points,
+            "shadows": options.shadows,
+            "patch_budget": options.patch_budget,
+            **options.plan,
+        },
+    }

@@ -1,0 +1,147 @@
+"""What the images of chosen lights, postures and exposures show of the part's surface, in one numbering of patches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.optimize import Inspection, LuminanceMatrix, area_units, luminance_matrices
+from lightopt.plan._counts import PairWeights, Words
+from lightopt.raycast import RayCaster
+from lightopt.rendering import PatchTable
+from lightopt.scene import PanelLight, Scene
+from lightopt.transforms import Posture
+
+__all__ = ["DRAWN_PATCHES", "Survey", "drawn_patches", "scattered_flags"]
+
+Int64 = NDArray[np.int64]
+
+DRAWN_PATCHES = 20_000
+"""Patches that stand for all where much is tried: turns of postures and lights, and what tolerances cost."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Survey:
+    """A part, its patches, and what the images are looked at for.
+
+    Attributes
+    ----------
+    scene
+        Its lights do not matter.
+    table
+        The patches; their pairs with the trials are what is counted.
+    caster
+        Of the scene's part.
+    inspection
+        The trials, and when one is visible; None where levels alone are wanted.
+    shadows
+        Whether the part casts shadows on itself.
+    threads
+        All the machine's by default; the results do not depend on it.
+    """
+
+    scene: Scene
+    table: PatchTable
+    caster: RayCaster
+    inspection: Inspection | None
+    shadows: bool = True
+    threads: int | None = None
+
+    @cached_property
+    def patches(self) -> NDArray[np.intp]:
+        """Indices of the patches that the camera sees in one posture or more, ascending, shape (p,)."""
+        return np.flatnonzero(self.table.visible.any(axis=0))
+
+    @property
+    def weights(self) -> PairWeights:
+        """Weights of the pairs of these patches and the trials."""
+        assert self.inspection is not None
+        units = area_units(self.table.patches.areas[self.patches])
+        return PairWeights.of_trials(self.inspection.trials, units)
+
+    def matrices(
+        self,
+        posture: Posture,
+        panels: Sequence[Sequence[PanelLight]],
+        *,
+        exposures: Sequence[float] = (1.0,),
+        progress: Callable[[float, int], None] | None = None,
+    ) -> tuple[LuminanceMatrix, ...]:
+        """Levels and visible trials of a posture's images under places of each light, one matrix per exposure."""
+        return luminance_matrices(
+            self.scene,
+            self.table,
+            posture,
+            panels,
+            exposures=exposures,
+            caster=self.caster,
+            inspection=self.inspection,
+            shadows=self.shadows,
+            threads=self.threads,
+            progress=progress,
+        )
+
+    def flags(
+        self, posture: Posture, panels: Sequence[Sequence[PanelLight]], *, exposure: float = 1.0
+    ) -> tuple[Words, ...]:
+        """Which pairs the images show: of each light an array of shape (places, p, words)."""
+        matrix, patches = self.matrices(posture, panels, exposures=(exposure,))[0], self.patches
+        return tuple(
+            np.stack([scattered_flags(matrix, patches, light=light, place=at) for at in range(len(some))])
+            for light, some in enumerate(panels)
+        )
+
+
+def scattered_flags(matrix: LuminanceMatrix, patches: NDArray[np.intp], *, light: int, place: int) -> Words:
+    """An image's visible trials in another numbering of the patches, shape (p, words).
+
+    Parameters
+    ----------
+    matrix
+        With visibility, of some of the patches.
+    patches
+        Ascending indices of the patches that count, shape (p,).
+    light, place
+        Of the image.
+    """
+    seen = matrix.visibility
+    assert seen is not None
+    layer = seen.words[light][place]
+    flags = np.zeros((len(patches), layer.shape[1]), np.uint64)
+    flags[np.searchsorted(patches, seen.patch)] = layer
+    return flags
+
+
+def drawn_patches(table: PatchTable, count: int) -> PatchTable:
+    """Some of the patches for all, every part of the surface by its area: the others are seen from nowhere.
+
+    Along the running sum of the visible patches' areas a mark stands at every so much area; a patch with marks stands
+    for as much area as it has marks. The order of patches is that of the mesh, so that marks spread over the surface.
+
+    Parameters
+    ----------
+    table
+        All patches.
+    count
+        Number of marks; with as many visible patches or fewer, all stay as they are.
+    """
+    seen = np.flatnonzero(table.visible.any(axis=0))
+    if len(seen) <= count:
+        return table
+    areas = table.patches.areas[seen]
+    each = areas.sum() / count
+    ends = np.floor(np.cumsum(areas) / each + 0.5)
+    marks = np.diff(ends, prepend=0.0)
+    chosen = np.zeros(len(table.patches), np.bool_)
+    chosen[seen[marks > 0.0]] = True
+    drawn = np.zeros(len(table.patches))
+    drawn[seen] = marks * each
+    return replace(
+        table,
+        patches=replace(table.patches, areas=drawn),
+        visible=table.visible & chosen,
+    )

@@ -1,0 +1,320 @@
+"""A surface tried as several others at once: with its normal leaning, or another reflectance, in the same shadows.
+
+What a defect would make of each point: it stays where it is, sees what it would see and is in the shadows that it
+would be in; only normal, R_d, R_s and σ are others, as in :mod:`lightopt.rendering._disturbed`. Rays are cast once for
+all variants: towards every light that the facet faces, since a leaning wall may face one that the surface does not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.kernels import kernel
+from lightopt.raycast import RayCaster
+from lightopt.reflectance import MIN_COS_VIEW, Reflectance, half_vector_angle_squared
+from lightopt.rendering._converged import (
+    ConvergedPanel,
+    panel_probes,
+    probe_targets,
+    shade_seeing,
+    verdict_of_probes,
+)
+from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
+from lightopt.rendering._panel_variants import panel_variants
+from lightopt.rendering._points import PAIRS_AT_ONCE, facing_pairs
+from lightopt.rendering._surface import SurfacePoints
+from lightopt.scene import PanelLight, panel_grid
+
+__all__ = ["SurfaceVariants", "VariantLevels", "shade_variants", "surface_variants"]
+
+Float64 = NDArray[np.float64]
+
+NEGLIGIBLE_LEVEL = 1e-3
+"""Lobes are left out of variants where they are nowhere more than this [grey level]: 0.26 of a level of 16 bits."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SurfaceVariants:
+    """What each point of a surface is tried as, t ways.
+
+    Attributes
+    ----------
+    lean
+        Components of each variant's normal along the point's normal, its reference direction and the direction across,
+        which with the first two makes a right-handed frame; shape (t, 3).
+    R_d, R_s, sigma
+        Of each, shape (t,).
+    """
+
+    lean: Float64
+    R_d: Float64
+    R_s: Float64
+    sigma: Float64
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VariantLevels:
+    """Light of a panel from k surface points [grey level].
+
+    Attributes
+    ----------
+    plain
+        Of the surface as it is, as :func:`lightopt.rendering.shade_points` or ``shade_converged`` has it, float32,
+        shape (k,).
+    good
+        The same for comparison with the variants, in penumbrae from the same cells of the panel; shape (k,).
+    varied
+        Of the variants, shape (k, t).
+    """
+
+    plain: NDArray[np.float32]
+    good: Float64
+    varied: Float64
+
+
+def surface_variants(
+    *,
+    slope: Float64,
+    direction: Float64,
+    R_d_factor: Float64,
+    sigma_factor: Float64,
+    reflectance: Reflectance,
+) -> SurfaceVariants:
+    """Variants of a reflectance by slope and direction of the lean [rad] and factors, each of shape (t,)."""
+    changed = [
+        reflectance.changed(R_d_factor=float(d), sigma_factor=float(s))
+        for d, s in zip(R_d_factor, sigma_factor, strict=True)
+    ]
+    lean = [np.cos(slope), np.sin(slope) * np.cos(direction), np.sin(slope) * np.sin(direction)]
+    return SurfaceVariants(
+        lean=np.stack(lean, axis=1),
+        R_d=np.array([one.R_d for one in changed]),
+        R_s=np.array([one.R_s for one in changed]),
+        sigma=np.array([one.sigma for one in changed]),
+    )
+
+
+def shade_variants(
+    surface: SurfacePoints,
+    references: Float64,
+    panel: PanelLight | ConvergedPanel,
+    variants: SurfaceVariants,
+    *,
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+) -> VariantLevels:
+    """The light of a panel on a surface and on its variants.
+
+    Parameters
+    ----------
+    surface
+        k points that the camera sees from the front, none of them another's neighbour; part frame.
+    references
+        Unit vectors in the tangent planes that directions count from, shape (k, 3).
+    panel
+        Part frame: as point lights, or converged.
+    variants
+        What is tried.
+    reflectance
+        Of the surface as it is.
+    caster
+        For shadows; None for none.
+    """
+    if isinstance(panel, ConvergedPanel):
+        return _converged_variants(surface, references, panel, variants, reflectance, caster)
+    assert panel.points != "auto"
+    step = max(1, PAIRS_AT_ONCE // panel.points)
+    pieces = [
+        _point_variants(
+            surface.take(np.arange(start, end)), references[start:end], panel, variants, reflectance, caster
+        )
+        for start in range(0, len(surface), step)
+        for end in (min(start + step, len(surface)),)
+    ]
+    return VariantLevels(
+        plain=np.concatenate([piece.plain for piece in pieces] or [np.zeros(0, np.float32)]),
+        good=np.concatenate([piece.good for piece in pieces] or [np.zeros(0)]),
+        varied=np.concatenate([piece.varied for piece in pieces] or [np.zeros((0, len(variants.lean)))]),
+    )
+
+
+def _float32(reflectance: Reflectance, diffuse: Float64, specular: Float64) -> NDArray[np.float32]:
+    return (reflectance.R_d * diffuse + reflectance.R_s * specular).astype(np.float32)
+
+
+def _point_variants(
+    surface: SurfacePoints,
+    references: Float64,
+    light: PanelLight,
+    variants: SurfaceVariants,
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+) -> VariantLevels:
+    assert light.points != "auto"
+    grid = panel_grid(light, light.points)
+    if caster is None:
+        # nothing is in the way, not even the point's own face
+        point = np.repeat(np.arange(len(surface), dtype=np.int32), len(grid))
+        target = np.tile(np.arange(len(grid), dtype=np.int32), len(surface))
+    else:
+        # towards every light that the facet faces, whatever the normals
+        point, target = facing_pairs(replace(surface, normals=surface.facets), grid, geometric=False)
+        blocked = caster.occluded(
+            surface.points, surface.facets, grid, point_index=point, target_index=target
+        )
+        point, target = point[~blocked], target[~blocked]
+    first = np.searchsorted(point, np.arange(len(surface) + 1)).astype(np.int64)
+    diffuse, specular, varied = _point_kernel(
+        surface.points,
+        surface.normals,
+        references,
+        surface.views,
+        grid,
+        first,
+        target,
+        panel_numbers(light),
+        light.total_weight / light.points,
+        0.5 / reflectance.sigma**2,
+        variants.lean,
+        variants.R_d,
+        variants.R_s,
+        0.5 / variants.sigma**2,
+        _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
+    )
+    good = reflectance.R_d * diffuse + reflectance.R_s * specular
+    return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
+
+
+def _most_exponents(R_s: Float64, weight: float, least_cosine: float) -> Float64:
+    # where the lobe's exponent is more than this, the lobe is negligible for any cosθ_o that is not less
+    return np.log(np.maximum(R_s * weight / least_cosine / NEGLIGIBLE_LEVEL, 1.0))
+
+
+def _converged_variants(
+    surface: SurfacePoints,
+    references: Float64,
+    converged: ConvergedPanel,
+    variants: SurfaceVariants,
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+) -> VariantLevels:
+    targets = probe_targets(converged.light)
+    if caster is None:
+        clear = np.ones((len(surface), len(targets)), np.bool_)
+        verdict = None
+    else:
+        clear = panel_probes(surface, targets, caster)
+        verdict = verdict_of_probes(surface, targets, clear)
+    diffuse, specular, _ = shade_seeing(
+        surface,
+        converged,
+        # every second place of a row: no point is another's neighbour
+        sample=2 * np.arange(len(surface)),
+        shape=(1, 2 * len(surface)),
+        reflectance=reflectance,
+        caster=caster,
+        verdict=verdict,
+    )
+    total = converged.light.total_weight
+    # the surface as it is comes first
+    R_s = total * np.concatenate([[reflectance.R_s], variants.R_s])
+    levels = panel_variants(
+        surface,
+        references,
+        converged,
+        clear,
+        caster,
+        lean=np.concatenate([[[1.0, 0.0, 0.0]], variants.lean]),
+        R_d=total * np.concatenate([[reflectance.R_d], variants.R_d]),
+        R_s=R_s,
+        inverse=0.5 / np.concatenate([[reflectance.sigma], variants.sigma]) ** 2,
+        most=_most_exponents(R_s, 1.0, 1.0),
+    )
+    good, varied = levels[:, 0], levels[:, 1:]
+    return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
+
+
+@kernel
+def _point_kernel(
+    points: Float64,
+    normals: Float64,
+    references: Float64,
+    views: Float64,
+    grid: Float64,
+    first: NDArray[np.int64],
+    target: NDArray[np.int32],
+    panel: PanelNumbers,
+    weight: float,
+    inverse_good: float,
+    lean: Float64,
+    R_d: Float64,
+    R_s: Float64,
+    inverse: Float64,
+    most: Float64,
+) -> tuple[Float64, Float64, Float64]:
+    count, tries = len(points), len(lean)
+    diffuse, specular = np.zeros(count), np.zeros(count)
+    varied = np.zeros((count, tries))
+    # of each light that a point sees: light's and half vector's components in the point's frame, and its weight
+    seen = np.empty((len(grid), 7))
+    for i in range(count):
+        start, end = first[i], first[i + 1]
+        if start == end:
+            continue
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        rx, ry, rz = references[i, 0], references[i, 1], references[i, 2]
+        ax, ay, az = ny * rz - nz * ry, nz * rx - nx * rz, nx * ry - ny * rx
+        vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
+        v0, v1, v2 = nx * vx + ny * vy + nz * vz, rx * vx + ry * vy + rz * vz, ax * vx + ay * vy + az * vz
+        d_sum = s_sum = 0.0
+        for j in range(end - start):
+            k = target[start + j]
+            qx, qy, qz = grid[k, 0], grid[k, 1], grid[k, 2]
+            d, s = point_terms(
+                px, py, pz, nx, ny, nz, vx, vy, vz, v0, qx, qy, qz, panel, inverse_good
+            )  # fmt: skip
+            d_sum += weight * d
+            s_sum += weight * s
+            lx, ly, lz = qx - px, qy - py, qz - pz
+            r2 = lx * lx + ly * ly + lz * lz
+            r = 1.0 / math.sqrt(r2)
+            lx, ly, lz = lx * r, ly * r, lz * r
+            own = weight
+            if panel.inverse_square:
+                own *= panel.distance * panel.distance / r2
+            if panel.emission_exponent > 0.0:
+                cosine = panel.outward_x * lx + panel.outward_y * ly + panel.outward_z * lz
+                own *= max(0.0, cosine) ** panel.emission_exponent
+            hx, hy, hz = lx + vx, ly + vy, lz + vz
+            h = 1.0 / math.sqrt(hx * hx + hy * hy + hz * hz)
+            seen[j, 0] = nx * lx + ny * ly + nz * lz
+            seen[j, 1] = rx * lx + ry * ly + rz * lz
+            seen[j, 2] = ax * lx + ay * ly + az * lz
+            seen[j, 3] = (nx * hx + ny * hy + nz * hz) * h
+            seen[j, 4] = (rx * hx + ry * hy + rz * hz) * h
+            seen[j, 5] = (ax * hx + ay * hy + az * hz) * h
+            seen[j, 6] = own
+        diffuse[i], specular[i] = d_sum, s_sum
+        for t in range(tries):
+            c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
+            n_dot_v = c0 * v0 + c1 * v1 + c2 * v2
+            least_chord = most[t] / inverse[t]
+            d_sum = s_sum = 0.0
+            for j in range(end - start):
+                n_dot_l = c0 * seen[j, 0] + c1 * seen[j, 1] + c2 * seen[j, 2]
+                if n_dot_l <= 0.0:
+                    continue
+                d_sum += seen[j, 6] * n_dot_l
+                if n_dot_v <= 0.0:
+                    continue
+                # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
+                chord = max(0.0, 2.0 - 2.0 * (c0 * seen[j, 3] + c1 * seen[j, 4] + c2 * seen[j, 5]))
+                if chord < least_chord:
+                    s_sum += seen[j, 6] * math.exp(-half_vector_angle_squared(chord) * inverse[t])
+            varied[i, t] = R_d[t] * d_sum + R_s[t] * s_sum / max(n_dot_v, MIN_COS_VIEW)
+    return diffuse, specular, varied

@@ -1,0 +1,130 @@
+"""The answer of an optimisation: angles, score, proof; and the scores under every objective."""
+
+from __future__ import annotations
+
+from lightopt.errors import counted
+from lightopt.optimize import (
+    Answer as Best,
+)
+from lightopt.optimize import (
+    Draft,
+    SetResult,
+    angles_of,
+    gap_text,
+    looked_text,
+    score_text,
+    ties_text,
+)
+from lightopt.report._page import Answer, Block, Note, Table, Warnings
+from lightopt.report._sheet_layout import degrees
+
+__all__ = ["answer_blocks", "postures_text", "scores_table"]
+
+
+def answer_blocks(draft: Draft) -> list[Block]:
+    """What was found, in a sentence and a table of angles, and what to know before relying on it."""
+    blocks: list[Block] = [_answer(result) for result in draft.results]
+    header = ["posture", *draft.candidates.names, "score"]
+    rows = [_row(draft, result) for result in draft.results if result.answers[0].nothing is None]
+    if rows:
+        blocks.append(
+            Table(
+                header=header,
+                rows=rows,
+                caption="Of each light its elevation from the table plane and its azimuth from the world's X axis.",
+            )
+        )
+    blocks += [Note(text=_proof(result)) for result in draft.results if result.answers[0].nothing is None]
+    rigs = ", ".join(rig["file"] for rig in draft.document["rigs"])
+    if rigs:
+        blocks.append(Note(text=f"Rig with these angles: {rigs}"))
+    return [*blocks, Warnings(texts=draft.warnings)]
+
+
+def scores_table(draft: Draft) -> Table:
+    """The best set of every objective, scored under all."""
+    names = [answer.objective.name for answer in draft.results[0].answers]
+    rows = [
+        _scores(draft, result, answer, names)
+        for result in draft.results
+        for answer in result.answers
+        if answer.nothing is None
+    ]
+    header = ["posture", "best for", *draft.candidates.names, *names, "runner-up", "ties", "combinations"]
+    return Table(
+        header=header,
+        rows=rows,
+        numbers_from=2,
+        caption="Shares are of the surface that the camera sees in the posture. ranking.csv lists the best "
+        "combinations, result.json has all numbers.",
+    )
+
+
+def postures_text(result: SetResult) -> str:
+    """The postures of a set, short."""
+    if len(result.postures) == 1:
+        return f"posture {result.postures[0]}"
+    return f"all {len(result.postures)} postures"
+
+
+def _answer(result: SetResult) -> Answer:
+    best = result.answers[0]
+    where = postures_text(result)
+    if best.nothing is not None:
+        return Answer(figure="No answer", text=f"{where}: {best.nothing}")
+    share = best.objective.share(best.found.best.score, result.area)
+    score = best.objective.shown(best.found.best.score)
+    if share is None:
+        return Answer(figure=score, text=f"by {best.objective.name}, {where}")
+    return Answer(
+        figure=f"{100.0 * share:.1f} %",
+        text=f"of the surface that the camera sees, by {best.objective.name}: {score}, {where}",
+    )
+
+
+def _row(draft: Draft, result: SetResult) -> list[str]:
+    best = result.answers[0]
+    return [
+        postures_text(result),
+        *_angles(draft, best),
+        score_text(best.found.best.score, best.objective, result.area),
+    ]
+
+
+def _angles(draft: Draft, answer: Best) -> list[str]:
+    return [
+        f"{degrees(elevation)}, {degrees(azimuth)}"
+        for elevation, azimuth in angles_of(draft.candidates, answer.found.best)
+    ]
+
+
+def _proof(result: SetResult) -> str:
+    best = result.answers[0]
+    found, objective = best.found, best.objective
+    total = counted(found.scored + found.excluded + found.left, "combination")
+    if found.proven and found.complete:
+        text = f"proven, none of {total} scores more"
+    elif found.proven:
+        text = f"none of {total} scores more, but one that was not looked at may score the same"
+    else:
+        text = f"not proven; {found.left:,} of {total} were left, and none scores more than "
+        text += objective.shown(found.bound)
+    runner_up = "there is no other"
+    if found.gap is not None:
+        runner_up = f"the runner-up: {gap_text(found, objective)}"
+    if not (found.complete and found.ties == 1):
+        runner_up += f"; {ties_text(found)}, decided by the sum of usable levels"
+    return f"{postures_text(result).capitalize()}: {text}; {runner_up}."
+
+
+def _scores(draft: Draft, result: SetResult, answer: Best, names: list[str]) -> list[str]:
+    objectives = {other.objective.name: other.objective for other in result.answers}
+    return [
+        postures_text(result),
+        answer.objective.name,
+        *_angles(draft, answer),
+        *(score_text(answer.scores[name], objectives[name], result.area) for name in names),
+        gap_text(answer.found, answer.objective),
+        ties_text(answer.found),
+        looked_text(answer.found),
+    ]

@@ -1,0 +1,89 @@
+"""What an optimisation assumed: everything that its figures depend on."""
+
+from __future__ import annotations
+
+from lightopt.optimize import Draft
+from lightopt.report._page import Block, Facts, Table
+from lightopt.scene import PanelLight
+
+__all__ = ["fact_blocks"]
+
+
+def fact_blocks(draft: Draft) -> list[Block]:
+    """Thresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
+    blocks: list[Block] = [
+        Facts(rows=[*_physics(draft), *_search(draft)]),
+        Facts(rows=_provenance(draft)),
+    ]
+    if draft.candidates.left_out:
+        blocks.append(
+            Table(
+                header=["light", "position", "left out since it"],
+                rows=[
+                    [out.light, f"{out.elevation_deg:g}°, {out.azimuth_deg:g}°", out.reason]
+                    for out in draft.candidates.left_out
+                ],
+                numbers_from=3,
+            )
+        )
+    return blocks
+
+
+def _physics(draft: Draft) -> list[tuple[str, str]]:
+    sensor, reflectance, thresholds = draft.scene.sensor, draft.scene.reflectance, draft.thresholds
+    shot = (
+        "no shot noise"
+        if sensor.electrons_per_level is None
+        else f"{sensor.electrons_per_level:g} electrons per level"
+    )
+    levels = (
+        f"{sensor.bit_depth} bit, black level {sensor.black_level:g}; shaded below {thresholds.shade}, saturated from "
+        f"{thresholds.saturation} on; at exposure 1, without noise"
+    )
+    coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
+    return [
+        ("levels", levels),
+        ("sensor noise, not part of the score", f"read noise {sensor.read_noise_levels:g} levels, {shot}"),
+        ("reflectance", f"{coefficients}, of full scale {reflectance.full_scale:g}; only direct light"),
+        ("lights", "; ".join(dict.fromkeys(map(_light, draft.scene.lights)))),
+        ("shadows", "cast by the part" if draft.document["options"]["shadows"] else "none (--no-shadows)"),
+        ("patches", draft.table.message),
+    ]
+
+
+def _light(light: PanelLight) -> str:
+    width, height = (f"{side:g}" for side in light.size)
+    points = "continuous (auto)" if light.points == "auto" else f"{light.points}, {light.normalisation}"
+    falloff = "inverse square" if light.inverse_square else "none"
+    return (
+        f"panel of {width} × {height} mm at {light.distance:g} mm, point lights: {points}, gain {light.gain:g}, "
+        f"falloff: {falloff}, emission exponent {light.emission_exponent:g}"
+    )
+
+
+def _search(draft: Draft) -> list[tuple[str, str]]:
+    options = draft.document["options"]
+    positions = " × ".join(str(len(angles)) for angles in draft.candidates.angles)
+    ties = [
+        text
+        for key, text in (
+            ("common_elevation", "all lights at one elevation"),
+            ("common_lights", "the same for all postures"),
+        )
+        if options[key]
+    ]
+    return [
+        ("positions", f"{positions}, step {options['step_deg']:g}°{''.join(f', {text}' for text in ties)}"),
+        ("objectives", ", ".join(options["objectives"])),
+        ("defects", "none on the part: scores are of a good part"),
+    ]
+
+
+def _provenance(draft: Draft) -> list[tuple[str, str]]:
+    document = draft.document
+    return [
+        ("rig", f"{document['rig']['file']}, SHA-256 {document['rig']['sha256']}"),
+        ("part", f"{document['part']['file']}, SHA-256 {document['part']['sha256']}"),
+        ("mesh", f"{draft.part.mesh.file}, SHA-256 {document['mesh_sha256']}"),
+        ("versions", ", ".join(f"{name} {number}" for name, number in document["versions"].items())),
+    ]

@@ -1,0 +1,155 @@
+"""Pictures of an optimisation: the images of the best set, the rig, and how the score goes with the angles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from lightopt.images import ImageSet, read_image_set, read_png
+from lightopt.optimize import Curve, Draft, SetResult
+from lightopt.report._canvas import png_bytes
+from lightopt.report._chart import ChartLine, ChartPanel, chart_image
+from lightopt.report._contact_sheet import entry_thumbnail, saturation_text
+from lightopt.report._optimum_answer import postures_text
+from lightopt.report._page import Block, Gallery, Note, Picture
+from lightopt.report._rig_drawing import rig_image
+from lightopt.report._sheet_layout import degrees, light_position
+from lightopt.report._thumbnail import shrunk
+from lightopt.scene import PanelLight
+
+__all__ = ["curve_blocks", "drawing_blocks", "image_blocks"]
+
+SIDE = 300
+"""Longest side of an image in the report [px]."""
+
+MOST_DRAWINGS = 4
+"""Rigs that are drawn; of more sets only the first are, all angles are in the table."""
+
+# Okabe and Ito
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+
+
+def image_blocks(draft: Draft) -> list[Block]:
+    """The images that the camera would deliver, a row for each posture, and where their highlights overlap."""
+    sets = [read_image_set(draft.folder / one["folder"], verify=False) for one in draft.document["images"]]
+    if not sets:
+        return [Note(text="Not rendered (--no-images).")]
+    maps = {
+        overlap.posture: (draft.folder / listed["map"], overlap.pixels)
+        for listed, overlap in zip(draft.document["overlaps"], draft.overlaps, strict=True)
+    }
+    rows: list[tuple[str, list[Picture | None]]] = []
+    for images in sets:
+        for posture in dict.fromkeys(entry.posture for entry in images.images):
+            pictures = [
+                _picture(images, index)
+                for index, entry in enumerate(images.images)
+                if entry.posture == posture
+            ]
+            rows.append((f"posture {posture}", [*pictures, _overlap(*maps[posture])]))
+    return [
+        Gallery(
+            header=[*draft.candidates.names, "highlights together"],
+            rows=rows,
+            caption="What the camera would deliver at exposure 1; red: saturated pixels. On the right: blue where one "
+            "image is saturated, red where several are. Images are averaged down, counts are of the full ones.",
+        )
+    ]
+
+
+def _picture(images: ImageSet, index: int) -> Picture:
+    entry = images.images[index]
+    small = entry_thumbnail(images, entry, SIDE)
+    return Picture(
+        png=png_bytes(Image.fromarray(small.picture)),
+        alt=f"{entry.light} at {light_position(entry)}",
+        caption=f"{light_position(entry)}; {saturation_text(small)}",
+    )
+
+
+def _overlap(path: Path, pixels: int) -> Picture:
+    return Picture(
+        png=png_bytes(Image.fromarray(shrunk(read_png(path, colour=True), limit=SIDE))),
+        alt="Map of the highlights",
+        caption=f"{pixels:,} px saturated in two or more",
+    )
+
+
+def drawing_blocks(draft: Draft) -> list[Block]:
+    """The rig with the lights of each set in their places."""
+    sets: dict[tuple[int, ...], list[SetResult]] = {}
+    for result in draft.results:
+        if result.answers[0].nothing is None:
+            sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
+    blocks: list[Block] = []
+    for best, results in list(sets.items())[:MOST_DRAWINGS]:
+        lights = _lights(draft, best)
+        postures = tuple(posture for result in results for posture in result.postures)
+        angles = "; ".join(
+            f"{light.name} {degrees(round(float(np.degrees(light.elevation)), 9))}, "
+            f"{degrees(round(float(np.degrees(light.azimuth)), 9))}"
+            for light in lights
+        )
+        blocks.append(
+            Picture(
+                png=png_bytes(rig_image(replace(draft.scene, lights=lights, postures=postures))),
+                alt=f"The rig: {angles}",
+                caption=f"For {', '.join(postures_text(result) for result in results)}: {angles}.",
+            )
+        )
+    if len(sets) > MOST_DRAWINGS:
+        blocks.append(Note(text=f"The other {len(sets) - MOST_DRAWINGS} sets are in the table above."))
+    return blocks
+
+
+def _lights(draft: Draft, best: tuple[int, ...]) -> tuple[PanelLight, ...]:
+    return tuple(panels[k] for panels, k in zip(draft.candidates.panels, best, strict=True))
+
+
+def curve_blocks(draft: Draft) -> list[Block]:
+    """The score against the angles, one chart for each set and kind of angle."""
+    blocks: list[Block] = []
+    for result in draft.results:
+        for axis in ("elevation", "azimuth"):
+            curves = [curve for curve in result.curves if curve.axis == axis]
+            if curves:
+                blocks.append(_chart(result, axis, curves))
+    if blocks:
+        text = (
+            "The score as one light moves and all else stays as in the best set; or, where it says so, with all lights "
+            "that move at the same elevation. Where a curve stays near the best score the choice is free."
+        )
+        blocks.insert(0, Note(text=text))
+    return blocks
+
+
+def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
+    best = result.answers[0]
+    lines = [
+        ChartLine(
+            label=curve.name,
+            x=np.array(curve.angles_deg),
+            values=np.array([_value(result, score) for score in curve.scores]),
+            colour=COLOURS[k % len(COLOURS)],
+        )
+        for k, curve in enumerate(curves)
+    ]
+    where = postures_text(result)
+    area = best.objective.share(0, result.area) is not None
+    label = "% of the visible surface" if area else best.objective.unit
+    image = chart_image(
+        title=f"{best.objective.name}, {where}",
+        x_label=f"{axis} [°]",
+        x=np.empty(0),
+        panels=[ChartPanel(label=f"score [{label}]", values=np.empty(0), lines=tuple(lines))],
+    )
+    names = ", ".join(curve.name for curve in curves)
+    return Picture(png=png_bytes(image), alt=f"Score against {axis} for {where}: {names}")
+
+
+def _value(result: SetResult, score: int) -> float:
+    share = result.answers[0].objective.share(score, result.area)
+    return float(score) if share is None else 100.0 * share

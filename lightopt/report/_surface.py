@@ -1,0 +1,146 @@
+"""A surface whose faces belong to classes, for a report: a value object, and how it is made small enough."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.errors import InputError
+
+__all__ = ["MOST_TRIANGLES", "ColouredSurface", "SurfaceClass", "SurfaceLayer", "simplified"]
+
+Float64 = NDArray[np.float64]
+
+MOST_TRIANGLES = 500_000
+"""Of more than these a report shows a simplified surface, so that the file stays small and the view turns smoothly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceClass:
+    """What some faces have in common.
+
+    Attributes
+    ----------
+    label
+        For the legend.
+    colour
+        ``#rrggbb``.
+    amount
+        How much of the surface it is, for the legend; empty where that is not said.
+    """
+
+    label: str
+    colour: str
+    amount: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceLayer:
+    """One way to colour a surface.
+
+    Attributes
+    ----------
+    name
+        What is shown.
+    classes
+        At most 256.
+    of_face
+        Class of each face, index into `classes`, shape (m,), uint8.
+    """
+
+    name: str
+    classes: tuple[SurfaceClass, ...]
+    of_face: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        if self.of_face.dtype != np.uint8 or (
+            self.of_face.size and int(self.of_face.max()) >= len(self.classes)
+        ):
+            raise InputError(
+                f"layer {self.name}: expected uint8 below {len(self.classes)}, found {self.of_face.dtype} "
+                f"up to {self.of_face.max() if self.of_face.size else 'nothing'}"
+            )
+        object.__setattr__(self, "of_face", _frozen(self.of_face))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColouredSurface:
+    """A triangle mesh and the ways to colour it.
+
+    Attributes
+    ----------
+    vertices
+        Any right-handed frame [mm], shape (n, 3).
+    triangles
+        Corners of the faces, indices into `vertices`, shape (m, 3), int32.
+    layers
+        At least one; the first is shown first.
+    up, toward
+        Unit vectors, shape (3,): what points up, and from where the surface is seen first.
+    """
+
+    vertices: Float64
+    triangles: NDArray[np.int32]
+    layers: tuple[SurfaceLayer, ...]
+    up: Float64
+    toward: Float64
+
+    def __post_init__(self) -> None:
+        for layer in self.layers:
+            if len(layer.of_face) != len(self.triangles):
+                raise InputError(
+                    f"layer {layer.name}: {len(layer.of_face)} classes for {len(self.triangles)} faces"
+                )
+        for name in ("vertices", "triangles", "up", "toward"):
+            object.__setattr__(self, name, _frozen(getattr(self, name)))
+
+
+def simplified(surface: ColouredSurface, *, most: int = MOST_TRIANGLES) -> tuple[ColouredSurface, float]:
+    """The surface with `most` faces or fewer, and the grid that its vertices were moved to [mm]; 0 where they were not.
+
+    Vertices are clustered on a cubic grid (Rossignac and Borrel, 1993), as fine as the number of faces allows; faces
+    whose corners fall together go, the others keep their classes.
+    """
+    if len(surface.triangles) <= most:
+        return surface, 0.0
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    # a face of the size of a grid's cell: so many cover the surface about once
+    cell = float(np.linalg.norm(high - low)) / math.sqrt(2.0 * most)
+    while True:
+        places = np.rint((surface.vertices - low) / cell).astype(np.int64)
+        sides = places.max(axis=0) + 1
+        keys = (places[:, 0] * sides[1] + places[:, 1]) * sides[2] + places[:, 2]
+        _, first, cluster = np.unique(keys, return_index=True, return_inverse=True)
+        moved = cluster.reshape(-1).astype(np.int32)[surface.triangles]
+        a, b, c = moved.T
+        kept = np.flatnonzero((a != b) & (b != c) & (c != a))
+        # faces that fell onto each other: the first one stays
+        _, unique = np.unique(np.sort(moved[kept], axis=1), axis=0, return_index=True)
+        kept = kept[np.sort(unique)]
+        if len(kept) <= most:
+            break
+        cell *= max(1.05, math.sqrt(len(kept) / most))
+    layers = tuple(
+        SurfaceLayer(name=layer.name, classes=layer.classes, of_face=layer.of_face[kept])
+        for layer in surface.layers
+    )
+    return (
+        ColouredSurface(
+            vertices=low + places[first] * cell,
+            triangles=moved[kept],
+            layers=layers,
+            up=surface.up,
+            toward=surface.toward,
+        ),
+        cell,
+    )
+
+
+def _frozen(array: Any) -> Any:
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,56 @@
+"""An installed Chromium without a window, for tests that open a page as a person would."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
+MISSING = (
+    "no Chromium found that could open the report; install one: `apt-get install chromium` (Debian), "
+    "`dnf install chromium` (Fedora), or Google Chrome; on Windows Edge is there already"
+)
+# WebGL without a graphics card
+ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+
+
+@dataclass
+class Opened:
+    """A page, and what it said and asked for."""
+
+    page: Any
+    said: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def opened(path: Path, *, webgl: bool = True, width: int = 1200, height: int = 900) -> Iterator[Opened]:
+    """The page of a file; with the messages of its console and every request that it makes."""
+    from playwright.sync_api import sync_playwright
+
+    found = next((there for name in NAMES if (there := shutil.which(name))), None)
+    if found is None and sys.platform != "win32":
+        if os.environ.get("CI"):
+            pytest.fail(MISSING)
+        pytest.skip(MISSING)
+    where: dict[str, Any] = {"channel": "msedge"} if found is None else {"executable_path": found}
+    arguments = ARGUMENTS if webgl else ("--disable-gpu", "--disable-3d-apis")
+    with sync_playwright() as play:
+        browser = play.chromium.launch(args=list(arguments), chromium_sandbox=False, **where)
+        try:
+            seen = Opened(browser.new_page(viewport={"width": width, "height": height}))
+            seen.page.on("console", lambda message: seen.said.append(f"{message.type}: {message.text}"))
+            seen.page.on("pageerror", lambda error: seen.said.append(f"exception: {error}"))
+            seen.page.on("request", lambda request: seen.asked.append(request.url))
+            seen.page.goto(path.resolve().as_uri())
+            yield seen
+        finally:
+            browser.close()

@@ -1,0 +1,59 @@
+"""What detectability predicts is what a plain contrast test counts on noisy renders: each kind within 5 points."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from benchmarks.truth import SEEN_IN, compare, table
+from lightopt import load_part, load_rig
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+
+@pytest.fixture
+def small_rig(tmp_path):
+    """The four panels with a camera of a sixteenth of the pixels."""
+    text = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
+    text = text.replace("[1600, 1200]", "[400, 300]").replace("pixel_size_um: 4.4 ", "pixel_size_um: 17.6 ")
+    (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
+    return load_rig(tmp_path / "rig.yaml")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["cover-knob", "spout"])
+def test_predicted_shares_are_the_counted_ones(small_rig, part):
+    points = list(compare(small_rig, load_part(CONFIGS / "parts" / f"{part}.yaml"), patches=10_000, pits=8))
+    assert {(p.finish, p.seen_in) for p in points} == {(f, k) for f in ("glossy", "satin") for k in SEEN_IN}
+    whole = [p for p in points if not p.kind.startswith("pits")]
+    assert len(whole) == 2 * 2 * 2 * 8
+    for p in whole:
+        if p.kind == "all" or p.pixels > 1:
+            assert abs(p.predicted - p.measured) < 0.05, p
+    # something is seen and something is not
+    assert min(p.measured for p in whole) < 0.1
+    assert max(p.measured for p in whole) > 0.5
+    assert table(points).count("the catalogue") == 8
+
+
+def test_a_wrong_prediction_is_found_out(small_rig, monkeypatch):
+    """The comparison can fail: with half the noise assumed in the prediction only, shares are off."""
+    import benchmarks.truth as truth
+
+    def without_half(case, trials, own=truth._Case.predict):
+        from dataclasses import replace
+
+        half = replace(case.contrast, threshold=0.25 * case.contrast.threshold)
+        return own(replace(case, contrast=half), trials)
+
+    monkeypatch.setattr(truth._Case, "predict", without_half)
+    monkeypatch.setattr(truth, "FINISHES", {"glossy": {}})
+    monkeypatch.setattr(truth, "EVERY", 5)
+    points = list(
+        truth.compare(small_rig, load_part(CONFIGS / "parts" / "cover-knob.yaml"), patches=2000, pits=0)
+    )
+    assert max(p.predicted - p.measured for p in points) > 0.05

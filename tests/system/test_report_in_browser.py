@@ -1,0 +1,204 @@
+"""A report as a person sees it: opened in Chromium, turned, printed, without WebGL; silent, and alone in the world."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browsers import opened
+from PIL import Image
+
+from lightopt.report import (
+    Answer,
+    ColouredSurface,
+    Page,
+    Section,
+    SurfaceClass,
+    SurfaceLayer,
+    SurfaceView,
+    page_html,
+)
+
+BLUE, ORANGE, GREY = "#56b4e9", "#d55e00", "#c9ced6"
+
+
+def octahedron() -> ColouredSurface:
+    """Its four upper faces blue and orange by turns, or all of them orange; its lower ones grey."""
+    corners = 20.0 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
+    faces = [[k, (k + 1) % 4, 4] for k in range(4)] + [[(k + 1) % 4, k, 5] for k in range(4)]
+    kinds = (
+        SurfaceClass(label="covered <b>", colour=BLUE, amount="50 %"),
+        SurfaceClass(label="saturated", colour=ORANGE),
+        SurfaceClass(label="not seen", colour=GREY),
+    )
+    return ColouredSurface(
+        vertices=corners + np.array([100.0, 0.0, 5.0]),
+        triangles=np.array(faces, np.int32),
+        layers=(
+            SurfaceLayer(
+                name="all postures", classes=kinds, of_face=np.array([0, 1, 0, 1, 2, 2, 2, 2], np.uint8)
+            ),
+            SurfaceLayer(
+                name="(0°, 82°)", classes=kinds, of_face=np.array([1, 1, 1, 1, 2, 2, 2, 2], np.uint8)
+            ),
+        ),
+        up=np.array([0.0, 0.0, 1.0]),
+        toward=np.array([0.6, 0.0, 0.8]),
+    )
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory) -> Path:
+    page = Page(
+        title="knob on rig",
+        subtitle="nothing else",
+        lead=[Answer(figure="92.1 %", text="is covered")],
+        sections=[Section(heading="The part", blocks=[SurfaceView(surface=octahedron(), alt="The part")])],
+    )
+    path = tmp_path_factory.mktemp("report") / "a report.html"
+    path.write_text(page_html(page), encoding="utf-8")
+    return path
+
+
+def colours(png: bytes) -> Counter[str]:
+    """How many pixels are nearest to each of the legend's colours at some brightness, or white."""
+    pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.float64).reshape(-1, 3)
+    names = {"blue": (86, 180, 233), "orange": (213, 94, 0), "grey": (201, 206, 214)}
+    lit = pixels[(pixels < 250).any(axis=1)]
+    units = np.array(list(names.values()), np.float64)
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    nearest = (lit @ units.T).argmax(axis=1)
+    return Counter({name: int((nearest == k).sum()) for k, name in enumerate(names)})
+
+
+def test_it_turns_and_changes_colours_and_asks_for_nothing(report):
+    with opened(report) as seen:
+        page = seen.page
+        page.wait_for_selector("figure[data-state=live]")
+        assert page.inner_text("p.answer") == "92.1 % is covered"
+        legend = page.inner_text(".legend:not([hidden])")
+        assert "covered <b>" in legend
+        assert "50 %" in legend
+        canvas = page.locator("canvas")
+        first = canvas.screenshot()
+        found = colours(first)
+        assert found["blue"] > 5000
+        assert found["orange"] > 5000
+        box = canvas.bounding_box()
+        assert box["width"] / box["height"] == pytest.approx(1.5, abs=0.01)
+        page.get_by_role("radio", name="(0°, 82°)").check()
+        assert colours(canvas.screenshot())["blue"] == 0
+        assert page.locator(".legend:not([hidden])").get_attribute("data-layer") == "1"
+        page.get_by_role("radio", name="all postures").check()
+        # by mouse, and back by the button
+        middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.move(*middle)
+        page.mouse.down()
+        page.mouse.move(middle[0] + 120, middle[1] + 40, steps=4)
+        page.mouse.up()
+        assert canvas.screenshot() != first
+        page.get_by_role("button", name="First view").click()
+        assert colours(canvas.screenshot()) == found
+        # from below by keys
+        canvas.focus()
+        for _ in range(24):
+            page.keyboard.press("ArrowDown")
+        below = colours(canvas.screenshot())
+        assert below["grey"] > 20 * (below["blue"] + below["orange"])
+        page.keyboard.press("Home")
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("ArrowRight")
+        canvas.blur()  # the frame around what has the keyboard is blue
+        turned = colours(canvas.screenshot())
+        assert all(abs(turned[name] - found[name]) < 200 for name in found)
+        assert seen.said == []
+        assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [
+            report.resolve().as_uri()
+        ]
+
+
+def test_paper_gets_a_still_picture_as_it_was_turned(report):
+    with opened(report) as seen:
+        page = seen.page
+        page.wait_for_selector("figure[data-state=live]")
+        page.get_by_role("radio", name="(0°, 82°)").check()
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        page.emulate_media(media="print")
+        assert not page.locator("canvas").is_visible()
+        assert not any(control.is_visible() for control in page.locator(".controls").all())
+        still = page.locator("img.still")
+        assert still.is_visible()
+        found = colours(still.screenshot())
+        assert found["orange"] > 5000
+        assert found["blue"] == 0
+        assert len(page.pdf()) > 10_000
+        assert seen.said == []
+
+
+def test_without_webgl_the_still_picture_stays_and_says_so(report):
+    with opened(report, webgl=False) as seen:
+        page = seen.page
+        page.wait_for_selector("figure[data-state=still]")
+        still = page.locator("img.still")
+        assert still.is_visible()
+        found = colours(still.screenshot())
+        assert found["blue"] > 5000
+        assert found["orange"] > 5000
+        assert "no WebGL" in page.inner_text(".fallback")
+        assert not page.locator("canvas").is_visible()
+
+
+def test_the_still_picture_shows_what_the_view_shows_first(report):
+    with opened(report) as seen:
+        page = seen.page
+        page.wait_for_selector("figure[data-state=live]")
+        live = Image.open(io.BytesIO(page.locator("canvas").screenshot())).convert("RGB")
+        page.evaluate("document.querySelector('figure.surface').classList.remove('live')")
+        still = Image.open(io.BytesIO(page.locator("img.still").screenshot())).convert("RGB")
+        size = (300, 200)
+        a, b = (np.asarray(image.resize(size), np.float64) for image in (live, still))
+        # but for the edges
+        assert np.quantile(np.abs(a - b), 0.97) < 12.0
+
+
+@pytest.mark.parametrize("images", [True, False])
+def test_the_report_of_an_optimisation(bench, cli, images):
+    text = bench.rig.read_text(encoding="utf-8").replace("azimuth_deg: 45}", "azimuth_deg: 45, RANGE}")
+    text = text.replace("azimuth_deg: 225,", "azimuth_deg: 225, RANGE,")
+    bench.rig.write_text(text.replace("RANGE", "elevation_range_deg: [40, 60]"), encoding="utf-8")
+    bench.edit("part.yaml", "name: knob", "name: '<b>knob</b> & \"co\"'")
+    options = [] if images else ["--no-images", "--posture", "0,0"]
+    few = ("--patches", "800", "--step", "10", "-q")
+    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, *few, *options)
+    assert (ran.status, ran.out) == (0, "")
+    result = json.loads((bench.out / "result.json").read_text(encoding="utf-8"))
+    with opened(bench.out / "report.html") as seen:
+        page = seen.page
+        page.wait_for_selector("figure[data-state=live]")
+        assert page.inner_text("h1") == 'Where the lights go: <b>knob</b> & "co"'
+        answers = page.locator("p.answer").all_inner_texts()
+        shares = [100 * one["objectives"][0]["share_of_visible_area"] for one in result["results"]]
+        assert [text.split(" %")[0] for text in answers] == [f"{share:.1f}" for share in shares]
+        found = colours(page.locator("canvas").screenshot())
+        assert sum(found.values()) > 20_000
+        legend = page.locator(".legend:not([hidden]) li")
+        assert legend.count() == 5
+        assert all(item.is_visible() for item in legend.all())
+        pictures = page.locator("img").all()
+        assert len(pictures) >= (1 + 2 * 3 + 1 + 2 if images else 3)
+        assert all(
+            picture.evaluate("image => image.complete && image.naturalWidth > 1") for picture in pictures
+        )
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+        page.set_viewport_size({"width": 420, "height": 800})
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), (
+            "nor on a telephone"
+        )
+        assert seen.said == []
+        assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [
+            (bench.out / "report.html").resolve().as_uri()
+        ]

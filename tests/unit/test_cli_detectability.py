@@ -1,0 +1,203 @@
+"""``lightopt optimize --objective detectability``: results, blind spots as files, running again, bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from lightopt import build_scene
+from lightopt.cli._main import run
+from lightopt.images import read_png
+from lightopt.optimize import Blind, blind_text
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from test_cli_optimize import FEW, result_of, with_lights
+
+LIGHTS = ("light1", "light2", "light3")
+DEFECTS = ("--objective", "detectability", "--objective", "paper", "--seen-in", "2", "--threshold", "4")
+
+
+@pytest.fixture
+def three(bench):
+    return with_lights(bench)
+
+
+@pytest.fixture(scope="module")
+def planned(shared_bench, tmp_path_factory):
+    bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("planned") / "bench"))
+    command = [
+        "optimize",
+        bench.rig,
+        bench.part,
+        "-o",
+        bench.out,
+        *FEW,
+        *DEFECTS,
+        "--no-images",
+        "--keep-matrix",
+    ]
+    assert run([str(part) for part in command]) == 0
+    return bench
+
+
+def ply_of(path):
+    """Header lines, vertices and faces of a PLY file as this package writes it."""
+    data = path.read_bytes()
+    head, body = data.split(b"end_header\n", 1)
+    lines = head.decode("ascii").splitlines()
+    count = {line.split()[1]: int(line.split()[2]) for line in lines if line.startswith("element")}
+    vertices = np.frombuffer(body, "<f4", 3 * count["vertex"]).reshape(-1, 3)
+    kinds = [("n", "u1"), ("corners", "<i4", 3), ("colour", "u1", 3), ("seen", "<f4"), ("code", "u1")]
+    kinds += [("reachable", "<f4"), ("reachable_code", "u1")]
+    faces = np.frombuffer(body[vertices.nbytes :], np.dtype(kinds))
+    assert len(faces) == count["face"]
+    return lines, vertices, faces
+
+
+def test_result_has_scores_kinds_directions_and_blind_spots(planned):
+    result = result_of(planned.out)
+    assert result["options"]["seen_in"] == 2
+    assert result["options"]["threshold"] == 4.0
+    for one in result["results"]:
+        found, paper = one["objectives"]
+        assert found["objective"] == "detectability"
+        assert found["seen_in"] == 2
+        assert found["complete"]
+        kinds = found["defects"]
+        assert list(kinds) == ["scratch", "dent", "bump", "pit", "blister", "stain", "haze"]
+        assert found["share_of_visible_area"] == pytest.approx(np.mean(list(kinds.values())), abs=1e-5)
+        assert found["worst_defect"] == min(kinds, key=kinds.get)
+        assert len(found["directions_deg"]) == 8
+        assert found["score"] >= paper["scores_under"]["detectability"]
+        assert found["bound"] == found["score"]
+    spots = result["blind_spots"]
+    assert spots["seen_in"] == 2
+    for part in (spots, *spots["postures"]):
+        for lights in ("chosen", "any_position"):
+            own = part[lights]
+            assert own["seen"] + sum(r["share"] for r in own["blind"]) == pytest.approx(1.0, abs=1e-5)
+        assert part["chosen"]["seen"] <= part["any_position"]["seen"]
+    assert max(p["chosen"]["seen"] for p in spots["postures"]) <= spots["chosen"]["seen"]
+    for one, part in zip(result["results"], spots["postures"], strict=True):
+        seen = one["objectives"][0]["score"] / (7 * 8) * 1e-6
+        assert part["chosen"]["seen"] * spots["surface_mm2"] == pytest.approx(seen, rel=1e-4)
+
+
+def test_table_and_surface_say_the_same_in_the_part_files_coordinates(planned):
+    spots = result_of(planned.out)["blind_spots"]
+    with (planned.out / "blind.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    whole = {r["what"]: float(r["share"]) for r in rows if (r["postures"], r["lights"]) == ("all", "chosen")}
+    assert whole["seen"] == pytest.approx(spots["chosen"]["seen"], abs=1e-6)
+    assert sum(whole.values()) == pytest.approx(1.0, abs=1e-5)
+    lines, vertices, faces = ply_of(planned.out / "blind.ply")
+    assert any("lengths in mm, coordinates of the part's own file" in line for line in lines)
+    assert [line for line in lines if line.startswith("comment code 6")] == [
+        "comment code 6: saturated by light2"
+    ]
+    scene = build_scene(planned.rig, planned.part)
+    low, high = scene.mesh.bounds
+    own = np.array([scene.placement.to_file(np.array(corner)) for corner in (low, high)])
+    np.testing.assert_allclose(vertices.min(axis=0), own.min(axis=0), atol=1e-3)
+    np.testing.assert_allclose(vertices.max(axis=0), own.max(axis=0), atol=1e-3)
+    a, b, c = (vertices[faces["corners"][:, k]].astype(float) for k in range(3))
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    assert areas.sum() == pytest.approx(spots["surface_mm2"], rel=1e-4)
+    assert (areas * faces["seen"]).sum() / areas.sum() == pytest.approx(whole["seen"], abs=1e-4)
+    for code in np.unique(faces["code"]):
+        lost = (areas * (1 - faces["seen"]))[faces["code"] == code].sum() / areas.sum()
+        if code != Blind.SEEN:
+            assert lost == pytest.approx(whole[blind_text(int(code), LIGHTS)], abs=1e-4)
+    assert trimesh.load(planned.out / "blind.ply", process=False).faces.shape == (len(faces), 3)
+
+
+def test_pictures_show_each_posture(planned):
+    files = [entry["file"] for entry in result_of(planned.out)["files"]]
+    pictures = ["posture_0_0/blind.png", "posture_-10_170/blind.png"]
+    assert files == ["blind.csv", "blind.ply", *pictures, "report.html"]
+    picture = read_png(planned.out / "posture_0_0" / "blind.png", colour=True)
+    scene = build_scene(planned.rig, planned.part)
+    assert picture.shape == (scene.camera.height, scene.camera.width, 3)
+    assert 0.02 < (picture.max(axis=2) > 0).mean() < 0.98
+
+
+def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot, monkeypatch):
+    before = snapshot(planned.out)
+    command = ("optimize", planned.rig, planned.part, "-o", planned.out, *FEW, *DEFECTS, "--no-images")
+    ran = cli(*command, "--keep-matrix", "--threads", "1")
+    assert ran.status == 0
+    assert "2 kept luminance matrices reused" in ran.out
+    assert "never seen by the camera" in ran.out
+    assert "best for detectability shows scratch" in ran.out
+    assert snapshot(planned.out) == before
+
+
+def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(three, cli):
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
+    command += ("--objective", "detectability", "--keep-matrix")
+    assert cli(*command).status == 0
+    loose = result_of(three.out)["results"][0]["objectives"][0]["score"]
+    ran = cli(*command, "--threshold", "20")
+    assert ran.status == 2
+    assert "options.threshold: there 5.0, now 20.0" in ran.err
+    ran = cli(*command, "--threshold", "20", "--force")
+    assert ran.status == 0
+    assert "reused" not in ran.out
+    strict = result_of(three.out)["results"][0]["objectives"][0]["score"]
+    assert strict < loose
+    # levels alone are not mistaken for a matrix with defects, nor the other way round
+    ran = cli(*command[:-3], "--keep-matrix", "--force")
+    assert ran.status == 0
+    assert "reused" not in ran.out
+    assert "blind_spots" not in result_of(three.out)
+    assert not list(three.out.rglob("blind.*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--seen-in", "2"), "--seen-in is of --objective detectability, which was not given"),
+        (("--threshold", "2"), "--threshold is of --objective detectability, which was not given"),
+        (("--objective", "detectability", "--seen-in", "0"), "--seen-in: expected the number of images"),
+        (("--objective", "detectability", "--seen-in", "4"), "seen in 4 images, and there are 3 lights only"),
+        (("--objective", "detectability", "--threshold", "0"), "--threshold: expected a number above 0"),
+        (("--objective", "detectability", "--threshold", "nan"), "--threshold: expected a number above 0"),
+    ],
+)
+def test_bad_options(three, cli, arguments, message):
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *arguments)
+    assert (ran.status, ran.out) == (2, "")
+    assert message in ran.err
+    assert not three.out.exists()
+
+
+def test_part_with_a_catalogue_of_its_own(three, cli):
+    with three.part.open("a", encoding="utf-8") as file:
+        file.write(
+            "defect_catalogue:\n"
+            "  - {name: <knock>, kind: dent, size_mm: 2, slope_deg: 10}\n"
+            "  - {name: spot, kind: stain, size_mm: 2, R_d_factor: 0.2}\n"
+        )
+    command = (
+        "optimize",
+        three.rig,
+        three.part,
+        "-o",
+        three.out,
+        *FEW,
+        "--no-images",
+        "--posture",
+        "0,0",
+        "-q",
+    )
+    assert cli(*command, "--objective", "detectability").status == 0
+    found = result_of(three.out)["results"][0]["objectives"][0]
+    assert list(found["defects"]) == ["<knock>", "spot"]
+    assert json.loads((three.out / "result.json").read_text(encoding="utf-8"))["blind_spots"]["seen_in"] == 1

@@ -1,0 +1,188 @@
+"""The search for detectability gives what trying every combination plainly gives, to the last digit of the count."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lightopt.defects import BUILT_IN_CATALOGUE
+from lightopt.errors import InputError
+from lightopt.optimize import Detectability, LuminanceMatrix, Thresholds, Trial, area_units, search, unroll
+from lightopt.optimize import _bit_runs as bit_runs
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from reference._search import all_combinations, detectability_value
+from test_optimize_visibility import visibility_of
+
+THRESHOLDS = Thresholds(shade=10, saturation=255)
+
+
+def trials_of(weights):
+    """Trials that differ in their weights alone."""
+    return tuple(
+        Trial(name=f"trial {k}", kind="stain", weight=weight, length=1.0, width=1.0)
+        for k, weight in enumerate(weights)
+    )
+
+
+def matrix_of(flags, trials, areas, levels):
+    return LuminanceMatrix(
+        levels=levels, areas=np.asarray(areas, float), visibility=visibility_of(flags, trials, areas)
+    )
+
+
+def random_matrix(rng, sizes, patches, trials, *, share=0.4, smooth=False):
+    flags = []
+    for size in sizes:
+        layer = rng.random((size, patches, len(trials))) < share
+        if smooth:
+            # each trial is visible in one run of candidates, if at all
+            a, b = np.sort(rng.integers(0, size + 1, (2, patches, len(trials))), axis=0)
+            place = np.arange(size)[:, None, None]
+            layer = (place >= a) & (place < b)
+        flags.append(layer)
+    levels = tuple(rng.choice([0, 20, 100, 255], (size, patches)).astype(np.uint8) for size in sizes)
+    return flags, matrix_of(flags, trials, rng.random(patches) * 1e-3, levels)
+
+
+def plain(flags, matrix, trials, seen_in):
+    """All combinations, best first, as the reference has them."""
+    areas = area_units(matrix.areas)
+    weights = [trial.weight for trial in trials]
+    # what is scored is not a level: the value is looked up by the combination
+    index = [np.arange(len(layer))[:, None] for layer in flags]
+
+    def value(columns):
+        images = [layer[int(i)] for layer, (i,) in zip(flags, columns, strict=True)]
+        return detectability_value(images, areas, weights, seen_in)
+
+    ranked = all_combinations(index, value, 0, 0, 0)
+    usable = [
+        (np.where((layer >= 10) & (layer < 255), layer, 0).astype(np.int64) * areas).sum(axis=1)
+        for layer in matrix.levels
+    ]
+    return sorted(
+        (value, -sum(int(own[i]) for own, i in zip(usable, combination, strict=True)), combination)
+        for value, _, combination in ranked
+    )
+
+
+def as_tuples(found):
+    return [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking]
+
+
+@settings(max_examples=80, deadline=None)
+@given(data=st.data())
+def test_plain_reading_of_any_small_matrix(data):
+    """Ties, lights with one candidate, two to six lights, any weights: ranking, ties, runner-up and bound."""
+    lights = data.draw(st.integers(2, 6))
+    sizes = data.draw(st.lists(st.integers(1, 3), min_size=lights, max_size=lights))
+    patches = data.draw(st.integers(1, 4))
+    weights = data.draw(st.lists(st.integers(1, 9), min_size=1, max_size=4))
+    seen_in = data.draw(st.integers(1, min(3, lights)))
+    trials = trials_of(weights)
+    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    flags = [
+        rng.random((size, patches, len(trials))) < data.draw(st.sampled_from([0.0, 0.3, 0.8, 1.0]))
+        for size in sizes
+    ]
+    areas = rng.integers(0, 4, patches) * 1e-6
+    levels = tuple(rng.choice([0, 30, 255], (size, patches)).astype(np.uint8) for size in sizes)
+    matrix = matrix_of(flags, trials, areas, levels)
+    objective = Detectability(trials, seen_in)
+    expected = plain(flags, matrix, trials, seen_in)
+    found = search([matrix], objective, THRESHOLDS, keep=1000)
+    assert as_tuples(found) == expected
+    assert found.ties == sum(value == expected[0][0] for value, _, _ in expected)
+    # taken in small boxes, with bounds, the same
+    cells = data.draw(st.integers(1, 6))
+    boxed = search([matrix], objective, THRESHOLDS, keep=2, table_cells=cells)
+    assert as_tuples(boxed) == as_tuples(found)[:2]
+    assert (boxed.ties, boxed.bound, boxed.left) == (found.ties, found.bound, 0)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+@pytest.mark.parametrize("sizes", [(6, 5), (4, 1, 5, 3), (2, 3, 2, 1, 2, 2)])
+@pytest.mark.parametrize("seen_in", [1, 2, 3])
+def test_built_in_catalogue_and_more_trials_than_a_word_has_bits(sizes, seen_in, smooth):
+    rng = np.random.default_rng(seen_in)
+    for trials in (unroll(BUILT_IN_CATALOGUE), trials_of(rng.integers(1, 40, 150).tolist())):
+        flags, matrix = random_matrix(rng, sizes, 9, trials, smooth=smooth)
+        objective = Detectability(trials, seen_in)
+        if objective.refusal(len(sizes)):
+            continue
+        weights = objective.weights(matrix.areas)
+        scores = objective.scores(matrix, weights, THRESHOLDS, threads=2)
+        places = list(np.ndindex(*sizes))
+        some = rng.choice(len(places), 12, replace=False)
+        for k in some:
+            images = [layer[i] for layer, i in zip(flags, places[k], strict=True)]
+            expected = detectability_value(images, weights, [trial.weight for trial in trials], seen_in)
+            assert scores[k] == expected
+            assert objective.score(matrix.combination(places[k]), weights, THRESHOLDS) == expected
+        assert scores.max() <= objective.bound(matrix, weights, THRESHOLDS)
+
+
+@pytest.mark.parametrize("seen_in", [1, 2, 4])
+def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatch, seen_in):
+    rng = np.random.default_rng(3)
+    trials = trials_of(rng.integers(1, 9, 70).tolist())
+    _, matrix = random_matrix(rng, (7, 1, 6, 5), 40, trials)
+    objective = Detectability(trials, seen_in)
+    weights = objective.weights(matrix.areas)
+    whole = objective.scores(matrix, weights, THRESHOLDS, threads=2)
+    shares: list[float] = []
+    for most, patches, flags in ((1 << 10, 7, 1 << 27), (40, 40, 1 << 12), (1, 3, 1 << 12)):
+        monkeypatch.setattr(bit_runs, "LEAST_NODES", 1)
+        monkeypatch.setattr(bit_runs, "MOST_NODES", most)
+        monkeypatch.setattr(bit_runs, "CHUNK_PATCHES", patches)
+        monkeypatch.setattr(bit_runs, "FLAG_BYTES", flags)
+        shares.clear()
+        again = objective.scores(matrix, weights, THRESHOLDS, threads=3, progress=shares.append)
+        np.testing.assert_array_equal(again, whole)
+        assert shares == sorted(shares)
+        assert shares[-1] <= 1.0
+
+
+def test_details_name_what_is_worst():
+    trials = unroll(BUILT_IN_CATALOGUE)
+    flags = [np.ones((1, 2, len(trials)), bool), np.zeros((1, 2, len(trials)), bool)]
+    flags[0][0, 0, 8:16] = False  # dents on the first patch
+    flags[0][0, :, 3] = False  # scratches that lean to 135°
+    areas = np.array([3.0, 1.0])
+    levels = (np.zeros((1, 2), np.uint8),) * 2
+    matrix = matrix_of(flags, trials, areas, levels)
+    objective = Detectability(trials)
+    facts = objective.details([matrix, matrix], [objective.weights(areas)] * 2)
+    assert facts["defects"] == {
+        "scratch": 0.875,
+        "dent": 0.25,
+        "bump": 1.0,
+        "pit": 1.0,
+        "blister": 1.0,
+        "stain": 1.0,
+        "haze": 1.0,
+    }
+    assert facts["worst_defect"] == "dent"
+    assert facts["worst_direction_deg"] == 135.0
+    assert facts["directions_deg"]["0"] == pytest.approx(0.85)
+    score = objective.score(matrix, objective.weights(areas), THRESHOLDS)
+    assert objective.share(score, 4_000_000) == pytest.approx(np.mean(list(facts["defects"].values())))
+    assert objective.shown(score) == f"{4 * objective.share(score, 4_000_000):.2f} mm²"
+
+
+def test_what_makes_no_sense_is_refused():
+    trials = trials_of([1])
+    with pytest.raises(InputError, match="--seen-in: expected the number of images"):
+        Detectability(trials, 0)
+    assert "5 images, and there are 4 lights" in Detectability(trials, 5).refusal(4)
+    bare = LuminanceMatrix(levels=(np.zeros((2, 1), np.uint8),) * 2, areas=np.ones(1))
+    with pytest.raises(InputError, match="expected a luminance matrix with the visibility"):
+        search([bare], Detectability(trials), THRESHOLDS)

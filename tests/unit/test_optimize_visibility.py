@@ -1,0 +1,157 @@
+"""Trials, their bits, and why some of them are not seen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
+from lightopt.errors import InputError
+from lightopt.optimize import (
+    Blind,
+    LuminanceMatrix,
+    Thresholds,
+    Visibility,
+    blind_codes,
+    blind_spots,
+    blind_text,
+    unroll,
+)
+
+THRESHOLDS = Thresholds(shade=10, saturation=255, black=2)
+
+
+def dent(slope_deg, name="dent"):
+    return CatalogueEntry(
+        name, DefectShape(kind="dent", length=2.0, width=2.0, slope=math.radians(slope_deg))
+    )
+
+
+def pack(flags):
+    """Flags (…, t) as words (…, w), bit t % 64 of word t // 64."""
+    flags = np.asarray(flags, bool)
+    words = np.zeros((*flags.shape[:-1], -(-flags.shape[-1] // 64)), np.uint64)
+    for t in range(flags.shape[-1]):
+        words[..., t // 64] |= flags[..., t].astype(np.uint64) << np.uint64(t % 64)
+    return words
+
+
+def visibility_of(flags, trials, areas, *, patch=None, cosines=None):
+    count = len(areas)
+    return Visibility(
+        trials=trials,
+        words=tuple(pack(layer) for layer in flags),
+        areas=np.asarray(areas, float),
+        patch=np.arange(count, dtype=np.int32) if patch is None else np.asarray(patch, np.int32),
+        cosines=np.ones(count) if cosines is None else np.asarray(cosines, float),
+    )
+
+
+def test_built_in_catalogue_unrolls_to_walls_all_around_and_each_entry_weighs_the_same():
+    trials = unroll(BUILT_IN_CATALOGUE)
+    assert len(trials) == 5 * 8 + 2
+    for entry in BUILT_IN_CATALOGUE:
+        own = [trial for trial in trials if trial.name == entry.name]
+        assert sum(trial.weight for trial in own) == 8
+        assert {trial.slope for trial in own} == {entry.shape.slope}
+    scratch = [trial.direction for trial in trials if trial.name == "scratch"]
+    np.testing.assert_allclose(np.degrees(scratch), np.arange(8) * 45.0)
+    assert trials[0].label == "scratch 4° to 0°"
+    assert [trial.label for trial in trials[-2:]] == ["stain", "haze"]
+
+
+@pytest.mark.parametrize(
+    ("catalogue", "directions", "found"),
+    [
+        ((), 8, "at least one kind of defect"),
+        ((dent(0.0),), 8, "slope above 0° up to 60°, found 0°"),
+        ((dent(61.0),), 8, "slope above 0° up to 60°, found 61°"),
+        ((dent(3.0),), 7, "expected 8 or more, found 7"),
+        ((dent(3.0),), 1025, "are 1025 trials, more than 1024"),
+    ],
+)
+def test_what_cannot_be_planned_for_is_refused(catalogue, directions, found):
+    with pytest.raises(InputError, match=found):
+        unroll(catalogue, directions=directions)
+
+
+def test_counts_and_weights_are_those_of_the_flags():
+    rng = np.random.default_rng(0)
+    catalogue = [dent(1.0 + k, f"dent {k}") for k in range(9)]
+    catalogue.append(CatalogueEntry("stain", DefectShape(kind="stain", length=1, width=1, R_d_factor=0.5)))
+    trials = unroll(catalogue)
+    sizes, patches = (3, 2, 4), 17
+    flags = [rng.random((size, patches, len(trials))) < 0.4 for size in sizes]
+    some = visibility_of(flags, trials, rng.random(patches))
+    assert some.words[0].shape == (3, patches, 2)
+    weights = np.array([trial.weight for trial in trials])
+    for least in (1, 2, 3):
+        chosen = (2, 0, 3)
+        counts = sum(layer[k].astype(int) for layer, k in zip(flags, chosen, strict=True))
+        seen = some.seen(chosen, least)
+        np.testing.assert_array_equal(seen, pack(counts >= least))
+        np.testing.assert_array_equal(some.weights(seen), (counts >= least) @ weights)
+        union = sum(layer.any(axis=0).astype(int) for layer in flags)
+        np.testing.assert_array_equal(some.reachable(least), pack(union >= least))
+    assert some.total_weight == weights.sum() == 80
+
+
+def test_visibility_of_other_images_is_refused():
+    trials = unroll([dent(2.0)])
+    some = visibility_of([np.ones((2, 3, 8)), np.ones((1, 3, 8))], trials, np.ones(3))
+    levels = tuple(np.zeros((size, 3), np.uint8) for size in (2, 1))
+    assert LuminanceMatrix(levels=levels, areas=np.ones(3), visibility=some).visibility is some
+    with pytest.raises(InputError, match="expected the visibility of the same images"):
+        LuminanceMatrix(levels=levels[::-1], areas=np.ones(3), visibility=some)
+    with pytest.raises(InputError, match="light 0: expected uint64"):
+        visibility_of([np.ones((2, 4, 8))], trials, np.ones(3))
+
+
+def test_reasons_are_those_that_stand_in_between():
+    trials = unroll([dent(2.0)])
+    # patches: seen in both; two images, no contrast; one dark; one saturated; one dark and one saturated; grazing
+    levels = (
+        np.array([[90, 90, 2, 255, 255, 90]], np.uint8),
+        np.array([[90, 90, 90, 90, 2, 90]], np.uint8),
+    )
+    flags = [np.zeros((1, 6, 8), bool) for _ in levels]
+    for layer in flags:
+        layer[0, 0] = True
+        layer[0, 1, :3] = True
+    cosines = np.array([1, 1, 1, 1, 1, 0.1])
+    some = visibility_of(flags, trials, [1, 1, 1, 1, 1, 2], patch=[1, 2, 3, 4, 5, 7], cosines=cosines)
+    codes, seen = blind_codes(some, levels, THRESHOLDS, least=2, candidates=(0, 0))
+    expected = [Blind.SEEN, Blind.CONTRAST, Blind.SHADOWED, Blind.SATURATED, Blind.SHADOWED, Blind.GRAZING]
+    assert codes.tolist() == expected
+    areas = np.array([3, 1, 1, 1, 1, 1, 0, 2.0])
+    found = blind_spots(areas, [(some, codes, seen)])
+    assert found.codes.tolist() == [Blind.CAMERA, *expected[:5], Blind.CAMERA, Blind.GRAZING]
+    assert found.seen == pytest.approx((1 + 3 / 8) / 10)
+    reasons = found.by_reason()
+    assert reasons == pytest.approx({1: 0.3, 2: 0.2, 3: 0.2, 4: 0.0625, 5: 0.1})
+    assert found.seen + sum(reasons.values()) == pytest.approx(1.0)
+    one, _ = blind_codes(some, levels, THRESHOLDS, least=1, candidates=(0, 0))
+    assert one[4] == Blind.SATURATED + 0 or one[4] == Blind.SATURATED
+    assert blind_text(Blind.SATURATED + 1, ["left", "right"]) == "saturated by right"
+
+
+def test_all_positions_count_each_for_itself_and_postures_complete_each_other():
+    trials = unroll([dent(2.0)])
+    levels = (np.array([[255], [60]], np.uint8), np.array([[2], [2]], np.uint8))
+    flags = [np.zeros((2, 1, 8), bool) for _ in levels]
+    flags[0][0, 0, :4] = True
+    flags[0][1, 0, 4:6] = True
+    first = visibility_of(flags, trials, [1.0])
+    codes, seen = blind_codes(first, levels, THRESHOLDS, least=1)
+    assert codes.tolist() == [Blind.CONTRAST]
+    assert first.weights(seen).tolist() == [6]
+    flags = [layer.copy() for layer in flags]
+    flags[1][1, 0, 6:] = True
+    other = visibility_of([flags[1], flags[1]], trials, [1.0])
+    own, more = blind_codes(other, levels, THRESHOLDS, least=1, candidates=(1, 1))
+    together = blind_spots(np.ones(1), [(first, codes, seen), (other, own, more)])
+    assert together.codes.tolist() == [Blind.SEEN]
+    assert together.seen == 1.0
+    assert blind_spots(np.ones(2), []).codes.tolist() == [Blind.CAMERA, Blind.CAMERA]

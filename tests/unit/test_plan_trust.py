@@ -1,0 +1,114 @@
+"""How far a score falls: corners, draws and widest tolerances against trying everything one by one."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+
+from lightopt.errors import InputError
+from lightopt.plan import Tolerances, trust_of
+
+NAMES = ("left", "right", "top")
+
+
+def smooth(pose, lights):
+    """A score that falls differently along every angle, with a coupling between lights and part."""
+    value = 1e6 - 900.0 * abs(pose[0] - 0.2) - 400.0 * pose[1] ** 2
+    for i, (elevation, azimuth) in enumerate(lights):
+        value -= (300.0 + 200.0 * i) * abs(elevation + 0.3 * pose[0]) ** 1.5 + 50.0 * i * abs(azimuth)
+        value -= 120.0 * max(0.0, elevation) * max(0.0, lights[0][1])
+    return math.floor(value)
+
+
+def assess(pose, lights):
+    return np.array([smooth(pose, some) for some in product(*lights)], np.int64)
+
+
+def test_worst_corner_is_that_of_trying_all():
+    tolerances = Tolerances(light_deg=2.0, pose_deg=1.0, draws=20)
+    trust = trust_of(assess, NAMES, tolerances)
+    offsets = list(product((-2.0, 2.0), repeat=2))
+    tried = {
+        (pose, lights): smooth(pose, lights)
+        for pose in product((-1.0, 1.0), repeat=2)
+        for lights in product(offsets, repeat=3)
+    }
+    assert len(tried) == 4 * 4**3
+    assert trust.worst == min(tried.values())
+    assert tried[trust.worst_pose, trust.worst_lights] == trust.worst
+    assert trust.score == smooth((0.0, 0.0), [(0.0, 0.0)] * 3)
+
+
+def test_draws_are_seeded_and_within_the_tolerance():
+    seen = []
+
+    def watched(pose, lights):
+        if all(len(some) == 1 for some in lights):
+            seen.append((pose, tuple(some[0] for some in lights)))
+        return assess(pose, lights)
+
+    tolerances = Tolerances(light_deg=2.0, pose_deg=0.5, draws=40, seed=3)
+    trust = trust_of(watched, NAMES, tolerances)
+    draws = seen[1:41]  # after the exact one
+    scores = sorted(smooth(pose, lights) for pose, lights in draws)
+    assert trust.quantile == scores[1]  # 5 % of 40 are two
+    assert trust.least_drawn == scores[0]
+    poses = np.array([pose for pose, _ in draws])
+    lights = np.array([lights for _, lights in draws])
+    assert 0.4 < np.abs(poses).max() <= 0.5
+    assert 1.9 < np.abs(lights).max() <= 2.0
+    assert trust == trust_of(assess, NAMES, tolerances)
+    other = trust_of(assess, NAMES, Tolerances(light_deg=2.0, pose_deg=0.5, draws=40, seed=4))
+    assert other.least_drawn != trust.least_drawn
+
+
+def test_widest_tolerances_are_those_of_a_fine_scan():
+    trust = trust_of(assess, NAMES, Tolerances(draws=1, target=0.995))
+    least = 0.995 * trust.score
+    exact = [(0.0, 0.0)] * 3
+    for widest in trust.widest:
+        for degrees in np.arange(0.01, 16.005, 0.01):
+            either = [
+                (s * degrees, 0.0) if widest.angle in ("elevation", "tilt") else (0.0, s * degrees)
+                for s in (-1.0, 1.0)
+            ]
+            if widest.what == "part":
+                scores = [smooth(pose, exact) for pose in either]
+            elif widest.angle == "both":
+                offsets = list(product((-degrees, degrees), repeat=2))
+                scores = [smooth((0.0, 0.0), lights) for lights in product(offsets, repeat=3)]
+            else:
+                i = NAMES.index(widest.what)
+                scores = [smooth((0.0, 0.0), [*exact[:i], o, *exact[i + 1 :]]) for o in either]
+            if min(scores) < least:
+                break
+        else:
+            assert widest.open_ended
+            continue
+        assert not widest.open_ended
+        assert widest.degrees < degrees <= widest.degrees + 0.05 + 0.01
+    assert {w.what for w in trust.widest} == {*NAMES, "all lights", "part"}
+    assert any(w.open_ended for w in trust.widest)  # azimuth of the first light costs nothing
+
+
+def test_nothing_off_is_nothing_lost():
+    trust = trust_of(assess, NAMES, Tolerances(draws=3))
+    assert trust.score == trust.worst == trust.quantile == trust.least_drawn
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ({"light_deg": -1.0}, "--tolerance-deg: expected degrees from 0 to 16, found -1"),
+        ({"pose_deg": 17.0}, "--pose-tolerance-deg: expected degrees from 0 to 16, found 17"),
+        ({"light_deg": math.nan}, "--tolerance-deg: expected degrees from 0 to 16, found nan"),
+        ({"target": 1.0}, "--tolerance-target: expected a share"),
+        ({"draws": 0}, "draws: expected at least 1"),
+    ],
+)
+def test_bad_tolerances_are_refused(arguments, expected):
+    with pytest.raises(InputError, match=expected):
+        Tolerances(**arguments)

@@ -1,0 +1,386 @@
+"""The report of ``lightopt optimize``: what it shows is what result.json says; files of others stay."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.optimize import Blind, Curve, OptimizeOptions, Thresholds, area_units, optimize
+from lightopt.report import Answer, Facts, Gallery, Picture, SurfaceView, Table, optimum_page, optimum_report
+from lightopt.report._optimum_surface import SHOWN, shown_by_images
+
+LIGHTS = """\
+lights:
+  - {name: left, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [40, 60]}
+  - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 165, azimuth_range_deg: [155, 165]}
+  - {name: light3, distance_mm: 330, elevation_deg: 45, azimuth_deg: 285, elevation_range_deg: [40, 60]}
+"""
+FEW = ("--patches", "800", "--step", "10", "-q")
+
+
+def with_lights(bench):
+    text = bench.rig.read_text(encoding="utf-8")
+    head, rest = text.split("lights:\n", 1)
+    bench.rig.write_text(head + LIGHTS + rest[rest.index("stage:") :], encoding="utf-8", newline="\n")
+    bench.edit("part.yaml", "name: knob", "name: '</title><script>knob'")
+    return bench
+
+
+@pytest.fixture(scope="module")
+def done(shared_bench, tmp_path_factory):
+    """A small optimisation, what its report was made of, and its files."""
+    bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("report") / "bench"))
+    drafts = []
+
+    def page(draft):
+        drafts.append(draft)
+        return optimum_report(draft)
+
+    options = OptimizeOptions(step_deg=10.0, patch_budget=800)
+    found = optimize(bench.rig, bench.part, bench.out, options=options, page=page)
+    return bench, drafts[0], found
+
+
+@pytest.fixture(scope="module")
+def blocks(done):
+    page = optimum_page(done[1])
+    return [*page.lead, *(block for section in page.sections for block in section.blocks)]
+
+
+@pytest.fixture
+def three(bench):
+    return with_lights(bench)
+
+
+def result_of(folder: Path):
+    return json.loads((folder / "result.json").read_text(encoding="utf-8"))
+
+
+def test_figures_are_those_of_the_result(done, blocks):
+    bench, _, found = done
+    result = result_of(bench.out)
+    answers = [block for block in blocks if isinstance(block, Answer)]
+    angles, areas, scores = (block for block in blocks if isinstance(block, Table))
+    assert found.written.report == bench.out / "report.html"
+    assert result["files"] == [{"file": "report.html"}]
+    for row, (answer, group) in enumerate(zip(answers, result["results"], strict=True)):
+        best = group["objectives"][0]
+        share = f"{100 * best['score'] / group['visible_area_um2']:.1f} %"
+        score = f"{best['score'] / 1e6:,.2f} mm²"
+        assert answer.figure == share
+        assert score in answer.text
+        expected = [f"{one['elevation_deg']:g}°, {one['azimuth_deg']:g}°" for one in best["lights"]]
+        assert list(angles.rows[row][1:4]) == expected
+        assert angles.rows[row][4] == f"{score} ({share})"
+        # the patches that coverage counts are those that are painted usable in two images
+        assert areas.rows[row][1] == f"{score} ({share})"
+        assert list(scores.rows[2 * row][2:5]) == expected
+        assert scores.rows[2 * row][6] == f"{best['scores_under']['paper']:,}"
+        assert scores.rows[2 * row][7] == f"−{best['gap'] / 1e6:,.2f} mm²"
+    text = (bench.out / "report.html").read_text(encoding="utf-8")
+    for row in angles.rows:
+        assert all(f"<td class=number>{cell}</td>" in text for cell in row[1:])
+
+
+def test_every_patch_is_painted_as_its_levels_say(done, blocks):
+    _, draft, _ = done
+    view = next(block for block in blocks if isinstance(block, SurfaceView))
+    assert [layer.name for layer in view.surface.layers] == [
+        "the best of all postures",
+        "posture (0°, 0°)",
+        "posture (-10°, 170°)",
+    ]
+    names = [label for label, _ in SHOWN]
+    for layer, result, posture in zip(
+        view.surface.layers[1:], draft.results, draft.table.postures, strict=True
+    ):
+        visible = draft.table.visible[draft.table.postures.index(posture)]
+        expected = []
+        seen = iter(result.levels[0].T.tolist())
+        for is_seen in visible:
+            if not is_seen:
+                expected.append("the camera does not see it")
+                continue
+            levels = next(seen)
+            usable = sum(10 <= level < 255 for level in levels)
+            if sum(level >= 255 for level in levels) >= 2:
+                expected.append("saturated in two images or more")
+            elif usable >= 2:
+                expected.append("usable in two images or more")
+            else:
+                expected.append("usable in one image only" if usable else "shaded: usable in no image")
+        assert [names[k] for k in layer.of_face] == expected
+        covered = np.array([name == "usable in two images or more" for name in expected])
+        units = area_units(draft.table.patches.areas[visible])
+        assert int(units[covered[visible]].sum()) == result.answers[0].scores["coverage"]
+    together = np.min([layer.of_face for layer in view.surface.layers[1:]], axis=0)
+    assert np.array_equal(view.surface.layers[0].of_face, together)
+
+
+def test_classes_at_the_thresholds():
+    levels = np.array([[9, 10, 254, 255, 10, 255], [9, 9, 10, 255, 255, 9]], np.uint8)
+    classes = shown_by_images(levels, Thresholds(shade=10, saturation=255))
+    assert classes.tolist() == [3, 1, 0, 2, 1, 3]
+
+
+def test_curves_pass_through_the_best_set_and_are_in_the_result(done, blocks):
+    bench, draft, _ = done
+    result = result_of(bench.out)
+    for group, found in zip(result["results"], draft.results, strict=True):
+        best = group["objectives"][0]
+        at = {one["light"]: one for one in best["lights"]}
+        assert [(c["light"], c["axis"], c["angles_deg"]) for c in group["curves"]] == [
+            (None, "elevation", [40, 50, 60]),
+            ("left", "elevation", [40, 50, 60]),
+            ("light2", "azimuth", [155, 165]),
+            ("light3", "elevation", [40, 50, 60]),
+        ]
+        for curve in group["curves"][1:]:
+            assert max(curve["scores"]) == best["score"]
+            here = at[curve["light"]][f"{curve['axis']}_deg"]
+            assert curve["scores"][curve["angles_deg"].index(here)] == best["score"]
+        assert all(isinstance(curve, Curve) for curve in found.curves)
+    charts = [block for block in blocks if isinstance(block, Picture) and "Score against" in block.alt]
+    assert len(charts) == 4, "elevation and azimuth of both postures"
+
+
+def test_all_that_it_rests_on_is_told(done, blocks):
+    bench, draft, _ = done
+    rows = dict(row for block in blocks if isinstance(block, Facts) for row in block.rows)
+    assert rows["levels"].startswith("8 bit, black level 0; shaded below 10, saturated from 255 on")
+    assert rows["sensor noise, not part of the score"] == "read noise 0.8 levels, 60 electrons per level"
+    assert rows["reflectance"].startswith("R_d 45, R_s 12500, σ 0.0475 rad")
+    assert rows["patches"] == draft.table.message
+    result = result_of(bench.out)
+    assert result["rig"]["sha256"] in rows["rig"]
+    assert result["part"]["sha256"] in rows["part"]
+    assert result["mesh_sha256"] in rows["mesh"]
+    assert f"numpy {result['versions']['numpy']}" in rows["versions"]
+    gallery = next(block for block in blocks if isinstance(block, Gallery))
+    assert [len(pictures) for _, pictures in gallery.rows] == [4, 4]
+    text = (bench.out / "report.html").read_text(encoding="utf-8")
+    assert str(bench.folder) not in text, "the same files give the same report wherever they lie"
+    assert f"<title>{html.escape('Where the lights go: </title><script>knob')}</title>" in text
+    assert len(re.findall("<script", text)) == 4
+
+
+def test_again_it_is_the_same_and_reports_of_others_stay(three, cli, snapshot):
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
+    three.out.mkdir()
+    (three.out / "report.html").write_text("mine", encoding="utf-8")
+    refused = cli(*command)
+    assert refused.status == 2
+    assert "report.html: exists with other content; use --force" in refused.err
+    (three.out / "report.html").unlink()
+    assert cli(*command).status == 0
+    before = snapshot(three.out)
+    assert cli(*command, "--threads", 1).status == 0
+    assert snapshot(three.out) == before
+    # a report that was spoilt is of this run, and made anew
+    (three.out / "report.html").write_text("spoilt", encoding="utf-8")
+    assert cli(*command).status == 0
+    assert snapshot(three.out) == before
+    assert "Not rendered (--no-images)" in (three.out / "report.html").read_text(encoding="utf-8")
+
+
+def test_without_a_report_there_is_none_and_none_is_left(three, cli):
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
+    assert cli(*command).status == 0
+    ran = cli(*command, "--no-report")
+    assert ran.status == 2
+    assert "options.report: there true, now false" in ran.err
+    assert cli(*command, "--no-report", "--force").status == 0
+    assert not (three.out / "report.html").exists()
+    assert result_of(three.out)["files"] == []
+
+
+def test_a_part_that_nothing_lights_has_a_report_that_says_so(three, cli):
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--posture", "0,0")
+    ran = cli(*command, "--shade-below", "0.99")
+    assert ran.status == 1
+    text = (three.out / "report.html").read_text(encoding="utf-8")
+    assert "<strong>No answer</strong>" in text
+    assert "every combination scores 0" in text
+
+
+def test_the_terminal_names_the_report(done, cli):
+    bench, _, _ = done
+    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, *FEW[:4])
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out.splitlines()[-1] == str(bench.out / "report.html")
+
+
+@pytest.fixture(scope="module")
+def inspected(shared_bench, tmp_path_factory):
+    """The same with defects to be seen."""
+    bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("inspected") / "bench"))
+    drafts = []
+
+    def page(draft):
+        drafts.append(draft)
+        return optimum_report(draft)
+
+    options = OptimizeOptions(objectives=("detectability",), step_deg=20.0, patch_budget=400, images=False)
+    optimize(bench.rig, bench.part, bench.out, options=options, page=page)
+    return bench, drafts[0]
+
+
+def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
+    bench, draft = inspected
+    spots = result_of(bench.out)["blind_spots"]
+    section = next(s for s in optimum_page(draft).sections if s.heading == "Blind spots")
+    view, table = section.blocks
+    assert list(table.rows[0][:3]) == ["all postures", "as found", f"{100 * spots['chosen']['seen']:.1f} %"]
+    assert list(table.header[3:]) == list(
+        dict.fromkeys(
+            one["reason"]
+            for group in (spots, *spots["postures"])
+            for side in ("chosen", "any_position")
+            for one in group[side]["blind"]
+        )
+    )
+    for row, group in zip(table.rows[::2], (spots, *spots["postures"]), strict=True):
+        shares = {one["reason"]: one["share"] for one in group["chosen"]["blind"]}
+        assert list(row[3:]) == [f"{100 * shares.get(reason, 0):.1f} %" for reason in table.header[3:]]
+    shares, reasons, reachable, *single = view.surface.layers
+    assert len(single) == 2
+    labels = [kind.label for kind in reasons.classes]
+    names = {
+        Blind.SEEN: "all defects seen",
+        Blind.CAMERA: "never seen by the camera",
+        Blind.GRAZING: "seen at a grazing angle",
+        Blind.SHADOWED: "shadowed",
+        Blind.CONTRAST: "contrast under noise",
+    }
+    for layer, found in ((reasons, draft.blind.chosen), (reachable, draft.blind.possible)):
+        expected = [names.get(code, "saturated by a light") for code in found.codes.tolist()]
+        assert [labels[k] for k in layer.of_face] == expected
+    for k, share in zip(shares.of_face, draft.blind.chosen.share, strict=True):
+        label = shares.classes[k].label
+        low, high = {
+            "none": (0.0, 0.0),
+            "up to a quarter": (1e-9, 0.25),
+            "up to a half": (0.25, 0.5),
+            "up to three quarters": (0.5, 0.75),
+            "more, not all": (0.75, 1.0 - 1e-9),
+            "all": (1.0, 1.0),
+            "never seen by the camera": (0.0, 0.0),
+        }[label]
+        assert low <= share <= high
+
+
+def test_defects_seen_are_those_of_the_result(inspected):
+    bench, draft = inspected
+    section = next(s for s in optimum_page(draft).sections if s.heading == "Defects")
+    (table,) = section.blocks
+    for row, group in zip(table.rows, result_of(bench.out)["results"], strict=True):
+        answer = group["objectives"][0]
+        shown = dict(zip(table.header, row, strict=True))
+        for name, share in answer["defects"].items():
+            assert shown[name] == f"{100 * share:.1f} %"
+        assert shown["seen worst"] == answer["worst_defect"]
+        assert shown["walls that lean to"] == f"{answer['worst_direction_deg']:g}°"
+
+
+def place(elevation: float, rotation: float) -> dict[str, float]:
+    return {"elevation_deg": elevation, "rotation_deg": rotation}
+
+
+PLANNED = {
+    "chosen_postures": {
+        "seen_in": 2,
+        "target": 0.9,
+        "share": 0.905,
+        "bound": 0.931,
+        "greedy_guarantee": 0.75,
+        "fewest_possible": 2,
+        "all_candidates": 0.97,
+        "lights_as_they_stand": 0.85,
+        "postures": [
+            {**place(0, 0), "gain": 0.7, "share": 0.7},
+            {**place(20, 90), "gain": 0.205, "share": 0.905},
+        ],
+        "order_of_travel": [place(20, 90), place(0, 0)],
+        "travel_s": 110.0,
+        "candidates": 12,
+        "left_out": [{**place(45, 0), "kind": "view", "reason": "the part leaves the image"}],
+        "turns": 2,
+        "every_combination_tried": True,
+        "patches": {"drawn": 100, "all": 800},
+        "visible_share_of_surface": 0.61,
+    },
+    "exposures": {
+        "share_without": 0.905,
+        "share": 0.94,
+        "least_gain": 0.01,
+        "shots": [
+            {"posture": place(0, 0), "exposure": 0.25, "gain": 0.035, "planned": True},
+            {"posture": place(20, 90), "exposure": 0.25, "gain": 0.002, "planned": False},
+        ],
+    },
+    "trust": [
+        {
+            "postures": [place(0, 0)],
+            "patches": 100,
+            "score": 1000,
+            "worst_corner": {"share_of_score": 0.91, "part": {}, "lights": []},
+            "quantile_5_percent": 0.953,
+            "least_drawn": 0.94,
+            "widest": [{"what": "left", "angle": "elevation", "degrees": 3.25, "or_more": False}],
+        },
+        {
+            "postures": [place(0, 0), place(20, 90)],
+            "patches": 100,
+            "score": 2000,
+            "worst_corner": {"share_of_score": 0.93, "part": {}, "lights": []},
+            "quantile_5_percent": 0.96,
+            "least_drawn": 0.95,
+            "widest": [{"what": "left", "angle": "elevation", "degrees": 10.0, "or_more": True}],
+        },
+    ],
+    "commands": ["lightopt capture rig.optimized.yaml part.planned.yaml --exposures 1,0.25 -o captured"],
+}
+
+
+def test_a_plan_is_shown_as_the_result_has_it(done):
+    draft = replace(done[1], document={**done[1].document, **PLANNED})
+    sections = {section.heading: section.blocks for section in optimum_page(draft).sections}
+    table, facts, left, command = sections["Postures"]
+    assert table.rows == [["(0°, 0°)", "70.0 %", "70.0 %"], ["(20°, 90°)", "20.5 %", "90.5 %"]]
+    told = dict(facts.rows)
+    assert told["the same number of others shows at most"] == "93.1 %"
+    assert told["order of least travel"] == "(20°, 90°) → (0°, 0°), 110.0 s"
+    assert told["90.0 % takes at least"] == "2 postures"
+    assert left.rows == [["(45°, 0°)", "the part leaves the image"]]
+    assert command.text == PLANNED["commands"][0]
+    note, shots = sections["Exposures"]
+    assert "94.0 % of the surface × defects is seen, with exposure 1 alone 90.5 %" in note.text
+    assert [list(row) for row in shots.rows] == [
+        ["(0°, 0°)", "0.25", "3.50 %", "yes"],
+        ["(20°, 90°)", "0.25", "0.20 %", "no"],
+    ]
+    (trust,) = sections["How exact the angles must be"]
+    assert list(trust.header[1:]) == ["posture (0°, 0°)", "all 2 postures"]
+    assert trust.rows == [
+        ["worst corner keeps", "91.0 %", "93.0 %"],
+        ["95 % of draws keep", "95.3 %", "96.0 %"],
+        ["widest: left elevation", "3.25°", "≥ 10.00°"],
+    ]
+
+
+def test_nothing_is_shown_of_what_was_not_planned(done):
+    headings = [section.heading for section in optimum_page(done[1]).sections]
+    assert headings == [
+        "What the images show",
+        "Images of the best set",
+        "Where the lights stand",
+        "How flat the top is",
+        "Scores",
+        "What was assumed",
+    ]
