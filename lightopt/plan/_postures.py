@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import CheckFailed
+from lightopt.errors import CheckFailed, counted
 from lightopt.optimize import (
     Candidates,
     Contrast,
@@ -67,7 +67,10 @@ def plan_postures(
     places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
     postures, left_out = usable_postures(replace(scene, postures=grid), places, caster)
     if tell is not None:
-        tell(f"{len(postures)} postures to choose from, {len(left_out)} left out")
+        tell(
+            f"{counted(len(postures), 'posture')} to choose from, {len(left_out)} left out; patches are cut for all "
+            "of them"
+        )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
     whole = Survey(
