@@ -176,7 +176,7 @@ class _Turns:
             counts.append(counts_of_images([layer[0] for layer in images], self.wanted.least))
             self._say(stage, (i + 1) / len(self.postures))
         free = greedy_cover(counts, self.weights, count=self.wanted.count, target=self.wanted.target)
-        if among is None:
+        if not among:
             return free
         kept = greedy_cover(
             counts, self.weights, count=self.wanted.count, target=self.wanted.target, among=among

@@ -57,7 +57,7 @@ def plan_postures(
     InputError
         Whatever is wrong with the files or the options.
     CheckFailed
-        A target that cannot be reached.
+        A target that cannot be reached, or no defect that any posture shows.
     """
     candidates = _candidates(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
@@ -93,6 +93,12 @@ def plan_postures(
     )
     if wanted.target is not None and choice.cover.share < wanted.target:
         raise CheckFailed(unreached(wanted.target, choice, drawn, least=options.seen_in))
+    if not choice.postures:
+        raise CheckFailed(
+            f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
+            f"{counted(options.seen_in, 'image')} or more: lower --threshold or --seen-in, or change the lights' gain, "
+            "their ranges, or the catalogue"
+        )
     stage = None if rig.hardware is None else rig.hardware.stage
 
     def time(start: Posture, end: Posture) -> float:
