@@ -130,14 +130,11 @@ def choose_postures(
         exact = exact and places.exact
         moved = tuple(candidates.panels[i][k] for i, k in enumerate(places.candidates))
         better = search.postures_for(moved, cover.chosen, f"postures, turn {turns}")
-        if lights is not None and _merit(better, wanted) <= _merit(cover, wanted):
+        gained = _merit(better, wanted) > _merit(cover, wanted)
+        # positions of the grid are taken before the lights as they stand where they serve as well
+        if not gained and (lights is not None or _merit(better, wanted) < _merit(cover, wanted)):
             break
-        same = places.candidates == lights and better.chosen == cover.chosen
-        if lights is None and _merit(better, wanted) < _merit(cover, wanted):
-            break  # the lights as they stand are off the grid of positions, and better
         panels, lights, cover = moved, places.candidates, better
-        if same:
-            break
     final = _Turns(whole, postures, candidates, wanted, tell)
     cover = final.postures_for(panels, cover.chosen, "all patches")
     return Choice(
@@ -179,7 +176,7 @@ class _Turns:
             counts.append(counts_of_images([layer[0] for layer in images], self.wanted.least))
             self._say(stage, (i + 1) / len(self.postures))
         free = greedy_cover(counts, self.weights, count=self.wanted.count, target=self.wanted.target)
-        if among is None:
+        if not among:
             return free
         kept = greedy_cover(
             counts, self.weights, count=self.wanted.count, target=self.wanted.target, among=among

@@ -196,9 +196,9 @@ class _Greedy:
                 for i, candidate in enumerate(self.candidates)
             ]
             self.seen.append((here, sorted(gains, reverse=True)))
-            best = max(self.allowed, key=lambda i: gains[i])
+            best = max(self.allowed, key=lambda i: gains[i], default=None)
             met = self.goal is not None and reached(now, self.weights) >= self.goal
-            if met or len(self.chosen) >= self.most or gains[best] == 0:
+            if met or len(self.chosen) >= self.most or best is None or gains[best] == 0:
                 return
             self.chosen.append(best)
             now = added(now, self.candidates[best])

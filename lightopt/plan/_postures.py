@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import CheckFailed
+from lightopt.errors import CheckFailed, counted
 from lightopt.optimize import (
     Candidates,
     Contrast,
@@ -57,7 +57,7 @@ def plan_postures(
     InputError
         Whatever is wrong with the files or the options.
     CheckFailed
-        A target that cannot be reached.
+        A target that cannot be reached, or no defect that any posture shows.
     """
     candidates = _candidates(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
@@ -67,7 +67,10 @@ def plan_postures(
     places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
     postures, left_out = usable_postures(replace(scene, postures=grid), places, caster)
     if tell is not None:
-        tell(f"{len(postures)} postures to choose from, {len(left_out)} left out")
+        tell(
+            f"{counted(len(postures), 'posture')} to choose from, {len(left_out)} left out; patches are cut for all "
+            "of them"
+        )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
     whole = Survey(
@@ -90,6 +93,12 @@ def plan_postures(
     )
     if wanted.target is not None and choice.cover.share < wanted.target:
         raise CheckFailed(unreached(wanted.target, choice, drawn, least=options.seen_in))
+    if not choice.postures:
+        raise CheckFailed(
+            f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
+            f"{counted(options.seen_in, 'image')} or more: lower --threshold or --seen-in, or change the lights' gain, "
+            "their ranges, or the catalogue"
+        )
     stage = None if rig.hardware is None else rig.hardware.stage
 
     def time(start: Posture, end: Posture) -> float:

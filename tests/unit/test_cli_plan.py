@@ -175,6 +175,15 @@ def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
 
 
 @pytest.mark.slow
+def test_nothing_to_see_is_said(two, cli):
+    asked = ("--choose-postures", "2", "--posture-step", "90", "--threshold", "1e6")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, *asked)
+    assert ran.status == 1
+    assert "no posture of 13 shows any defect" in ran.err
+    assert not two.out.exists()
+
+
+@pytest.mark.slow
 def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--target", "0.3", "--posture-step", "90")
     assert ran.status == 0, ran.err

@@ -185,6 +185,20 @@ def test_ties_go_to_the_earlier_candidate():
     assert cover.chosen == (0, 1)
 
 
+def test_nothing_to_gain_is_nothing_chosen():
+    for among in (None, ()):
+        cover = greedy_cover(flags([0, 0], [0, 0]), unit_weights(2), count=1, among=among)
+        assert cover.chosen == ()
+        assert cover.share == cover.bound_share == 0.0
+
+
+def test_among_some_the_bound_is_still_that_of_all():
+    wide = flags([1, 1, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1])
+    cover = greedy_cover(wide, unit_weights(4), count=2, among=(1, 2))
+    assert cover.chosen == (1, 2)
+    assert cover.bound == 4
+
+
 def test_a_target_that_cannot_be_reached_is_said_not_to_be():
     cover = greedy_cover(flags([1, 0, 0], [0, 1, 0]), unit_weights(3), target=0.9)
     assert cover.least is None
