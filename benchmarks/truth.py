@@ -1,8 +1,8 @@
 """Does ``detectability`` tell the truth: its predicted share of defects seen against noisy renders, counted plainly.
 
 ``python -m benchmarks.truth [PART.yaml …] [--out DIR] [--plot PNG]``; the sample parts by default. For each part,
-finish and number of images, two countings, both with noise and with a test that knows nothing of patches: a pixel shows a
-defect where its level is off the noise-free image of the good part by the threshold times the noise there.
+finish and number of images, two countings, both with noise and with a test that knows nothing of patches: a pixel shows
+a defect where its level is off the noise-free image of the good part by the threshold times the noise there.
 
 *Walls*: the whole surface leans by each slope of the catalogue to each direction (or is stained, or hazed), every
 fourth pixel of every fourth row is shaded and exposed with noise, and pixels count by the area that they see. Compared

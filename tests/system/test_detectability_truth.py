@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.truth import SEEN_IN, compare, table
+from benchmarks.truth import SEEN_IN, compare, plot, table
 from lightopt import load_part, load_rig
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -26,7 +26,7 @@ def small_rig(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["cover-knob", "spout"])
-def test_predicted_shares_are_the_counted_ones(small_rig, part):
+def test_predicted_shares_are_the_counted_ones(small_rig, part, tmp_path):
     points = list(compare(small_rig, load_part(CONFIGS / "parts" / f"{part}.yaml"), patches=10_000, pits=8))
     assert {(p.finish, p.seen_in) for p in points} == {(f, k) for f in ("glossy", "satin") for k in SEEN_IN}
     whole = [p for p in points if not p.kind.startswith("pits")]
@@ -38,6 +38,8 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part):
     assert min(p.measured for p in whole) < 0.1
     assert max(p.measured for p in whole) > 0.5
     assert table(points).count("the catalogue") == 8
+    plot(points, tmp_path / "truth.png")
+    assert (tmp_path / "truth.png").stat().st_size > 10_000
 
 
 def test_a_wrong_prediction_is_found_out(small_rig, monkeypatch):
