@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         Inspection,
         InspectOptions,
         Predictions,
+        TrueSet,
         Verdict,
     )
 
@@ -56,6 +57,13 @@ def inspect(
     ] = 2,
     no_shift: Annotated[
         bool, typer.Option("--no-shift", help="The part lies exactly where its file has it.")
+    ] = False,
+    truth: Annotated[
+        bool,
+        typer.Option(
+            "--truth",
+            help="Hold the result against the sets' labels: recall, false alarms, ROC, detection curve.",
+        ),
     ] = False,
     fail_on_defect: Annotated[
         bool, typer.Option("--fail-on-defect", help="Exit status 1 where a part is NG.")
@@ -94,11 +102,21 @@ def inspect(
     folders = _folders(sets, out)
     predictions = Predictions()
     bad: list[str] = []
+    known: list[TrueSet] = []
     begun = monotonic()
     for image_set, folder in zip(sets, folders, strict=True):
-        verdict = _one(
-            loaded_rig, loaded_part, image_set, folder, options, predictions, force=force, quiet=quiet
+        verdict, true_set = _one(
+            loaded_rig,
+            loaded_part,
+            image_set,
+            folder,
+            options,
+            predictions,
+            truth=truth,
+            force=force,
+            quiet=quiet,
         )
+        known += [] if true_set is None else [true_set]
         if not verdict.good:
             bad.append(f"{image_set.folder}: NG, {'; '.join(verdict.reasons)}")
     if len(sets) > 1 and not quiet:
@@ -106,6 +124,8 @@ def inspect(
         say(
             f"{len(sets)} parts, {len(sets) - len(bad)} OK; {len(sets) / max(minutes, 1e-9):.3g} parts per minute"
         )
+    if truth:
+        _tell_truth(known, out, force=force, quiet=quiet)
     if bad and fail_on_defect:
         raise CheckFailed(*bad)
 
@@ -131,10 +151,18 @@ def _one(
     options: InspectOptions,
     predictions: Predictions,
     *,
+    truth: bool,
     force: bool,
     quiet: bool,
-) -> Verdict:
-    from lightopt.inspection import InspectionFolder, good_part, inspect_set, judge, provenance
+) -> tuple[Verdict, TrueSet | None]:
+    from lightopt.inspection import (
+        InspectionFolder,
+        compare_with_truth,
+        good_part,
+        inspect_set,
+        judge,
+        provenance,
+    )
 
     folder = InspectionFolder(out, provenance(rig, part, image_set, options), force=force)
     make_folder(out)
@@ -142,6 +170,7 @@ def _one(
         result = inspect_set(
             rig, part, image_set, options=options, predictions=predictions, progress=progress
         )
+    known = compare_with_truth(image_set, result) if truth else None
     for posture in result.postures:
         folder.write_posture(posture)
         _overlay(folder, result, posture)
@@ -154,7 +183,7 @@ def _one(
         _show(result, verdict)
         for path in written:
             say(f"{path}")
-    return verdict
+    return verdict, known
 
 
 def _overlay(folder: object, result: Inspection, posture: InspectedPosture) -> None:
@@ -171,6 +200,35 @@ def _overlay(folder: object, result: Inspection, posture: InspectedPosture) -> N
     }
     path = folder.place(f"{posture_folder(posture.view.posture)}/defects.png")
     defect_overlay(path, posture, numbers)
+
+
+def _tell_truth(known: list[TrueSet], out: Path, *, force: bool, quiet: bool) -> None:
+    import json
+
+    from lightopt.images import write_text_atomic
+    from lightopt.inspection import summarise
+
+    summary = summarise(known)
+    text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_text_atomic(out / "truth.json", text, overwrite=force)
+    if quiet:
+        return
+    say(
+        f"{summary['found']} of {summary['defects']} defects found, {len(summary['hidden'])} out of view; "
+        f"{summary['false_alarms_per_posture']:g} false alarms per posture; area under the pixels' ROC "
+        f"{'-' if summary['roc_auc'] is None else summary['roc_auc']}"
+    )
+    rows = [
+        [
+            kind,
+            f"{curve['found']} of {curve['defects']}",
+            "-" if curve["a90"] is None else f"{curve['a90']:.3g}",
+            "-" if curve["a90_95"] is None else f"{curve['a90_95']:.3g}",
+        ]
+        for kind, curve in summary["detection"].items()
+    ]
+    show_table(["kind", "found", "a90 [mm]", "a90/95 [mm]"], rows)
+    say(f"{out / 'truth.json'}")
 
 
 def _show(result: Inspection, verdict: Verdict) -> None:

@@ -179,6 +179,27 @@ def flip(folder, axis):
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
 
 
+def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
+    ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--truth")
+    assert ran.status == 0
+    assert "2 of 2 defects found" in ran.out
+    told = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
+    assert (told["defects"], told["found"], told["hidden"]) == (2, 2, [])
+    assert told["false_alarms_per_posture"] == 0
+    assert 0.9 < told["roc_auc"] <= 1.0
+    assert told["recall"] == [
+        {"kind": "dent", "size_mm": 5.0, "defects": 1, "found": 1},
+        {"kind": "stain", "size_mm": 3.5, "defects": 1, "found": 1},
+    ]
+    assert told["detection"]["all"]["a90"] is None  # two are too few to say
+
+
+def test_labels_are_asked_for_where_there_are_none(cli, bench, parts):
+    ran = inspect(cli, bench, parts["good"], "--fusion", "none", "--truth")
+    assert ran.status == 2
+    assert "no labels of defects for posture" in ran.err
+
+
 def test_mirrored_images_are_refused_with_what_would_fit(cli, bench, images):
     flip(images, 1)
     ran = inspect(cli, bench, images)
