@@ -29,6 +29,9 @@ MEAN_OF_NORMAL = 0.7979
 
 MEDIAN_PX = 3
 
+BORDER_PX = 3.0
+"""Nothing is told within this distance of the border of the mask."""
+
 
 def templates() -> tuple[Float64, ...]:
     """The templates: mean 0, sum of squares 1, square of odd side."""
@@ -53,12 +56,14 @@ def score_templates(image: SyntheticImage) -> Float32:
     assert nearest is not None
     level = ndimage.median_filter(image.level[tuple(nearest)], MEDIAN_PX).astype(np.float64)
     score = np.zeros(mask.shape, np.float32)
+    within = np.asarray(ndimage.distance_transform_edt(mask), np.float64)
+    inner = mask & ~image.filled & (within > BORDER_PX)
+    if not inner.any():
+        return score
+    share = np.maximum(ndimage.gaussian_filter(inner.astype(np.float64), LOCAL_PX), 1e-6)
     for template in templates():
-        reach = template.shape[0] // 2
-        inner = mask & ~image.filled & (ndimage.distance_transform_edt(mask) > min(reach, 3))
         answer = _convolved(level, template)
-        share = np.maximum(ndimage.gaussian_filter(inner.astype(np.float64), LOCAL_PX), 1e-6)
-        spread = float(np.median(np.abs(answer[inner]))) / 0.6745 if inner.any() else 0.0
+        spread = float(np.median(np.abs(answer[inner]))) / 0.6745
         size = np.where(inner, np.minimum(np.abs(answer), CLIPPED * max(spread, 1e-9)), 0.0)
         local = ndimage.gaussian_filter(size, LOCAL_PX) / share / MEAN_OF_NORMAL
         z = np.abs(answer) / np.maximum(np.maximum(local, 0.5 * spread), 1e-9)
