@@ -30,6 +30,9 @@ LEAST_OPPOSITE = 0.35
 EVEN_CONTRAST = 0.35
 """A stain changes the light of every panel by the same share, within this share of it."""
 
+MOST_BRIGHTER = 0.5
+"""What makes a surface brighter than this is no stain: it spreads a highlight."""
+
 OUTLINE_SHARE = 0.35
 """A defect reaches to where the sum over the narrowest Gaussian is this share of its greatest."""
 
@@ -322,7 +325,8 @@ def _kind(
             peaks.append(contrast[view.lights[i]])
     if len(shares) < 2:
         return "unknown"
-    return "stain" if _even(shares) and _even(peaks) else "unknown"
+    brighter = sum(shares) / len(shares) > MOST_BRIGHTER
+    return "stain" if _even(shares) and _even(peaks) and not brighter else "unknown"
 
 
 def _even(shares: Sequence[float]) -> bool:
