@@ -19,7 +19,7 @@ from numba.core import config as numba_config
 
 __all__ = ["cache_folder", "kernel"]
 
-_ROOMS = ("fit", "mesh", "optimize", "plan", "raycast", "reflectance", "rendering")
+_ROOMS = ("fit", "inspection", "mesh", "optimize", "plan", "raycast", "reflectance", "rendering")
 
 
 def cache_folder() -> Path:

@@ -165,6 +165,27 @@ def report_picture(target: Path, folder: Path) -> None:
     Image.open(target).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
+def inspection_picture(target: Path, folder: Path) -> None:
+    """The cover knob with defects under light1, the synthetic image, and what was found."""
+    rig, part = folder / "inspected-rig.yaml", folder / "inspected.yaml"
+    text = (RIGS / "four-panel.yaml").read_text(encoding="utf-8")
+    text = text.replace("[1600, 1200]", "[800, 600]").replace("pixel_size_um: 4.4", "pixel_size_um: 8.8")
+    rig.write_text(text, encoding="utf-8")
+    lightopt("defects", rig, PARTS / "cover-knob.yaml", "-o", part, "-q", "--seed", "4", "--count", "14")
+    images, out = folder / "inspected-images", folder / "inspected"
+    lightopt("render", rig, part, "-o", images, "-q", "--noise", "1", "--posture", "0,0", "--patches", "500")
+    lightopt("inspect", rig, part, images, "-o", out, "-q", "--no-shift")
+    paths = [
+        images / "posture_0_0" / "light1.png",
+        out / "posture_0_0" / "synthetic.png",
+        out / "posture_0_0" / "defects.png",
+    ]
+    pixels = [np.asarray(Image.open(path).convert("RGB"))[40:565, 105:705] for path in paths]
+    gap = np.full((pixels[0].shape[0], 8, 3), 255, np.uint8)
+    picture = np.concatenate([pixels[0], gap, pixels[1], gap, pixels[2]], axis=1)
+    Image.fromarray(picture).save(target, optimize=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="pictures only, no tables")
@@ -190,6 +211,7 @@ def main() -> None:
         side_by_side(PICTURES / "spout-4-auto.png", crops, gain=3.0)
         defects_picture(PICTURES / "defects.png", out)
         report_picture(PICTURES / "report.png", out)
+        inspection_picture(PICTURES / "inspection.png", out)
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:

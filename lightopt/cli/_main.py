@@ -12,6 +12,7 @@ from lightopt.cli._compare import compare
 from lightopt.cli._defects import defects
 from lightopt.cli._fit import fit_diffuse, fit_specular
 from lightopt.cli._init import init
+from lightopt.cli._inspect import inspect
 from lightopt.cli._optimize import optimize
 from lightopt.cli._overlap import overlap
 from lightopt.cli._render import render
@@ -56,6 +57,7 @@ app.command(short_help="Strew defects over a part, for trials.")(defects)
 app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.")(fit_diffuse)
 app.command("fit-specular", short_help="Fit the specular coefficients to images.")(fit_specular)
 app.command(short_help="Find where the lights go, exactly.")(optimize)
+app.command(short_help="Find defects in images, and say where they are.")(inspect)
 app.command(short_help="Say where the highlights of several images overlap.")(overlap)
 app.command(short_help="Compare images or image sets, golden against new.")(compare)
 app.add_typer(bench, name="bench", short_help="Try the devices of a rig one by one.")

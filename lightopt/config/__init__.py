@@ -17,6 +17,7 @@ from lightopt.config._hardware import (
     TemplateConfig,
     TimingConfig,
 )
+from lightopt.config._inspection import InspectionConfig
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, ReflectanceConfig
@@ -36,6 +37,7 @@ __all__ = [
     "DefectConfig",
     "DistortionConfig",
     "HardwareConfig",
+    "InspectionConfig",
     "LightConfig",
     "LightSourceConfig",
     "MeshConfig",

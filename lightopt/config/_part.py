@@ -24,6 +24,7 @@ from lightopt.config._fields import (
     expecting,
     with_complaints,
 )
+from lightopt.config._inspection import InspectionConfig
 from lightopt.config._posture import PostureConfig
 from lightopt.config._source import Source
 from lightopt.units import step_units_mm, unit_name
@@ -166,6 +167,10 @@ class PartConfig(Frozen):
     ) = Field(
         default=None,
         description="Kinds of defect that the inspection is planned for; the built-in ones if absent.",
+    )
+    inspection: InspectionConfig = Field(
+        default=InspectionConfig(),
+        description="Limits that inspections say OK or NG by; none allowed if absent.",
     )
     _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
 

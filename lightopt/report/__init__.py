@@ -3,6 +3,7 @@
 from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
 from lightopt.report._fit_pictures import fit_chart, residual_picture
 from lightopt.report._frames_drawing import frames_drawing
+from lightopt.report._inspection_pictures import defect_overlay
 from lightopt.report._optimum_report import optimum_page, optimum_report
 from lightopt.report._page import (
     Answer,
@@ -38,6 +39,7 @@ __all__ = [
     "Warnings",
     "add_contact_sheets",
     "contact_sheet",
+    "defect_overlay",
     "fit_chart",
     "frames_drawing",
     "optimum_page",

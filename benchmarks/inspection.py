@@ -1,0 +1,340 @@
+"""Every detector and fusion on parts strewn with defects, and baselines; writes the tables of docs/inspection.md.
+
+``python -m benchmarks.inspection [--sets N]`` renders the sample parts from a mesh four times as fine as the
+inspection's, 0.5 mm and 0.5° off their place, with noise and saturation; about a minute a set.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lightopt import load_part, load_rig
+from lightopt.config import PartConfig, RigConfig
+from lightopt.images import ImageSet, read_exr, read_image_set
+from lightopt.inspection import (
+    FUSIONS,
+    SCALES_PX,
+    PostureView,
+    SyntheticImage,
+    area_under_roc,
+    deviations,
+    find_regions,
+    fit_detection,
+    fuse_images,
+    good_part,
+    lay_over,
+    posture_view,
+    predict,
+    score_deviations,
+    score_templates,
+    threshold,
+    trust_weights,
+)
+from lightopt.inspection._template import TEMPLATES
+from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
+from lightopt.scene import _build
+from lightopt.transforms import Posture
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIGS = ROOT / "configs"
+PAGE = ROOT / "docs" / "inspection.md"
+PARTS = ("cover-knob", "spout")
+FIRST = Posture(elevation_deg=0.0, rotation_deg=0.0)
+
+PIXEL_MM = 0.088
+SLOPES, SIZES, WIDTHS, LOSSES = (2, 4, 8), (3, 8, 20), (3, 6), (0.1, 0.2, 0.4)
+FALSE_ALARMS = 0.05
+FINE_MM = 0.0025
+"""Chord tolerance of the mesh that images are rendered from; the inspection's is 0.01 mm."""
+
+DEFAULT = "residual, second largest (default)"
+
+
+@dataclass
+class Tally:
+    """What one way to look at images found."""
+
+    areas: list[float] = field(default_factory=list)
+    found: int = 0
+    placed: int = 0
+    false_alarms: int = 0
+    good_alarms: int = 0
+    by_name: dict[str, list[bool]] = field(default_factory=dict)
+
+    def add(self, other: Tally) -> None:
+        """Count along what was found in other images."""
+        self.areas += other.areas
+        self.found += other.found
+        self.placed += other.placed
+        self.false_alarms += other.false_alarms
+        self.good_alarms += other.good_alarms
+        for name, hits in other.by_name.items():
+            self.by_name.setdefault(name, []).extend(hits)
+
+
+@contextmanager
+def finer_mesh() -> Iterator[None]:
+    """CAD surfaces tessellated more finely."""
+    usual = _build.CHORD_TOLERANCE_MM
+    _build.CHORD_TOLERANCE_MM = FINE_MM
+    try:
+        yield
+    finally:
+        _build.CHORD_TOLERANCE_MM = usual
+
+
+def catalogue() -> str:
+    """The defects to strew, sizes in pixels of 0.088 mm."""
+    lines = ["defect_catalogue:"]
+    for slope in SLOPES:
+        lines += [
+            f"  - {{name: dent {slope}° {n} px, kind: dent, size_mm: {n * PIXEL_MM:.4g}, slope_deg: {slope}}}"
+            for n in SIZES
+        ]
+        lines += [
+            f"  - {{name: scratch {slope}° {n} px, kind: scratch, size_mm: [{8 * n * PIXEL_MM:.4g}, "
+            f"{n * PIXEL_MM:.4g}], slope_deg: {slope}}}"
+            for n in WIDTHS
+        ]
+    for loss in LOSSES:
+        lines += [
+            f"  - {{name: stain {round(100 * loss)} % {n} px, kind: stain, size_mm: {n * PIXEL_MM:.4g}, "
+            f"R_d_factor: {1 - loss:g}}}"
+            for n in SIZES
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def prepare(folder: Path, name: str) -> tuple[RigConfig, Path]:
+    """The sample rig with an 800 × 600 camera, and a part of one posture with the catalogue."""
+    rig = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
+    rig = rig.replace("[1600, 1200]", "[800, 600]").replace("pixel_size_um: 4.4", "pixel_size_um: 8.8")
+    (folder / "rig.yaml").write_text(rig, encoding="utf-8")
+    part = (CONFIGS / "parts" / f"{name}.yaml").read_text(encoding="utf-8")
+    part = re.sub(r"file: \S+", f"file: '{(CONFIGS / 'parts' / f'{name}.step').as_posix()}'", part)
+    one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"
+    part = re.sub(r"postures:.*?\nreflectance:", one, part, flags=re.DOTALL)
+    path = folder / f"{name}.yaml"
+    path.write_text(part + catalogue(), encoding="utf-8")
+    return load_rig(folder / "rig.yaml"), path
+
+
+def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool) -> ImageSet:
+    """Noisy images of a part 0.5 mm and 0.5° off, with defects of a seed or none."""
+    from lightopt.cli._main import run
+
+    strewn = folder / f"{part.stem}-{seed}.yaml"
+    count = len(SLOPES) * (len(SIZES) + len(WIDTHS)) + len(LOSSES) * len(SIZES)
+    command = [
+        "defects",
+        rig.source.path,
+        part,
+        "--seed",
+        seed,
+        "--count",
+        count,
+        "-o",
+        strewn,
+        "-q",
+        "--force",
+    ]
+    assert run([str(word) for word in command]) == 0
+    text = strewn.read_text(encoding="utf-8")
+    moved = "placement: {anchor: rest_on_table, translate_mm: [0.4, -0.3, 0], rotate_deg: [0, 0, 0.5]}\n\npostures:"
+    strewn.write_text(re.sub(r"placement:.*?\npostures:", moved, text, flags=re.DOTALL), encoding="utf-8")
+    out = folder / f"{part.stem}-{seed}-{'good' if good else 'bad'}"
+    with finer_mesh():
+        options = RenderOptions(noise=seed, defects=not good, patch_budget=2000, layers=good)
+        render_image_set(rig, load_part(strewn), out, options=options)
+    return read_image_set(out)
+
+
+def look(rig: RigConfig, part: PartConfig, image_set: ImageSet) -> PostureView:
+    """The images laid over the model."""
+    scene, observations = good_part(rig, part, image_set)
+    scene, _ = lay_over(scene, observations)
+    prediction = predict(scene, FIRST, cast_rays_at(scene), lights=[o.light for o in observations])
+    return posture_view(scene, observations, prediction, where=str(image_set.folder))
+
+
+def ways(view: PostureView) -> Iterator[tuple[str, NDArray[np.float32], int]]:
+    """Each way to look at a posture: its name, its scores, and how many tests those are the greatest of."""
+    found = deviations(view)
+    yield DEFAULT, score_deviations(found, seen_by=2), len(SCALES_PX)
+    yield "residual, largest", score_deviations(found, seen_by=1), len(SCALES_PX)
+    weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
+    for fusion in FUSIONS:
+        image = fuse_images(view.level, view.deviation, weights, view.clean, fusion=fusion, probes=0)
+        yield f"template on fusion {fusion}", score_templates(image), TEMPLATES
+    seen = np.minimum(view.level, view.limit)
+    singles = {f"template on {light} alone": seen[i] for i, light in enumerate(view.lights)}
+    for name, level in {**singles, "template on the pixel-wise minimum": seen.min(axis=0)}.items():
+        none = np.zeros(view.clean.shape, np.bool_)
+        yield name, score_templates(SyntheticImage(level, np.zeros_like(level), none, view.clean)), TEMPLATES
+
+
+def count(
+    tally: Tally, score: NDArray[np.float32], tests: int, view: PostureView, image_set: ImageSet | None
+) -> None:
+    """Add what a score finds; without a set of images with labels, all of it is false alarms of a good part."""
+    high = threshold(FALSE_ALARMS, int(view.clean.sum()), tests)
+    labels, regions = find_regions(score, high)
+    if image_set is None:
+        tally.good_alarms += regions
+        return
+    truth = image_set.load_geometry(image_set.geometry[0])["defect"].astype(np.int32)
+    clean = view.clean
+    tally.areas.append(area_under_roc(score[clean].astype(np.float64), truth[clean] >= 0))
+    hit: set[int] = set()
+    for region in range(1, regions + 1):
+        near = ndimage.binary_dilation(labels == region, iterations=2)
+        touched = set(np.unique(truth[near & (truth >= 0)]).tolist())
+        hit |= touched
+        tally.false_alarms += not touched
+    for index, defect in enumerate(image_set.manifest.extra["defects"]):
+        if not (clean & (truth == index)).any():
+            continue
+        name = defect["name"].rsplit("-", 1)[0]
+        tally.by_name.setdefault(name, []).append(index in hit)
+        tally.placed += 1
+        tally.found += index in hit
+
+
+def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float, float, float]]:
+    """Per fusion: how far former highlights stand out in the synthetic image, their uncertainty, and before.
+
+    The image that the diffuse light alone makes is taken off first: what is left should be the same in a former
+    highlight and in a ring of 12 pixels around it.
+    """
+    diffuse = np.stack([read_exr(image_set.path(e.exr or ""))["diffuse.Y"] for e in image_set.images])
+    weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
+    full = ndimage.binary_dilation(view.saturated.any(axis=0), iterations=3) & view.clean
+    pieces, number = ndimage.label(full)
+    rows: list[tuple[str, float, float, float]] = []
+    for fusion in FUSIONS:
+        image = fuse_images(view.level, view.deviation, weights, view.clean, fusion=fusion)
+        lit = (diffuse > 1.0).astype(np.float32)
+        plain = fuse_images(diffuse, view.deviation, lit, view.clean, fusion=fusion, probes=0)
+        off = image.level - plain.level
+        worst = (0.0, 1.0, 0.0)
+        for piece in range(1, number + 1):
+            inside = pieces == piece
+            ring = ndimage.binary_dilation(inside, iterations=12) & view.clean & ~full
+            if inside.sum() < 200 or ring.sum() < 200:
+                continue
+            step = abs(float(off[inside].mean() - off[ring].mean()))
+            deviation = float(image.deviation[inside].mean())
+            seen = np.minimum(view.level, view.limit)[view.saturated[:, inside].any(axis=1).argmax()]
+            before = float(seen[inside].mean() - seen[ring].mean())
+            if step / deviation > worst[0] / worst[1]:
+                worst = step, deviation, before
+        rows.append((fusion, *worst))
+    return rows
+
+
+def try_set(task: tuple[str, int, int]) -> tuple[dict[str, Tally], list[tuple[str, float, float, float]]]:
+    """One set of a part: with defects, or the good part where the seed is beyond the number of sets."""
+    part_name, seed, sets = task
+    good = seed > sets
+    with tempfile.TemporaryDirectory(prefix="lightopt-inspection-") as name:
+        rig, path = prepare(Path(name), part_name)
+        image_set = images(Path(name), rig, path, seed, good=good)
+        view = look(rig, load_part(path), image_set)
+        tallies: dict[str, Tally] = defaultdict(Tally)
+        for way, score, tests in ways(view):
+            count(tallies[way], score, tests, view, None if good else image_set)
+        return dict(tallies), highlights(view, image_set) if good else []
+
+
+def replace_block(name: str, text: str) -> None:
+    """Put text between the page's markers."""
+    content = PAGE.read_text(encoding="utf-8")
+    begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
+    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
+    assert pattern.search(content), name
+    PAGE.write_text(pattern.sub(lambda _: f"{begin}\n{text}\n{end}", content), encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sets", type=int, default=2, help="sets of images with defects per part")
+    parser.add_argument("--workers", type=int, default=2, help="sets that are worked on at once")
+    parser.add_argument("--no-page", action="store_true", help="print the tables only")
+    arguments = parser.parse_args()
+    tallies: dict[tuple[str, str], Tally] = defaultdict(Tally)
+    gone: list[str] = []
+    tasks = [(part, seed, arguments.sets) for part in PARTS for seed in range(1, arguments.sets + 2)]
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        for (part, seed, _), (found, rows) in zip(tasks, pool.map(try_set, tasks), strict=True):
+            print(f"{part}, seed {seed}: done", flush=True)
+            for way, tally in found.items():
+                tallies[part, way].add(tally)
+            gone += [
+                f"| {part} | {fusion} | {before:.0f} | {step:.2f} | {deviation:.2f} |"
+                for fusion, step, deviation, before in rows
+            ]
+    blocks = {"ways": ways_table(tallies), "defects": defects_table(tallies)}
+    head = [
+        "| part | fusion | before [level] | left [level] | uncertainty [level] |",
+        "|---|---|---|---|---|",
+    ]
+    blocks["highlights"] = "\n".join([*head, *gone])
+    for block, text in blocks.items():
+        print(f"\n{text}")
+        if not arguments.no_page:
+            replace_block(block, text)
+
+
+def ways_table(tallies: dict[tuple[str, str], Tally]) -> str:
+    """All ways to look, on every part."""
+    names = list(dict.fromkeys(way for _, way in tallies))
+    head = "| | " + " | ".join(f"{part}: ROC-AUC | found | false alarms" for part in PARTS) + " |"
+    lines = [head, "|---|" + "---|" * (3 * len(PARTS))]
+    for way in names:
+        cells = [way]
+        for part in PARTS:
+            t = tallies[part, way]
+            alarms = f"{t.false_alarms / max(1, len(t.areas)):.2g}, good part {t.good_alarms}"
+            cells += [f"{np.mean(t.areas):.3f}", f"{t.found} of {t.placed}", alarms]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def defects_table(tallies: dict[tuple[str, str], Tally]) -> str:
+    """What the default finds, by defect, and the sizes found 90 % of the time."""
+    mine = [tallies[part, DEFAULT] for part in PARTS]
+    lines = ["| defect | found |", "|---|---|"]
+    for name in dict.fromkeys(name for t in mine for name in t.by_name):
+        hits = [hit for t in mine for hit in t.by_name.get(name, [])]
+        lines.append(f"| {name} | {sum(hits)} of {len(hits)} |")
+    kinds = {"all": "", "dents": "dent", "scratches": "scratch", "stains": "stain"}
+    lines += ["", "| | found | a90 [mm] | a90/95 [mm] |", "|---|---|---|---|"]
+    for title, start in kinds.items():
+        names = [n for t in mine for n in t.by_name if n.startswith(start)]
+        sizes = [size_of(n) for n in dict.fromkeys(names) for t in mine for _ in t.by_name.get(n, [])]
+        hits = [hit for n in dict.fromkeys(names) for t in mine for hit in t.by_name.get(n, [])]
+        curve = fit_detection(sizes, hits)
+        a90, bound = ("-" if a is None else f"{a:.2g}" for a in (curve.a90, curve.a90_95))
+        lines.append(f"| {title} | {curve.found} of {curve.defects} | {a90} | {bound} |")
+    return "\n".join(lines)
+
+
+def size_of(name: str) -> float:
+    """Width of a catalogue's defect by its name [mm]."""
+    return float(name.split()[-2]) * PIXEL_MM
+
+
+if __name__ == "__main__":
+    main()

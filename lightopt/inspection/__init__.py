@@ -1,0 +1,71 @@
+"""Inspecting a part: its images fused into one without highlights, its defects found, measured and judged."""
+
+from lightopt.inspection._coverage import CONTRASTS, Coverage, measure_coverage
+from lightopt.inspection._deviation import Deviations, deviations
+from lightopt.inspection._fusion import FUSIONS, Fusion
+from lightopt.inspection._inspect import InspectedPosture, Inspection, Predictions, inspect_set
+from lightopt.inspection._measure import FoundDefect, Sighting, gather, measure_regions
+from lightopt.inspection._options import DETECTORS, Detector, InspectOptions
+from lightopt.inspection._pod import DetectionCurve, fit_detection
+from lightopt.inspection._poisson import PoissonGrid, poisson_grid
+from lightopt.inspection._regions import find_regions
+from lightopt.inspection._register import Photometry, good_part, lay_over
+from lightopt.inspection._score import SCALES_PX, rank_probability, score_deviations, threshold
+from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
+from lightopt.inspection._template import score_templates, templates
+from lightopt.inspection._truth import KnownDefect, TrueSet, area_under_roc, compare_with_truth, summarise
+from lightopt.inspection._verdict import Verdict, judge
+from lightopt.inspection._view import PostureView, Prediction, posture_view, predict
+from lightopt.inspection._write import DEFECTS_NAME, InspectionFolder, provenance
+
+__all__ = [
+    "CONTRASTS",
+    "DEFECTS_NAME",
+    "DETECTORS",
+    "FUSIONS",
+    "SCALES_PX",
+    "Coverage",
+    "DetectionCurve",
+    "Detector",
+    "Deviations",
+    "FoundDefect",
+    "Fusion",
+    "InspectOptions",
+    "InspectedPosture",
+    "Inspection",
+    "InspectionFolder",
+    "KnownDefect",
+    "Photometry",
+    "PoissonGrid",
+    "PostureView",
+    "Prediction",
+    "Predictions",
+    "Sighting",
+    "SyntheticImage",
+    "TrueSet",
+    "Verdict",
+    "area_under_roc",
+    "compare_with_truth",
+    "deviations",
+    "find_regions",
+    "fit_detection",
+    "fuse_images",
+    "gather",
+    "good_part",
+    "inspect_set",
+    "judge",
+    "lay_over",
+    "measure_coverage",
+    "measure_regions",
+    "poisson_grid",
+    "posture_view",
+    "predict",
+    "provenance",
+    "rank_probability",
+    "score_deviations",
+    "score_templates",
+    "summarise",
+    "templates",
+    "threshold",
+    "trust_weights",
+]

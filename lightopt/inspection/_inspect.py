@@ -1,0 +1,275 @@
+"""From a rig, a part and its images to defects, places and shares of the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.align import Observation, Placement
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import InputError
+from lightopt.images import ImageSet
+from lightopt.inspection._coverage import Coverage, measure_coverage
+from lightopt.inspection._deviation import deviations
+from lightopt.inspection._measure import FoundDefect, Sighting, gather, measure_regions
+from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._regions import find_regions
+from lightopt.inspection._register import Progress, good_part, lay_over
+from lightopt.inspection._score import SCALES_PX, score_deviations, threshold
+from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
+from lightopt.inspection._template import TEMPLATES, score_templates
+from lightopt.inspection._view import PostureView, Prediction, posture_view, predict
+from lightopt.rendering import cast_rays_at
+from lightopt.scene import Scene
+from lightopt.transforms import Posture
+
+__all__ = ["InspectedPosture", "Inspection", "Predictions", "inspect_set"]
+
+Float32 = NDArray[np.float32]
+
+SAME_PLACE_MM = 0.002
+SAME_TURN_RAD = 5e-5
+"""A part that lies this near to the one before takes over its prediction: a fraction of the tenth of a pixel that the
+comparison allows for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectedPosture:
+    """One posture of an inspected part.
+
+    Attributes
+    ----------
+    view
+        Images and prediction.
+    synthetic
+        The image without highlights; None where none was asked for.
+    score
+        −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
+    labels
+        Number of the region that each pixel belongs to, 0 for none, shape (H, W).
+    threshold
+        Score from which a region counts.
+    sightings
+        One per region.
+    coverage
+        Of the surface.
+    """
+
+    view: PostureView
+    synthetic: SyntheticImage | None
+    score: Float32
+    labels: NDArray[np.int32]
+    threshold: float
+    sightings: tuple[Sighting, ...]
+    coverage: Coverage
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        photometry = self.view.photometry
+        return {
+            "posture": self.view.posture.as_dict(),
+            "lights": list(self.view.lights),
+            "threshold": round(self.threshold, 3),
+            "gains": {name: round(photometry.gains[name], 5) for name in self.view.lights},
+            "dark_levels": round(photometry.dark, 4),
+            **({} if self.synthetic is None else {"filled_px": int(self.synthetic.filled.sum())}),
+            "surface": self.coverage.as_dict(),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inspection:
+    """What an inspection of one set of images found.
+
+    Attributes
+    ----------
+    defects
+        The highest score first.
+    postures
+        In the set's order.
+    placement
+        Where the part lies from where its file has it; None where it was not looked for.
+    words
+        What a person should know: missing lights and postures, and so on.
+    """
+
+    defects: tuple[FoundDefect, ...]
+    postures: tuple[InspectedPosture, ...]
+    placement: Placement | None
+    words: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "defects": [defect.as_dict() for defect in self.defects],
+            "postures": [posture.as_dict() for posture in self.postures],
+            "placement": None if self.placement is None else self.placement.as_dict(),
+            "warnings": list(self.words),
+        }
+
+
+@dataclass
+class Predictions:
+    """Predictions of the part inspected last, for the next one if it lies in the same place.
+
+    Attributes
+    ----------
+    placement
+        Where that part lay.
+    scene
+        With it there.
+    by_posture
+        What was rendered, by posture and lights.
+    """
+
+    placement: Placement | None = None
+    scene: Scene | None = None
+    by_posture: dict[tuple[Posture, tuple[str, ...]], Prediction] = field(default_factory=dict)
+
+    def moved_to(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
+        """The scene and place to predict with: those of the part before, where this one lies in the same place."""
+        if self.placement is not None and self.scene is not None and _same(self.placement, placement):
+            return self.scene, self.placement
+        self.placement, self.scene = placement, scene
+        self.by_posture.clear()
+        return scene, placement
+
+
+def _same(a: Placement, b: Placement) -> bool:
+    apart = max(abs(a.x - b.x), abs(a.y - b.y))
+    return apart <= SAME_PLACE_MM and abs(a.turn - b.turn) <= SAME_TURN_RAD
+
+
+def inspect_set(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    *,
+    options: InspectOptions | None = None,
+    predictions: Predictions | None = None,
+    progress: Progress | None = None,
+    done: Callable[[InspectedPosture], None] | None = None,
+) -> Inspection:
+    """Find the defects of the part that a set of images shows.
+
+    Parameters
+    ----------
+    rig, part
+        What the images show; the defects that the part's file names are not looked at.
+    image_set
+        Rendered or captured.
+    options
+        How to inspect.
+    predictions
+        Kept from part to part of a batch.
+    progress
+        Called as the inspection goes on.
+    done
+        Called with each posture once it is inspected.
+
+    Raises
+    ------
+    InputError
+        Images that are not the rig's or not the part's.
+    """
+    options = options or InspectOptions()
+    if problems := options.problems():
+        raise InputError(*problems)
+    nominal, observations = good_part(rig, part, image_set)
+    predictions = predictions or Predictions()
+    placement = Placement()
+    scene = nominal
+    if options.shift:
+        scene, placement = lay_over(nominal, observations, threads=options.threads, progress=progress)
+    scene, placement = predictions.moved_to(scene, placement)
+    postures: list[InspectedPosture] = []
+    for number, posture in enumerate(scene.postures):
+        if progress is not None:
+            progress(f"posture {posture}", number / len(scene.postures))
+        mine = [o for o in observations if o.posture == posture]
+        prediction = _prediction(scene, posture, mine, predictions, options)
+        view = posture_view(scene, mine, prediction, where=str(image_set.folder))
+        inspected = _inspect_posture(view, options, nominal, placement)
+        postures.append(inspected)
+        if done is not None:
+            done(inspected)
+    return Inspection(
+        defects=gather([s for p in postures for s in p.sightings]),
+        postures=tuple(postures),
+        placement=placement if options.shift else None,
+        words=tuple(_words(rig, part, postures, options)),
+    )
+
+
+def _prediction(
+    scene: Scene,
+    posture: Posture,
+    observations: Sequence[Observation],
+    predictions: Predictions,
+    options: InspectOptions,
+) -> Prediction:
+    lights = tuple(light.name for light in scene.lights if any(o.light == light.name for o in observations))
+    key = posture, lights
+    if key not in predictions.by_posture:
+        caster = cast_rays_at(scene)
+        predictions.by_posture[key] = predict(scene, posture, caster, lights=lights, threads=options.threads)
+    return predictions.by_posture[key]
+
+
+def _inspect_posture(
+    view: PostureView, options: InspectOptions, nominal: Scene, placement: Placement
+) -> InspectedPosture:
+    found = deviations(view)
+    synthetic = None
+    if options.fusion is not None:
+        weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
+        synthetic = fuse_images(view.level, view.deviation, weights, view.clean, fusion=options.fusion)
+    if options.detector == "template":
+        assert synthetic is not None
+        score, tests = score_templates(synthetic), TEMPLATES
+    else:
+        score, tests = score_deviations(found, seen_by=options.seen_by), len(SCALES_PX)
+    high = threshold(options.false_alarms, int(view.clean.sum()), tests)
+    labels, count = find_regions(score, high)
+    return InspectedPosture(
+        view=view,
+        synthetic=synthetic,
+        score=score,
+        labels=labels,
+        threshold=high,
+        sightings=measure_regions(labels, count, score, view, found, scene=nominal, placement=placement),
+        coverage=measure_coverage(view, found, seen_by=options.seen_by, high=high),
+    )
+
+
+def _words(
+    rig: RigConfig, part: PartConfig, postures: Sequence[InspectedPosture], options: InspectOptions
+) -> list[str]:
+    words: list[str] = []
+    for p in postures:
+        missing = [light.name for light in rig.lights if light.name not in p.view.lights]
+        if missing:
+            words.append(f"posture {p.view.posture}: no image under {', '.join(missing)}; judged without")
+        if len(p.view.lights) < options.seen_by:
+            words.append(
+                f"posture {p.view.posture}: fewer images than the {options.seen_by} that a defect must show in; what "
+                "shows in all there are counts"
+            )
+        if not p.view.clean.any():
+            words.append(
+                f"posture {p.view.posture}: no pixel shows the part off its edges; nothing was inspected"
+            )
+        elif p.coverage.inspected == 0.0:
+            words.append(
+                f"posture {p.view.posture}: no pixel is lit and unsaturated in enough images; nothing was inspected"
+            )
+    there = {p.view.posture for p in postures}
+    for wanted in part.postures:
+        posture = Posture(elevation_deg=wanted.elevation_deg, rotation_deg=wanted.rotation_deg)
+        if posture not in there:
+            words.append(f"posture {posture}: no images; what only it shows was not inspected")
+    return words

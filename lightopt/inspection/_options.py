@@ -1,0 +1,62 @@
+"""How to inspect: what a user chooses."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Literal
+
+from lightopt.inspection._fusion import FUSIONS, Fusion
+
+__all__ = ["DETECTORS", "Detector", "InspectOptions"]
+
+Detector = Literal["residual", "template"]
+DETECTORS: Final = ("residual", "template")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectOptions:
+    """How to inspect.
+
+    Attributes
+    ----------
+    detector
+        ``residual``: measured against predicted; ``template``: dots and lines in the synthetic image.
+    fusion
+        Rule that the synthetic image is made by; None for no such image, which the template detector needs.
+    false_alarms
+        Expected number of false alarms per posture where noise is all that differs from the good part.
+    seen_by
+        In how many images of a posture a defect must show.
+    shift
+        Whether the part is looked for around where its file has it.
+    threads
+        Number of threads; all the machine's by default. The result does not depend on it.
+    """
+
+    detector: Detector = "residual"
+    fusion: Fusion | None = "paper"
+    false_alarms: float = 0.05
+    seen_by: int = 2
+    shift: bool = True
+    threads: int | None = None
+
+    def problems(self) -> list[str]:
+        """What is wrong with them, in words."""
+        found: list[str] = []
+        if self.detector not in DETECTORS:
+            found.append(f'--detector: expected {" or ".join(DETECTORS)}, found "{self.detector}"')
+        if self.fusion is not None and self.fusion not in FUSIONS:
+            found.append(f'--fusion: expected {", ".join(FUSIONS)} or none, found "{self.fusion}"')
+        if self.detector == "template" and self.fusion is None:
+            found.append(
+                "--detector template looks at the synthetic image: it needs a --fusion other than none"
+            )
+        if not 1e-9 <= self.false_alarms <= 1.0:
+            found.append(f"--false-alarms: expected a number from 1e-9 to 1, found {self.false_alarms:g}")
+        if self.seen_by < 1:
+            found.append(f"--seen-by: expected 1 or more, found {self.seen_by}")
+        return found
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form of what changes the result."""
+        return {name: value for name, value in asdict(self).items() if name != "threads"}

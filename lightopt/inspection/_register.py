@@ -1,0 +1,233 @@
+"""Laying the model over the images of a set: where the part lies, how bright lights are, whether it is this part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.align import (
+    Observation,
+    Placement,
+    find_placement,
+    observed_postures,
+    place_part,
+    read_observations,
+    refine_placement,
+)
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import InputError
+from lightopt.images import ImageSet
+from lightopt.rendering import cast_rays_at
+from lightopt.scene import Scene, build_scene
+
+__all__ = ["Photometry", "fit_photometry", "good_part", "lay_over", "refuse_another_part"]
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+Progress = Callable[[str, float], None]
+"""Called with what is going on and the share of it that is done, 0 to 1."""
+
+PIXELS_PER_IMAGE = 40_000
+HUBER = 1.5
+ROUNDS = 12
+GAIN_SPREAD = 0.3
+DARK_SPREAD = 3.0
+"""Lights are about as bright as the rig says, within this share, and black is as black within these sensor levels: only
+images that say so move them."""
+
+MOST_GAIN = 4.0
+"""Lights that seem to be further from what the rig says, up or down, are not believed."""
+
+STRANGER_R2 = 0.6
+"""Images of which the model explains less than this share of the variance do not show this part as it lies here."""
+
+LEAST_RELIEF = 4.0
+"""Images whose levels vary by less than so many standard deviations of noise say nothing of which part they show."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photometry:
+    """Brightness of the lights and of black, as the images have them.
+
+    Attributes
+    ----------
+    gains
+        By name of the light: measured over predicted brightness.
+    dark
+        Above the rig's black level [sensor level].
+    """
+
+    gains: dict[str, float]
+    dark: float
+
+
+def good_part(rig: RigConfig, part: PartConfig, image_set: ImageSet) -> tuple[Scene, tuple[Observation, ...]]:
+    """The part without defects where its file has it, under the lights and in the postures of a set, and the images."""
+    observations = read_observations(image_set, rig, part)
+    used = {o.light for o in observations}
+    names = [light.name for light in rig.lights if light.name in used]
+    scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, defects=False)
+    return scene, observations
+
+
+def lay_over(
+    scene: Scene,
+    observations: Sequence[Observation],
+    *,
+    start: Placement | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Scene, Placement]:
+    """The scene with its part where the images show it, and how far that is from where its file has it.
+
+    Parameters
+    ----------
+    scene, observations
+        From :func:`good_part`.
+    start
+        Where the part before lay, if parts come in a fixture: this one is looked for there.
+    threads
+        Number of threads; the result does not depend on it.
+    progress
+        Called as the search goes on.
+    """
+
+    def stage(name: str) -> Callable[[float], None] | None:
+        return None if progress is None else partial(progress, name)
+
+    caster = cast_rays_at(scene)
+    if start is None:
+        start = find_placement(
+            scene, observations, caster=caster, threads=threads, progress=stage("finding the part")
+        )
+    found = refine_placement(
+        scene,
+        observations,
+        replace(start, errors=(0.0, 0.0, 0.0)),
+        caster=caster,
+        threads=threads,
+        progress=stage("refining the part's place"),
+    )
+    return place_part(scene, found), found
+
+
+def fit_photometry(
+    observations: Sequence[Observation],
+    predicted: Sequence[Float32],
+    clean: Sequence[Bool],
+    scene: Scene,
+) -> Photometry:
+    """Gain of each light and a common dark level, by robust least squares over pixels that are neither black nor full.
+
+    Parameters
+    ----------
+    observations
+        The images.
+    predicted
+        Of each, levels of the good part [sensor level above black], shape (H, W).
+    clean
+        Of each, the pixels to look at, shape (H, W).
+    scene
+        For the sensor and the names of the lights.
+    """
+    sensor = scene.sensor
+    names = [light.name for light in scene.lights]
+    n = len(names)
+    per_electron = 1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0
+    rows: list[tuple[int, Float64, Float64, Float64]] = []
+    for o, model, mask in zip(observations, predicted, clean, strict=True):
+        noise = np.sqrt(
+            (sensor.read_noise_levels**2 + per_electron * np.maximum(model, 0.0)) / o.frames + 1.0 / 12.0
+        )
+        top = sensor.saturated_from - sensor.black_level
+        usable = mask & ~o.saturated & (model + 4.0 * noise < top) & (model > 4.0 * noise)
+        index = np.flatnonzero(usable)
+        index = index[:: max(1, len(index) // PIXELS_PER_IMAGE)]
+        level = o.levels.ravel()[index].astype(np.float64) - sensor.black_level
+        rows.append(
+            (names.index(o.light), model.ravel()[index].astype(np.float64), level, noise.ravel()[index])
+        )
+    x = np.append(np.ones(n), 0.0)
+    held = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
+    nominal = x.copy()
+    for _ in range(ROUNDS):
+        normal, right = np.diag(held), held * nominal
+        for light, model, level, noise in rows:
+            if not len(model):
+                continue
+            off = np.abs(level - x[light] * model - x[n]) / noise
+            spread = max(1.4826 * float(np.median(off)), 1.0)
+            weight = np.minimum(1.0, HUBER * spread / np.maximum(off, 1e-9)) / noise**2
+            both = float(weight @ model)
+            normal[light, light] += float(weight @ model**2)
+            normal[n, n] += float(weight.sum())
+            normal[light, n] += both
+            normal[n, light] += both
+            right[light] += float((weight * model) @ level)
+            right[n] += float(weight @ level)
+        x = np.linalg.solve(normal, right)
+    if not np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN)):
+        x = nominal  # not these lights, or not this part: what is told of the images must not hide that
+    return Photometry(gains={name: float(g) for name, g in zip(names, x[:n], strict=True)}, dark=float(x[n]))
+
+
+def refuse_another_part(
+    measured: Float32, predicted: Float32, deviation: Float32, mask: Bool, where: str
+) -> None:
+    """Refuse images that do not show this part as the model has it.
+
+    Parameters
+    ----------
+    measured, predicted, deviation
+        Levels, both clipped where the camera clips, and the standard deviation of the noise, shape (images, H, W).
+    mask
+        Pixels that show the part, shape (H, W).
+    where
+        The set and posture, for the message.
+
+    Raises
+    ------
+    InputError
+        The model explains too little; says what would fit better.
+    """
+
+    def explained(flip: tuple[slice, slice]) -> float:
+        flipped = (slice(None), *flip)
+        seen, model = measured[flipped][:, mask].astype(np.float64), predicted[:, mask].astype(np.float64)
+        spread = float(np.var(seen))
+        return 1.0 - float(np.mean((seen - model) ** 2)) / spread if spread > 0.0 else 0.0
+
+    levels, noise = predicted[:, mask], deviation[:, mask]
+    if not levels.size:
+        return
+    if float(np.std(levels)) < LEAST_RELIEF * float(np.median(noise)):
+        return
+    own = explained((slice(None), slice(None)))
+    if own >= STRANGER_R2:
+        return
+    back = slice(None, None, -1)
+    flips = {
+        "mirrored left to right": (slice(None), back),
+        "mirrored top to bottom": (back, slice(None)),
+        "turned by 180°": (back, back),
+    }
+    values = {name: explained(flip) for name, flip in flips.items()}
+    best = max(values, key=lambda name: values[name])
+    rms = float(np.sqrt(np.mean((measured[:, mask] - levels).astype(np.float64) ** 2)))
+    hint = (
+        f"they fit far better {best} ({100.0 * values[best]:.0f} %): turn them, or correct the camera's roll and "
+        "azimuth in the rig"
+        if values[best] > max(own + 0.2, STRANGER_R2)
+        else "check that rig, part, placement and postures are those of the images, and fit the reflectance first "
+        "(lightopt fit-specular)"
+    )
+    raise InputError(
+        f"{where}: the images do not look like this part on this rig: the model explains {max(100.0 * own, 0.0):.0f} % "
+        f"of their variance, expected {100.0 * STRANGER_R2:.0f} % or more; measured minus predicted is {rms:.3g} grey "
+        f"levels rms; {hint}"
+    )

@@ -1,0 +1,208 @@
+"""An inspection against what is known to be on the part: recall, false alarms, ROC, probability of detection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, stats
+
+from lightopt.errors import InputError
+from lightopt.images import ImageSet
+from lightopt.inspection._inspect import InspectedPosture, Inspection
+from lightopt.inspection._pod import fit_detection
+
+__all__ = ["KnownDefect", "TrueSet", "area_under_roc", "compare_with_truth", "summarise", "true_labels"]
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+SLACK_PX = 2
+"""A region that comes this near to a labelled pixel is that defect's."""
+
+_DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) <= SLACK_PX + 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownDefect:
+    """A defect that the images show, and whether it was found.
+
+    Attributes
+    ----------
+    name, kind
+        As the set's manifest has them.
+    size
+        Square root of length times width of its outline [mm].
+    pixels
+        Of it that can be judged, in the posture that shows most of them.
+    found
+        Whether a region touches it in any posture.
+    """
+
+    name: str
+    kind: str
+    size: float
+    pixels: int
+    found: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "size_mm": round(self.size, 5),
+            "pixels": self.pixels,
+            "found": self.found,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueSet:
+    """A set of images held against its labels.
+
+    Attributes
+    ----------
+    defects
+        Those with a pixel that can be judged in some posture.
+    hidden
+        Names of the others.
+    false_alarms
+        Regions that touch no defect, over all postures.
+    postures
+        Number of them.
+    areas
+        Area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
+    """
+
+    defects: tuple[KnownDefect, ...]
+    hidden: tuple[str, ...]
+    false_alarms: int
+    postures: int
+    areas: tuple[float, ...]
+
+
+def true_labels(image_set: ImageSet, posture: InspectedPosture) -> NDArray[np.int32]:
+    """Index of the defect that each pixel shows, −1 for none, shape (H, W).
+
+    Raises
+    ------
+    InputError
+        The set has no labels, or labels of images of another size.
+    """
+    entries = [g for g in image_set.geometry if g.posture == posture.view.posture]
+    channels = image_set.load_geometry(entries[0]) if entries else {}
+    if "defect" not in channels or not isinstance(image_set.manifest.extra.get("defects"), list):
+        raise InputError(
+            f"{image_set.folder}: no labels of defects for posture {posture.view.posture}; expected a geometry EXR "
+            "with a channel defect and a list of defects in the manifest, as lightopt render writes for a part whose "
+            "file names defects"
+        )
+    labels = channels["defect"]
+    if labels.shape != posture.labels.shape:
+        raise InputError(
+            f"{image_set.path(entries[0].exr)}: labels of {labels.shape[1]} × {labels.shape[0]} px for images of "
+            f"{posture.labels.shape[1]} × {posture.labels.shape[0]} px"
+        )
+    return labels.astype(np.int32)
+
+
+def compare_with_truth(image_set: ImageSet, result: Inspection) -> TrueSet:
+    """Hold an inspection against the labels of its images.
+
+    Parameters
+    ----------
+    image_set
+        With labels.
+    result
+        Of its inspection.
+
+    Raises
+    ------
+    InputError
+        No labels.
+    """
+    labels = [true_labels(image_set, posture) for posture in result.postures]
+    listed: Sequence[Mapping[str, Any]] = image_set.manifest.extra["defects"]
+    pixels = np.zeros(len(listed), np.intp)
+    found = np.zeros(len(listed), np.bool_)
+    false_alarms = 0
+    areas: list[float] = []
+    for posture, truth in zip(result.postures, labels, strict=True):
+        clean = posture.view.clean
+        mine = np.bincount(truth[clean & (truth >= 0)], minlength=len(listed))
+        pixels = np.maximum(pixels, mine[: len(listed)])
+        for region in range(1, len(posture.sightings) + 1):
+            near = np.asarray(ndimage.binary_dilation(posture.labels == region, _DISC), np.bool_)
+            touched = np.unique(truth[near & (truth >= 0)])
+            found[touched] = True
+            false_alarms += not len(touched)
+        if mine.any():
+            areas.append(area_under_roc(posture.score[clean].astype(np.float64), truth[clean] >= 0))
+    defects = [
+        KnownDefect(
+            name=str(one["name"]),
+            kind=str(one["kind"]),
+            size=float(np.sqrt(np.prod(one["size_mm"]))),
+            pixels=int(pixels[i]),
+            found=bool(found[i]),
+        )
+        for i, one in enumerate(listed)
+    ]
+    return TrueSet(
+        defects=tuple(d for d in defects if d.pixels),
+        hidden=tuple(d.name for d in defects if not d.pixels),
+        false_alarms=false_alarms,
+        postures=len(result.postures),
+        areas=tuple(areas),
+    )
+
+
+def area_under_roc(score: Float64, positive: Bool) -> float:
+    """Probability that a positive scores more than a negative, ties counting half (Mann and Whitney).
+
+    Parameters
+    ----------
+    score
+        Shape (n,).
+    positive
+        Shape (n,), neither all true nor all false.
+    """
+    p = int(positive.sum())
+    q = len(positive) - p
+    ranks = np.asarray(stats.rankdata(score))
+    return (float(ranks[positive].sum()) - 0.5 * p * (p + 1)) / (p * q)
+
+
+def summarise(sets: Sequence[TrueSet]) -> dict[str, Any]:
+    """Recall by kind and size, false alarms per posture, ROC and detection curves over all sets; JSON form."""
+    defects = [defect for one in sets for defect in one.defects]
+    kinds = sorted({d.kind for d in defects})
+    postures = sum(one.postures for one in sets)
+    areas = [area for one in sets for area in one.areas]
+    return {
+        "defects": len(defects),
+        "found": sum(d.found for d in defects),
+        "hidden": [name for one in sets for name in one.hidden],
+        "false_alarms_per_posture": round(sum(one.false_alarms for one in sets) / max(postures, 1), 4),
+        "roc_auc": round(float(np.mean(areas)), 5) if areas else None,
+        "recall": [
+            {
+                "kind": kind,
+                "size_mm": size,
+                "defects": len(mine),
+                "found": sum(d.found for d in mine),
+            }
+            for kind in kinds
+            for size in sorted({round(d.size, 3) for d in defects if d.kind == kind})
+            for mine in [[d for d in defects if d.kind == kind and round(d.size, 3) == size]]
+        ],
+        "detection": {
+            kind: fit_detection([d.size for d in mine], [d.found for d in mine]).as_dict()
+            for kind in ("all", *kinds)
+            for mine in [[d for d in defects if kind in ("all", d.kind)]]
+        },
+        "each": [d.as_dict() for d in defects],
+    }

@@ -1,0 +1,227 @@
+"""The images of a posture beside what the good part would look like in them: what fusing and detecting start from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.align import Observation
+from lightopt.inspection._register import Photometry, fit_photometry, refuse_another_part
+from lightopt.raycast import RayCaster
+from lightopt.rendering import PostureImages, render_posture, trace_pixels
+from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
+from lightopt.transforms import Posture
+
+__all__ = ["PostureView", "Prediction", "posture_view", "predict"]
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """The good part in a posture: its images, and which pixels can be judged.
+
+    Attributes
+    ----------
+    images
+        Under each light, with the specular component apart.
+    clean
+        Pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
+    area
+        Of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
+    """
+
+    images: PostureImages
+    clean: Bool
+    area: Float32
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureView:
+    """Images of one posture, one per light, and the prediction; all levels in grey levels at exposure 1.
+
+    Attributes
+    ----------
+    posture
+        Of the part.
+    lights
+        Names, of those that the set has for this posture.
+    level
+        Measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a light
+        each pixel has the longest that is saturated neither in the image nor in the prediction.
+    predicted, specular
+        Of the good part, and the highlights' share of it, same shape.
+    deviation
+        Standard deviation of the sensor's noise at the predicted level, same shape.
+    limit
+        Level from which a pixel is saturated, same shape.
+    saturated
+        Where `level` is only a lower bound, same shape.
+    prediction
+        The images that `predicted` is from, and the pixels that can be judged.
+    photometry
+        What was taken out.
+    """
+
+    posture: Posture
+    lights: tuple[str, ...]
+    level: Float32
+    predicted: Float32
+    specular: Float32
+    deviation: Float32
+    limit: Float32
+    saturated: Bool
+    prediction: Prediction
+    photometry: Photometry
+
+    @property
+    def part(self) -> Bool:
+        """Pixels that show the part, shape (H, W)."""
+        return self.prediction.images.geometry.hit
+
+    @property
+    def clean(self) -> Bool:
+        """Pixels that can be judged, shape (H, W)."""
+        return self.prediction.clean
+
+
+def predict(
+    scene: Scene, posture: Posture, caster: RayCaster, *, lights: Sequence[str], threads: int | None = None
+) -> Prediction:
+    """Render the good part in a posture.
+
+    Parameters
+    ----------
+    scene
+        With the part where it lies.
+    posture
+        Of the part.
+    caster
+        Of the scene's part.
+    lights
+        Names of those to render.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+    chosen = tuple(light for light in scene.lights if light.name in lights)
+    images = render_posture(
+        replace(scene, lights=chosen), posture, caster=caster, layers=True, threads=threads
+    )
+    pixels = trace_pixels(scene, posture, caster, threads=threads)
+    clean = np.zeros(pixels.shape, np.bool_)
+    clean[pixels.row, pixels.column] = pixels.clean
+    cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
+    area = np.zeros(pixels.shape, np.float32)
+    view = view_from_part(scene, posture).camera
+    distance = np.linalg.norm(pixels.surface.points - view.position, axis=1)
+    angle = _solid_angle(view, pixels.column, pixels.row)
+    area[pixels.row, pixels.column] = angle * distance**2 / np.maximum(np.abs(cosine), 0.02)
+    return Prediction(images=images, clean=clean & images.geometry.hit, area=area)
+
+
+def _solid_angle(camera: PinholeCamera, column: NDArray[np.int32], row: NDArray[np.int32]) -> Float64:
+    # of pixels [sr]: (side / image distance)² · cos³ of the angle to the optical axis
+    x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
+    directions = pixel_directions(camera, x, y)
+    cosine = 1.0 / np.linalg.norm(directions, axis=1)
+    return (camera.pixel_size / camera.image_distance) ** 2 * cosine**3
+
+
+def posture_view(
+    scene: Scene,
+    observations: Sequence[Observation],
+    prediction: Prediction,
+    *,
+    where: str,
+) -> PostureView:
+    """Lay the images of one posture over its prediction.
+
+    Parameters
+    ----------
+    scene
+        For the sensor.
+    observations
+        Of one posture.
+    prediction
+        Of that posture, with the lights of the observations.
+    where
+        The set, for messages.
+
+    Raises
+    ------
+    InputError
+        Images that do not look like the prediction.
+    """
+    images = {image.light: image for image in prediction.images.lights}
+    scale = scene.sensor.max_level / scene.reflectance.full_scale
+    models = [images[o.light].level * np.float32(scale * o.exposure) for o in observations]
+    photometry = fit_photometry(observations, models, [prediction.clean] * len(models), scene)
+    lights = tuple(name for name in images if any(o.light == name for o in observations))
+    merged = [
+        _merge(
+            scene,
+            sorted((o for o in observations if o.light == light), key=lambda o: -o.exposure),
+            images[light].level,
+            photometry,
+        )
+        for light in lights
+    ]
+    level, deviation, limit, saturated = (np.stack(arrays) for arrays in zip(*merged, strict=True))
+    predicted = np.stack([images[light].level for light in lights])
+    specular = np.stack([_specular(images[light].specular) for light in lights])
+    posture = observations[0].posture
+    refuse_another_part(
+        np.minimum(level, limit),
+        np.clip(predicted, 0.0, limit),
+        deviation,
+        prediction.clean,
+        f"{where}, posture {posture}",
+    )
+    return PostureView(
+        posture=posture,
+        lights=lights,
+        level=level,
+        predicted=predicted,
+        specular=specular,
+        deviation=deviation,
+        limit=limit,
+        saturated=saturated,
+        prediction=prediction,
+        photometry=photometry,
+    )
+
+
+def _specular(image: Float32 | None) -> Float32:
+    assert image is not None
+    return image
+
+
+def _merge(
+    scene: Scene, exposures: Sequence[Observation], predicted: Float32, photometry: Photometry
+) -> tuple[Float32, Float32, Float32, Bool]:
+    # level, deviation, limit and saturation of one light from its exposures, the longest first
+    sensor = scene.sensor
+    gain = photometry.gains[exposures[0].light]
+    per_electron = 1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0
+    shape = predicted.shape
+    level, deviation, limit = (np.zeros(shape, np.float32) for _ in range(3))
+    saturated = np.zeros(shape, np.bool_)
+    open_ = np.ones(shape, np.bool_)
+    top = sensor.saturated_from - sensor.black_level
+    for number, o in enumerate(exposures):
+        scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
+        signal = np.minimum(predicted * np.float32(scale), np.float32(top))
+        take = open_ if number + 1 == len(exposures) else open_ & ~o.saturated & (signal < top)
+        noise = np.sqrt((sensor.read_noise_levels**2 + per_electron * signal) / o.frames + 1.0 / 12.0)
+        values = (o.levels - np.float32(sensor.black_level + photometry.dark)) / np.float32(scale)
+        level[take] = values[take]
+        deviation[take] = (noise / np.float32(scale))[take]
+        limit[take] = (top - 0.5 - photometry.dark) / scale
+        saturated[take] = o.saturated[take]
+        open_ = open_ & ~take
+    return level, deviation, limit, saturated

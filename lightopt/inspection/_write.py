@@ -1,0 +1,225 @@
+"""The files of an inspection: defects as JSON, CSV and PLY, synthetic images and scores."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightopt import __version__
+from lightopt.align import Placement
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import InputError
+from lightopt.images import (
+    ImageSet,
+    file_sha256,
+    posture_folder,
+    write_exr,
+    write_png,
+    write_text_atomic,
+)
+from lightopt.inspection._inspect import InspectedPosture, Inspection
+from lightopt.inspection._measure import to_file
+from lightopt.inspection._options import InspectOptions
+from lightopt.scene import Scene
+
+__all__ = ["DEFECTS_NAME", "InspectionFolder", "provenance"]
+
+DEFECTS_NAME = "defects.json"
+FORMAT = "lightopt-defects/1"
+SHAPE_RGB, STAIN_RGB, UNKNOWN_RGB = (230, 60, 40), (70, 110, 190), (240, 170, 30)
+COLUMNS = (
+    *("number", "kind", "x_mm", "y_mm", "z_mm", "length_mm", "width_mm", "area_mm2", "score"),
+    *("greatest_contrast", "lights", "postures", "column_px", "row_px"),
+)
+
+
+def provenance(
+    rig: RigConfig, part: PartConfig, image_set: ImageSet, options: InspectOptions
+) -> dict[str, Any]:
+    """What an inspection was made from: versions, hashes of the inputs, options; names only, no folders."""
+    images = [
+        entry.sha256 or {"file": file_sha256(image_set.path(entry.png or entry.exr or ""))}
+        for entry in image_set.images
+    ]
+    return {
+        "lightopt": __version__,
+        "versions": {name: version(name) for name in ("embreex", "numba", "numpy", "scipy")},
+        "rig": {"file": rig.source.path.name, "sha256": rig.source.sha256},
+        "part": {"file": part.source.path.name, "sha256": part.source.sha256},
+        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+        "images": [dict(hashes) for hashes in images],
+        "options": options.as_dict(),
+    }
+
+
+class InspectionFolder:
+    """A folder that an inspection is written to.
+
+    What an earlier inspection left there goes before the first file of the new one.
+
+    Parameters
+    ----------
+    folder
+        Made where it does not exist.
+    made_from
+        From :func:`provenance`.
+    force
+        Whether files of an inspection of other inputs are replaced.
+
+    Raises
+    ------
+    InputError
+        The folder holds an inspection of other inputs, and `force` is False.
+    """
+
+    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
+        self.folder = folder
+        self._made_from = json.loads(json.dumps(made_from))
+        self._files: list[str] = []
+        old = self._earlier()
+        same = old is not None and old.get("provenance") == self._made_from
+        if (folder / DEFECTS_NAME).exists() and not same and not force:
+            raise InputError(
+                f"{folder} already has {DEFECTS_NAME} of an inspection of other images or with other options; use "
+                "--force to replace it, or choose another folder"
+            )
+
+    def place(self, name: str) -> Path:
+        """Where to write a file of the inspection, by its name relative to the folder; its own folder is made."""
+        if not self._files:
+            self._remove_earlier()
+        if name not in self._files:
+            self._files.append(name)
+        path = self.folder / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: cannot be made: {error.strerror or error}; choose a folder that can be written"
+            ) from error
+        return path
+
+    def write_posture(self, posture: InspectedPosture) -> None:
+        """Write the synthetic image of a posture as EXR and PNG, and its scores as EXR."""
+        folder = posture_folder(posture.view.posture)
+        facts = {"posture": posture.view.posture.as_dict()}
+        regions = posture.labels.astype(np.float32)
+        channels = {"score": posture.score, "region": regions}
+        write_exr(self.place(f"{folder}/score.exr"), channels, metadata=facts)
+        synthetic = posture.synthetic
+        if synthetic is None:
+            return
+        channels = {
+            "Y": synthetic.level,
+            "deviation.Y": synthetic.deviation,
+            "filled": synthetic.filled.astype(np.float32),
+            "mask": synthetic.mask.astype(np.float32),
+        }
+        write_exr(self.place(f"{folder}/synthetic.exr"), channels, metadata=facts)
+        shown = synthetic.level[synthetic.mask]
+        white = float(np.percentile(shown, 99.9)) if shown.size else 1.0
+        grey = np.clip(synthetic.level * (255.0 / max(white, 1e-6)), 0.0, 255.0)
+        levels = np.floor(grey + 0.5).astype(np.uint8)
+        write_png(self.place(f"{folder}/synthetic.png"), levels, metadata={**facts, "white_level": white})
+
+    def write(self, result: Inspection, scene: Scene, more: Mapping[str, Any]) -> list[Path]:
+        """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
+
+        Parameters
+        ----------
+        result
+            Of the inspection.
+        scene
+            With the part where its file has it.
+        more
+            Further keys of ``defects.json``.
+        """
+        write_text_atomic(self.place("defects.csv"), _table(result))
+        write_text_atomic(self.place("defects.ply"), _points(result, scene))
+        content = {
+            "format": FORMAT,
+            **result.as_dict(),
+            **more,
+            "files": sorted(self._files),
+            "provenance": self._made_from,
+        }
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        write_text_atomic(self.place(DEFECTS_NAME), text)
+        return [self.folder / name for name in (DEFECTS_NAME, "defects.csv", "defects.ply")]
+
+    def _earlier(self) -> dict[str, Any] | None:
+        try:
+            found = json.loads((self.folder / DEFECTS_NAME).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return found if isinstance(found, dict) and found.get("format") == FORMAT else None
+
+    def _remove_earlier(self) -> None:
+        # defects.json first: while it is there, the files that it lists are its own
+        listed = (self._earlier() or {}).get("files", [])
+        names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
+        with suppress(FileNotFoundError):
+            (self.folder / DEFECTS_NAME).unlink()
+        for name in names:
+            with suppress(OSError, ValueError):  # a name that no file can have
+                path = (self.folder / name).resolve()
+                if path.is_relative_to(self.folder.resolve()):
+                    path.unlink()
+
+
+def _table(result: Inspection) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for defect in result.defects:
+        best = defect.best
+        lights = sorted({light for s in defect.sightings for light in s.contrast})
+        writer.writerow(
+            [
+                defect.number,
+                best.kind,
+                *(f"{x:.4f}" for x in (*best.position, *best.size)),
+                f"{best.area:.5f}",
+                f"{best.score:.2f}",
+                f"{best.greatest_contrast:.4f}",
+                " ".join(lights),
+                " ".join(f"{s.posture.elevation_deg:g}/{s.posture.rotation_deg:g}" for s in defect.sightings),
+                *(f"{x:.2f}" for x in best.centre_px),
+            ]
+        )
+    return text.getvalue()
+
+
+def _points(result: Inspection, scene: Scene) -> str:
+    # surface points of all sightings in the mesh file's coordinates, coloured by kind
+    colours = {"shape": SHAPE_RGB, "stain": STAIN_RGB, "unknown": UNKNOWN_RGB}
+    placement = result.placement or Placement()
+    lines: list[str] = []
+    for defect in result.defects:
+        red, green, blue = colours[defect.best.kind]
+        for sighting in defect.sightings:
+            posture = next(p for p in result.postures if p.view.posture == sighting.posture)
+            region = posture.sightings.index(sighting) + 1
+            row, column = np.nonzero(posture.labels == region)
+            world = posture.view.prediction.images.geometry.points[row, column].astype(np.float64)
+            for x, y, z in to_file(world, scene, placement, sighting.posture):
+                lines.append(f"{x:.4f} {y:.4f} {z:.4f} {red} {green} {blue} {defect.number}")
+    head = [
+        "ply",
+        "format ascii 1.0",
+        "comment defects as points in the coordinates of the mesh file, mm",
+        f"element vertex {len(lines)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        *(f"property uchar {colour}" for colour in ("red", "green", "blue")),
+        "property int defect",
+        "end_header",
+    ]
+    return "\n".join([*head, *lines]) + "\n"

@@ -1,0 +1,254 @@
+"""``lightopt inspect``: defects found where they are, good parts passed, files, words and refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lightopt.cli._main import run
+from lightopt.images import read_exr, read_image_set, read_png, write_png
+
+DEFECTS = """\
+defects:
+  - name: stain
+    kind: stain
+    at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [58, 60]}
+    size_mm: 3.5
+    R_d_factor: 0.6
+  - name: dent
+    kind: dent
+    at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [92, 72]}
+    size_mm: 5
+    slope_deg: 12
+"""
+FIRST = ("--posture", "0,0")
+
+
+def rendered(bench, out, *options):
+    command = ["render", bench.rig, bench.part, "-o", out, "-q", "--patches", "500", "--noise", "3", *options]
+    assert run([str(word) for word in command]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def parts(shared_bench, tmp_path_factory):
+    """Image sets of a part with a stain and a dent, and of a good one, in two postures."""
+    folder = tmp_path_factory.mktemp("parts")
+    bad = shared_bench.part.with_name("bad.yaml")
+    bad.write_text(shared_bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
+    command = ["render", shared_bench.rig, bad, "-q", "--patches", "500", "--noise", "3"]
+    assert run([str(word) for word in (*command, "-o", folder / "bad")]) == 0
+    return {"bad": folder / "bad", "good": rendered(shared_bench, folder / "good")}
+
+
+@pytest.fixture
+def images(parts, tmp_path):
+    """The good set, to spoil."""
+    shutil.copytree(parts["good"], tmp_path / "images")
+    return tmp_path / "images"
+
+
+def inspect(cli, bench, images, *options, out="out"):
+    sets = images if isinstance(images, list) else [images]
+    return cli("inspect", bench.rig, bench.part, *sets, "-o", bench.folder / out, "--no-shift", *options)
+
+
+def found(bench, out="out"):
+    return json.loads((bench.folder / out / "defects.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("detector", ["residual", "template"])
+def test_defects_are_found_where_they_are_and_told_in_every_file(cli, bench, parts, detector):
+    ran = inspect(cli, bench, parts["bad"], "--detector", detector, "--fail-on-defect")
+    assert ran.status == 1
+    assert "NG" in ran.out
+    result = found(bench)
+    assert result["verdict"] == "NG"
+    truth = read_image_set(parts["bad"]).manifest.extra["defects"]
+    for one in truth:
+        near = [d for d in result["defects"] if math.dist(d["position_mm"], one["position_mm"]) < 2.0]
+        assert near, one["name"]
+    if detector == "residual":
+        assert len(result["defects"]) == 2
+        stain = next(d for d in result["defects"] if math.dist(d["position_mm"], truth[0]["position_mm"]) < 1)
+        assert stain["kind"] == "stain"
+        assert stain["size_mm"] == pytest.approx([3.5, 3.5], abs=1.0)
+        assert stain["area_mm2"] == pytest.approx(truth[0]["area_mm2"], rel=0.4)
+        assert {s["posture"]["rotation_deg"] for s in stain["sightings"]} == {0.0, 170.0}
+        dent = next(d for d in result["defects"] if d is not stain)
+        assert dent["kind"] in ("shape", "unknown")
+    rows = list(csv.DictReader((bench.out / "defects.csv").read_text(encoding="utf-8").splitlines()))
+    assert [int(row["number"]) for row in rows] == [d["number"] for d in result["defects"]]
+    ply = (bench.out / "defects.ply").read_text(encoding="utf-8")
+    vertices = [line.split() for line in ply.split("end_header\n")[1].splitlines()]
+    assert f"element vertex {len(vertices)}\n" in ply
+    assert {int(v[-1]) for v in vertices} == {d["number"] for d in result["defects"]}
+    with Image.open(bench.out / "posture_0_0" / "defects.png") as overlay:
+        assert overlay.size == (160, 120)
+    synthetic = read_exr(bench.out / "posture_0_0" / "synthetic.exr")
+    assert set(synthetic) == {"Y", "deviation.Y", "filled", "mask"}
+    assert set(result["files"]) | {"defects.json"} == {
+        p.relative_to(bench.out).as_posix() for p in bench.out.rglob("*") if p.is_file()
+    }
+
+
+def test_a_good_part_is_ok_and_the_surface_is_accounted_for(cli, bench, parts):
+    ran = inspect(cli, bench, parts["good"], "--fail-on-defect")
+    assert ran.status == 0
+    assert ran.err == ""
+    result = found(bench)
+    assert (result["verdict"], result["defects"]) == ("OK", [])
+    for posture in result["postures"]:
+        surface = posture["surface"]
+        shares = [surface[key] for key in ("inspected", "saturated", "shadow", "edge")]
+        assert sum(shares) == pytest.approx(1.0, abs=1e-4)
+        assert surface["inspected"] > 0.5
+        finds = list(surface["finds_contrast"].values())
+        assert finds == sorted(finds)
+        assert posture["gains"] == pytest.approx({"light1": 1.0, "light3": 1.0}, abs=0.01)
+
+
+def test_the_same_images_give_the_same_bytes_with_any_number_of_threads(cli, bench, parts, snapshot):
+    one = inspect(cli, bench, parts["bad"], "--threads", "1", out="one")
+    two = inspect(cli, bench, parts["bad"], "--threads", "2", out="two")
+    assert (one.status, two.status) == (0, 0)
+    assert snapshot(bench.folder / "one") == snapshot(bench.folder / "two")
+
+
+def test_other_results_are_replaced_only_with_force(cli, bench, parts, snapshot):
+    assert inspect(cli, bench, parts["good"]).status == 0
+    assert inspect(cli, bench, parts["good"]).status == 0
+    before = snapshot(bench.out)
+    ran = inspect(cli, bench, parts["bad"])
+    assert ran.status == 2
+    assert "--force" in ran.err
+    assert snapshot(bench.out) == before
+    assert inspect(cli, bench, parts["bad"], "--force", "--fusion", "none").status == 0
+    assert not list(bench.out.rglob("synthetic.*"))
+
+
+def test_limits_of_the_part_say_what_counts(cli, bench, parts):
+    text = bench.part.read_text(encoding="utf-8")
+    bench.part.write_text(text + "inspection: {most_defects: 1, least_size_mm: 20}\n", encoding="utf-8")
+    assert inspect(cli, bench, parts["bad"], "--fail-on-defect", "--fusion", "none").status == 0
+    assert found(bench)["verdict"] == "OK"
+    assert len(found(bench)["defects"]) == 2
+    bench.part.write_text(text + "inspection: {most_defects: 5, least_inspected: 0.99}\n", encoding="utf-8")
+    ran = inspect(cli, bench, parts["bad"], "--fail-on-defect", "--fusion", "none", "--force")
+    assert ran.status == 1
+    assert "% of the visible surface was inspected" in ran.err
+    bench.part.write_text(text + "inspection: {most_defects: -1, least_contrast: 3}\n", encoding="utf-8")
+    ran = inspect(cli, bench, parts["bad"])
+    assert ran.status == 2
+    assert "most_defects: expected a whole number from 0" in ran.err
+    assert "least_contrast: expected a number from 0 to 1" in ran.err
+
+
+def test_several_parts_get_a_folder_each(cli, bench, parts):
+    ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--fail-on-defect")
+    assert ran.status == 1
+    assert "2 parts, 1 OK" in ran.out
+    assert (found(bench, "out/good")["verdict"], found(bench, "out/bad")["verdict"]) == ("OK", "NG")
+    again = inspect(cli, bench, [parts["good"], parts["good"]])
+    assert again.status == 2
+    assert "same folder name" in again.err
+
+
+def test_what_a_set_lacks_is_said(cli, bench, tmp_path):
+    text = bench.part.read_text(encoding="utf-8")
+    out = rendered(bench, tmp_path / "few", "--light", "light1", *FIRST)
+    bench.part.write_text(text, encoding="utf-8")
+    ran = inspect(cli, bench, out, "--fusion", "none")
+    assert ran.status == 0
+    assert "no image under light3" in ran.err
+    assert "fewer images than the 2" in ran.err
+    assert "posture (-10°, 170°): no images" in ran.err
+
+
+def flip(folder, axis):
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    for image in manifest["images"]:
+        levels = np.flip(read_png(folder / image["png"]), axis)
+        image["sha256"]["png"] = write_png(folder / image["png"], np.ascontiguousarray(levels), metadata={})
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+
+
+def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
+    ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--truth")
+    assert ran.status == 0
+    assert "2 of 2 defects found" in ran.out
+    told = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
+    assert (told["defects"], told["found"], told["hidden"]) == (2, 2, [])
+    assert told["false_alarms_per_posture"] == 0
+    assert 0.9 < told["roc_auc"] <= 1.0
+    assert told["recall"] == [
+        {"kind": "dent", "size_mm": 5.0, "defects": 1, "found": 1},
+        {"kind": "stain", "size_mm": 3.5, "defects": 1, "found": 1},
+    ]
+    assert told["detection"]["all"]["a90"] is None  # two are too few to say
+
+
+def test_labels_are_asked_for_where_there_are_none(cli, bench, parts):
+    ran = inspect(cli, bench, parts["good"], "--fusion", "none", "--truth")
+    assert ran.status == 2
+    assert "no labels of defects for posture" in ran.err
+
+
+def test_mirrored_images_are_refused_with_what_would_fit(cli, bench, images):
+    flip(images, 1)
+    ran = inspect(cli, bench, images)
+    assert ran.status == 2
+    assert "do not look like this part" in ran.err
+    assert "mirrored left to right" in ran.err
+    assert not bench.out.exists() or not list(bench.out.iterdir())
+
+
+def test_saturated_images_say_that_nothing_was_inspected(cli, bench, images):
+    manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
+    for image in manifest["images"]:
+        full = np.full((120, 160), 255, np.uint8)
+        image["sha256"]["png"] = write_png(images / image["png"], full, metadata={})
+    (images / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    ran = inspect(cli, bench, images, "--fail-on-defect")
+    assert ran.status == 2
+    assert "do not look like this part" in ran.err
+
+
+def test_sixteen_bits_and_exposures_and_sets_without_exr_will_do(cli, bench, tmp_path):
+    bench.edit("rig.yaml", "bit_depth: 8, read_noise_levels: 0.8", "bit_depth: 16, read_noise_levels: 90")
+    bench.edit("rig.yaml", "electrons_per_level: 60", "electrons_per_level: 0.4")
+    text = bench.part.read_text(encoding="utf-8")
+    bench.part.write_text(text + DEFECTS, encoding="utf-8")
+    out = rendered(bench, tmp_path / "deep", "--exposure", "1", "--exposure", "1/16", *FIRST)
+    for path in out.rglob("light*.exr"):
+        path.unlink()
+    manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
+    for image in manifest["images"]:
+        del image["exr"], image["sha256"]["exr"]
+    (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    assert inspect(cli, bench, out, "--fusion", "none", "--quiet").status == 0
+    assert len(found(bench)["defects"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        (("--detector", "magic"), "--detector: expected residual or template"),
+        (("--fusion", "mean"), "--fusion: expected paper, median, minimum, second-largest or none"),
+        (("--false-alarms", "0"), "--false-alarms: expected a number from 1e-9 to 1"),
+        (("--seen-by", "0"), "--seen-by: expected 1 or more"),
+        (("--threads", "0"), "--threads: expected at least 1"),
+        (("--detector", "template", "--fusion", "none"), "needs a --fusion"),
+    ],
+)
+def test_wrong_options_are_named(cli, bench, parts, option, said):
+    ran = inspect(cli, bench, parts["good"], *option)
+    assert ran.status == 2
+    assert said in ran.err
+    assert not bench.out.exists()

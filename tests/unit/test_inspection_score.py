@@ -1,0 +1,151 @@
+"""Scores of noise follow their law; regions grow by hysteresis; sightings of one place are one defect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from lightopt.align import Placement
+from lightopt.inspection import (
+    SCALES_PX,
+    Deviations,
+    Sighting,
+    find_regions,
+    gather,
+    rank_probability,
+    score_deviations,
+    templates,
+    threshold,
+)
+from lightopt.inspection._score import noise_gain, smoothed_deviations
+from lightopt.transforms import Posture
+
+
+def noise(lights, rows=200, columns=240, *, seed=0, holes=False):
+    rng = np.random.default_rng(seed)
+    usable = np.ones((lights, rows, columns), bool)
+    if holes:
+        usable[0, 50:120, 60:160] = False
+        usable[1, rng.random((rows, columns)) < 0.2] = False
+    z = np.where(usable, rng.normal(size=usable.shape), 0).astype(np.float32)
+    return Deviations(z, np.ones_like(z), usable)
+
+
+@pytest.mark.parametrize("scale", SCALES_PX)
+def test_sums_of_noise_have_a_deviation_of_one_also_next_to_what_is_not_usable(scale):
+    sums, counts = smoothed_deviations(noise(2, holes=True), scale)
+    for values, there in zip(sums, counts, strict=True):
+        assert np.std(values[there]) == pytest.approx(1.0, rel=0.03)
+    even = Deviations(
+        np.ones((1, 60, 60), np.float32), np.ones((1, 60, 60), np.float32), np.ones((1, 60, 60), bool)
+    )
+    assert smoothed_deviations(even, scale)[0][0, 30, 30] == pytest.approx(noise_gain(scale), rel=0.02)
+
+
+@pytest.mark.parametrize(("count", "rank"), [(4, 2), (4, 1), (3, 2), (2, 2), (1, 1), (1, 2), (6, 3)])
+def test_the_law_of_the_kth_largest_is_that_of_draws(count, rank):
+    draws = np.abs(np.random.default_rng(count).normal(size=(count, 200_000)))
+    kth = np.sort(draws, axis=0)[-min(rank, count)]
+    p = rank_probability(kth, np.full(kth.shape, count), rank)
+    assert stats.kstest(p, "uniform").statistic < 0.004
+
+
+def test_noise_alone_is_hardly_ever_above_the_threshold():
+    maxima = [float(score_deviations(noise(4, seed=i, holes=True), seen_by=2).max()) for i in range(40)]
+    high = threshold(0.5, 200 * 240, len(SCALES_PX))
+    # at most one image in two, and Bonferroni's bound is not idle
+    assert 2 <= sum(m >= high for m in maxima) <= 24
+    assert sum(m >= threshold(0.01, 200 * 240, len(SCALES_PX)) for m in maxima) <= 2
+
+
+def test_a_defect_in_one_image_alone_does_not_count_unless_one_is_enough():
+    found = noise(4)
+    found.z[2, 100:106, 100:106] += 6
+    once, twice = (score_deviations(found, seen_by=k)[103, 103] for k in (1, 2))
+    high = threshold(0.05, 200 * 240, len(SCALES_PX))
+    assert once > high > twice
+    found.z[0, 100:106, 100:106] -= 6
+    assert score_deviations(found, seen_by=2)[103, 103] > high
+
+
+def test_no_image_no_score():
+    found = noise(3)
+    found.usable[:, 20:60, 20:60] = False
+    assert (score_deviations(found, seen_by=2)[20:60, 20:60] == 0).all()
+
+
+def test_regions_reach_down_to_half_the_threshold_and_bridge_gaps():
+    score = np.zeros((40, 60), np.float32)
+    score[10:14, 10:14] = 8
+    score[10:14, 14:18] = 5
+    score[10:14, 20:22] = 5  # two pixels off: the same
+    score[30:33, 30:33] = 6  # never certain
+    score[10:12, 40:42] = 9  # another
+    labels, count = find_regions(score, 8.0)
+    assert count == 2
+    assert (labels[10:14, 10:18] == labels[10, 10]).all()
+    assert (labels[10:14, 20:22] == labels[10, 10]).all()
+    assert (labels[30:33, 30:33] == 0).all()
+    assert labels[10, 40] not in (0, labels[10, 10])
+    assert (labels[:, 18:20] == 0).all()
+
+
+def sighting(position, *, rotation=0.0, normal=(0.0, 0.0, 1.0), score=10.0):
+    return Sighting(
+        posture=Posture(elevation_deg=0.0, rotation_deg=rotation),
+        pixels=9,
+        centre_px=(5.0, 5.0),
+        box_px=(3, 3, 6, 6),
+        position=position,
+        normal=normal,
+        size=(1.0, 1.0),
+        area=0.8,
+        score=score,
+        contrast={"light1": -0.2},
+        kind="unknown",
+    )
+
+
+def test_the_same_place_in_several_postures_is_one_defect():
+    first = sighting((1.0, 2.0, 3.0))
+    again = sighting((1.3, 2.1, 3.0), rotation=90.0, score=20.0)
+    other_side = sighting((1.0, 2.0, 2.6), rotation=180.0, normal=(0.0, 0.0, -1.0))
+    beside = replace(first, position=(2.0, 2.0, 3.0), score=5.0)
+    assert len(gather([first, beside])) == 2  # two regions of one posture stay two
+    defects = gather([first, again, other_side, replace(beside, position=(9.0, 2.0, 3.0))])
+    assert [len(d.sightings) for d in defects] == [2, 1, 1]
+    assert defects[0].best is again
+    assert [d.number for d in defects] == [1, 2, 3]
+
+
+def test_templates_answer_to_no_even_image_and_are_of_one_size():
+    for template in templates():
+        assert abs(template.sum()) < 1e-9
+        assert np.sum(template**2) == pytest.approx(1.0)
+        assert template.shape[0] % 2 == 1
+
+
+def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_bench):
+    from lightopt import build_scene
+    from lightopt.align import place_part
+    from lightopt.inspection._measure import to_file
+    from lightopt.scene import view_from_part
+
+    bench = shared_bench.part.with_name("turned.yaml")
+    text = shared_bench.part.read_text(encoding="utf-8")
+    bench.write_text(text.replace("[0, 0, 0]", "[3, -2, 1], rotate_deg: [4, -7, 30]"), encoding="utf-8")
+    scene = build_scene(shared_bench.rig, bench)
+    posture, placement = Posture(-10.0, 170.0), Placement(x=0.7, y=-0.4, turn=0.02)
+    view = view_from_part(scene, posture)
+    placed = place_part(scene, placement).mesh
+    world = placed.vertices[::50] @ view.rotation.T + view.translation
+    own = np.array([scene.placement.to_file(v) for v in scene.mesh.vertices[::50]])
+    assert np.allclose(to_file(world, scene, placement, posture), own, atol=1e-4)
+    assert placed.normals is not None
+    assert scene.mesh.normals is not None
+    turned = placed.normals[::50] @ view.rotation.T
+    expected = scene.mesh.normals[::50] @ scene.placement.rotation
+    assert np.allclose(to_file(turned, scene, placement, posture, direction=True), expected, atol=1e-4)
