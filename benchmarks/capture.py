@@ -72,6 +72,7 @@ def run(size: Size) -> Report:
     )
     notes = (
         "overhead: lights, disk and other, as a share of settle + expose + transfer; the least of the rounds",
+        "a light settles from when its controller has the level, and is read back meanwhile",
         "opening (mesh, plan, devices), closing (lights off, devices) and moves count in neither",
         "disk: an image is judged, written and listed before the next exposure; settling hides it, a bracket does not",
     )

@@ -5,7 +5,7 @@ Library code raises them; only :mod:`lightopt.cli` turns them into messages and 
 
 from __future__ import annotations
 
-__all__ = ["CheckFailed", "HardwareError", "InputError", "LightoptError", "counted"]
+__all__ = ["CheckFailed", "HardwareError", "InputError", "Interrupted", "LightoptError", "counted"]
 
 
 def counted(number: int, noun: str) -> str:
@@ -53,3 +53,17 @@ class HardwareError(LightoptError):
     """A device failed or did not answer. Exit status 3."""
 
     exit_status = 3
+
+
+class Interrupted(KeyboardInterrupt):
+    """Work was ended by Ctrl-C or a signal, in a state that can be told. Exit status 130.
+
+    Parameters
+    ----------
+    *messages
+        What state things are in and how to go on, for the person at the machine; each is shown on a line of its own.
+    """
+
+    def __init__(self, *messages: str) -> None:
+        super().__init__(*messages)
+        self.messages: tuple[str, ...] = messages

@@ -68,7 +68,8 @@ def connect_devices(
     touch_lights
         False for a mere look at the devices: nothing is switched.
     warn
-        Called if the serial log ends early, which ends nothing else.
+        Called with what is out of the ordinary on the wires, as it happens, and if the serial log ends early, which
+        ends nothing else.
 
     Raises
     ------
@@ -83,11 +84,9 @@ def connect_devices(
     signals.install()
     with ExitStack() as stack:
         stack.callback(signals.restore)
-        log = None if serial_log is None else SerialLog(serial_log, warn=warn)
-        closing: list[Callable[[], None]] = []
-        if log is not None:
-            stack.callback(log.close)
-            closing.append(log.close)
+        log = SerialLog(serial_log, warn=warn)
+        closing: list[Callable[[], None]] = [log.close]
+        stack.callback(log.close)
         if bench is None and wiring.needs_bench:
             bench = start_bench(rig, wiring, part=part if camera else None, truth=truth)
             stack.callback(bench.close)
@@ -208,7 +207,7 @@ def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
         raise InputError(*problems)
 
 
-def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog | None) -> Stage | None:
+def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog) -> Stage | None:
     config = wiring.hardware.stage
     if config is None:
         return None

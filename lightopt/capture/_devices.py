@@ -145,14 +145,17 @@ class Devices:
             )
         if channel.max_on_s is not None:
             self._watch.begin(name, channel.max_on_s)
-        controller.set_level(channel.channel, asked)
-        held = controller.read_level(channel.channel)
+        held = controller.set_level(channel.channel, asked)
         if held is not None and held != asked:
             self.check_burning(name)
             raise HardwareError(
                 f"{name} ({channel.controller}, channel {channel.channel}): set to level {asked}, but it holds {held}"
             )
         return held
+
+    def told_s(self, name: str) -> float:
+        """When [s, monotonic clock] the controller of a panel had its last intensity, before it was read back."""
+        return self.controllers[self.wiring.light(name).controller].told_s
 
     def light_off(self, name: str) -> None:
         """Darken a panel.
@@ -299,20 +302,3 @@ def _attempt(action: Callable[[], None]) -> str | None:
     except Exception as error:  # noqa: BLE001  (whatever fails here, the rest must be done, too)
         return str(error) or type(error).__name__
     return None
-
-
-def check_camera(devices: Devices, *, resolution_px: tuple[int, int], bit_depth: int, where: str) -> None:
-    """Refuse a camera that is not the rig's, before anything is lit or moved.
-
-    Raises
-    ------
-    InputError
-        When resolution or bit depth differ.
-    """
-    camera = devices.camera
-    if camera.resolution_px != tuple(resolution_px) or camera.bit_depth != bit_depth:
-        raise InputError(
-            f"{where}: the rig has {resolution_px[0]} × {resolution_px[1]} pixels of {bit_depth} bits, the camera "
-            f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
-            "camera or the rig"
-        )

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.sensor import Sensor
 
-__all__ = ["Exposed", "mean_of_frames"]
+__all__ = ["Exposed", "FrameMean", "mean_of_frames"]
 
 Levels = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -38,7 +39,51 @@ class Exposed:
     png: Levels
 
 
-def mean_of_frames(frames: Sequence[Levels], *, sensor: Sensor, exposure: float) -> Exposed:
+class FrameMean:
+    """Becomes one image while its frames come in, each of shape (H, W) [sensor level].
+
+    Parameters
+    ----------
+    sensor
+        That takes them.
+    """
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor = sensor
+        self._number = 0
+        self._highest: NDArray[Any] | None = None
+        self._sum: NDArray[np.float64] | None = None
+
+    def add(self, levels: Levels) -> None:
+        """Count a frame in."""
+        self._number += 1
+        if self._highest is None:
+            self._highest = levels
+            return
+        if self._sum is None:
+            self._sum = self._highest.astype(np.float64)
+        self._sum += levels
+        self._highest = np.maximum(self._highest, levels)
+
+    def image(self, exposure: float) -> Exposed:
+        """The image of the frames so far, at least one, at the relative exposure that the camera held."""
+        highest = self._highest
+        assert highest is not None
+        saturated = highest >= self._sensor.saturated_from
+        if self._sum is None:
+            return Exposed(
+                exposure=exposure, mean=highest.astype(np.float32), saturated=saturated, png=highest
+            )
+        mean = self._sum / self._number
+        return Exposed(
+            exposure=exposure,
+            mean=mean.astype(np.float32),
+            saturated=saturated,
+            png=np.where(saturated, highest, np.rint(mean).astype(highest.dtype)),
+        )
+
+
+def mean_of_frames(frames: Iterable[Levels], *, sensor: Sensor, exposure: float) -> Exposed:
     """One image from the frames of an exposure.
 
     Parameters
@@ -50,19 +95,7 @@ def mean_of_frames(frames: Sequence[Levels], *, sensor: Sensor, exposure: float)
     exposure
         Relative exposure, as the camera held it.
     """
-    highest = np.maximum.reduce(frames)
-    saturated = highest >= sensor.saturated_from
-    if len(frames) == 1:
-        return Exposed(
-            exposure=exposure, mean=frames[0].astype(np.float32), saturated=saturated, png=frames[0]
-        )
-    mean = np.zeros(frames[0].shape, np.float64)
-    for frame in frames:
-        mean += frame
-    mean /= len(frames)
-    return Exposed(
-        exposure=exposure,
-        mean=mean.astype(np.float32),
-        saturated=saturated,
-        png=np.where(saturated, highest, np.rint(mean).astype(highest.dtype)),
-    )
+    mean = FrameMean(sensor)
+    for levels in frames:
+        mean.add(levels)
+    return mean.image(exposure)

@@ -8,11 +8,11 @@ from typing import Any, Literal
 
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._order import travel_order
-from lightopt.capture._wiring import VIRTUAL, Wiring, wiring_of
+from lightopt.capture._plan_problems import exposure_problems, light_problems, posture_problems
+from lightopt.capture._wiring import Wiring, wiring_of
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.transforms import Posture
-from lightopt.virtualbench import EXPOSURE_RANGE_US
 
 __all__ = ["Plan", "PostureTask", "Step", "make_plan"]
 
@@ -125,7 +125,7 @@ class Plan:
     def burning_s(self) -> float:
         """How long a light burns at a stretch [s]: settling and all its exposures."""
         return self.wiring.hardware.timing.light_ms / 1e3 + sum(
-            self._frames_s(exposure) for exposure in self.exposures
+            self.frames_s(exposure) for exposure in self.exposures
         )
 
     def travel_s(self, start: Posture, end: Posture) -> float:
@@ -194,13 +194,19 @@ class Plan:
         return Step(
             kind="expose",
             what=f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})",
-            seconds=self._frames_s(exposure),
+            seconds=self.frames_s(exposure),
             posture=posture,
             light=light,
             exposure=exposure,
         )
 
-    def _frames_s(self, exposure: float) -> float:
+    @property
+    def relighting_s(self) -> float:
+        """How long it takes to switch a light off and on again until it has settled [s]."""
+        return 2 * _COMMAND_S + self.wiring.hardware.timing.light_ms / 1e3
+
+    def frames_s(self, exposure: float) -> float:
+        """How long the frames of an exposure take to be taken and got over [s]."""
         transfer = self.pixels * _TRANSFER_S_PER_PIXEL[self.wiring.hardware.camera.driver]
         return self.options.average * (self.exposure_us(exposure) / 1e6 + transfer)
 
@@ -246,9 +252,9 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         for name in lights
         if name not in known
     ]
-    problems += _posture_problems(rig, part, wiring, options)
+    problems += posture_problems(rig, part, wiring, options)
     exposures = tuple(sorted(options.exposures, reverse=True))
-    problems += _exposure_problems(rig, wiring, exposures)
+    problems += exposure_problems(rig, wiring, exposures)
     if problems:
         raise InputError(*problems)
     ordered = travel_order(postures, start=_HOME, time=lambda a, b: _travel_s(wiring, a, b))
@@ -267,7 +273,9 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         home=wiring.hardware.stage is not None and (options.home or wiring.stage_is_virtual),
         pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
     )
-    if problems := list(_light_problems(rig, plan)):
+    taken = f"{len(exposures)} exposures of {options.average} frames"
+    problems += light_problems(rig, wiring, plan.tasks[0].lights, burning_s=plan.burning_s(), taken=taken)
+    if problems:
         raise InputError(*problems)
     return plan
 
@@ -281,66 +289,3 @@ def _travel_s(wiring: Wiring, start: Posture, end: Posture) -> float:
         (stage.rotation, end.rotation_deg - start.rotation_deg),
     )
     return max((abs(way) / axis.speed_deg_per_s for axis, way in ways if axis is not None), default=0.0)
-
-
-def _posture_problems(
-    rig: RigConfig, part: PartConfig, wiring: Wiring, options: CaptureOptions
-) -> Iterator[str]:
-    if options.postures is not None:
-        named = [(posture, "--posture") for posture in options.postures]
-    else:
-        named = [
-            (Posture(p.elevation_deg, p.rotation_deg), part.source.at("postures", i))
-            for i, p in enumerate(part.postures)
-        ]
-    stage = wiring.hardware.stage
-    if stage is None and len(named) > 1:
-        yield (
-            f"{rig.source.at('hardware')}: this rig has no stage, so that one run takes one posture; place the part by "
-            f"hand and name it with --posture; found {len(named)} postures"
-        )
-    for posture, where in named:
-        for name, (low, high) in (
-            ("elevation", rig.stage.elevation_range_deg),
-            ("rotation", rig.stage.rotation_range_deg),
-        ):
-            angle = getattr(posture, f"{name}_deg")
-            if not low <= angle <= high:
-                yield (
-                    f"{where}: {name} {angle:g}° is outside the stage's range {low:g}° to {high:g}° "
-                    f"({rig.source.at('stage', f'{name}_range_deg')})"
-                )
-            elif stage is not None and getattr(stage, name) is None and angle != 0.0:
-                yield (
-                    f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which stands at 0° "
-                    f"({rig.source.at('hardware', 'stage')})"
-                )
-
-
-def _exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
-    if wiring.hardware.camera.driver != VIRTUAL:
-        return  # a folder has the exposures that it has, which is looked up before anything is opened
-    low, high = EXPOSURE_RANGE_US
-    for exposure in exposures:
-        time_us = exposure * wiring.exposure_us
-        if not low <= time_us <= high:
-            yield (
-                f"exposure {exposure:g} is {time_us:g} µs ({rig.source.at('camera', 'exposure_us')}), outside the "
-                f"camera's {low:g} to {high:g} µs"
-            )
-
-
-def _light_problems(rig: RigConfig, plan: Plan) -> Iterator[str]:
-    burning = plan.burning_s()
-    for name in plan.tasks[0].lights:
-        channel, controller = plan.wiring.light(name), plan.wiring.controller(name)
-        where = rig.source.at("hardware", "lights", name)
-        top = min(controller.top_level, channel.max_level or controller.top_level)
-        if channel.level > top:
-            yield f"{where}: level {channel.level} is above the highest allowed, {top}"
-        if channel.max_on_s is not None and burning > channel.max_on_s:
-            yield (
-                f"{where}: would burn {burning:.3g} s at a stretch (settling and {len(plan.exposures)} exposures of "
-                f"{plan.options.average} frames), longer than max_on_s {channel.max_on_s:g}; take fewer or shorter "
-                "exposures"
-            )

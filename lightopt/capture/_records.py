@@ -128,7 +128,7 @@ class CapturedSet:
             "posture": posture.as_dict(),
             "exposure": exposure,
             "mean_level": float(shot.image.mean.mean(dtype=np.float64)),
-            "capture": shot.facts,
+            "capture": _facts(shot),
         }
         self.writer.add_levels(dark_name(posture, exposure), shot.image.png, metadata=facts)
 
@@ -141,7 +141,7 @@ class CapturedSet:
             light_azimuth_deg=azimuth,
             posture=posture,
             exposure=exposure,
-            extra={"capture": shot.facts},
+            extra={"capture": _facts(shot)},
         )
         self.writer.add_image(entry, png=shot.image.png)
 
@@ -177,3 +177,11 @@ class CapturedSet:
         return mean_of_frames(
             [read_png(path)], sensor=self._scene.sensor, exposure=held / self._plan.wiring.exposure_us
         )
+
+
+def _facts(shot: Shot) -> dict[str, Any]:
+    """How a shot was taken, and what share of it says too little."""
+    return {
+        **shot.facts,
+        "saturated_share": np.count_nonzero(shot.image.saturated) / shot.image.saturated.size,
+    }

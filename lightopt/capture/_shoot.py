@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 from lightopt.capture._devices import Devices
 from lightopt.capture._folder_camera import FolderCamera
-from lightopt.capture._frames import Exposed, mean_of_frames
+from lightopt.capture._frames import Exposed, FrameMean
 from lightopt.capture._plan import Plan
 from lightopt.capture._timing import Timing, utc
 from lightopt.errors import HardwareError, InputError
@@ -28,14 +30,19 @@ class Shot:
 
     Attributes
     ----------
-    image
-        Of the frames.
+    developed
+        The image of the frames, which is made while the light goes out.
     facts
         How it was taken, JSON-able, for the manifest.
     """
 
-    image: Exposed
+    developed: Future[Exposed]
     facts: dict[str, Any]
+
+    @property
+    def image(self) -> Exposed:
+        """Of the frames; waits for it."""
+        return self.developed.result()
 
 
 class Shooter:
@@ -78,6 +85,11 @@ class Shooter:
         self._held_us: float | None = None
         self._changed = True
         self._told: dict[int, Event] = {}
+        self._darkroom = ThreadPoolExecutor(1, thread_name_prefix="frames")
+
+    def close(self) -> None:
+        """Let the images be made of which the frames are there."""
+        self._darkroom.shutdown(wait=True)
 
     def home(self) -> None:
         """Let the stage seek its origin."""
@@ -97,14 +109,18 @@ class Shooter:
         self._changed = True
 
     def light_on(self, name: str) -> None:
-        """Light a panel, once the stage needs no longer to settle than the light."""
+        """Light a panel, once the stage needs no longer to settle than the light; it settles while it is read back."""
         self._devices.step = f"lighting {name}"
         light_s = self._plan.wiring.hardware.timing.light_ms / 1e3
         self._wait_until(self._stage_settled - light_s)
         channel = self._plan.wiring.light(name)
-        with self._timing.spent("lights_s"):
-            held = self._devices.light_on(name)
-        self._light_settled = time.monotonic() + light_s
+        begun = time.monotonic()
+        held = self._devices.light_on(name)
+        told = self._devices.told_s(name)
+        read_s = time.monotonic() - told
+        self._timing.settling_s += min(read_s, light_s)
+        self._timing.lights_s += told - begun + max(0.0, read_s - light_s)
+        self._light_settled = told + light_s
         facts = {
             "controller": channel.controller,
             "channel": channel.channel,
@@ -136,10 +152,21 @@ class Shooter:
         self._changed = self._changed or held != self._held_us
         self._held_us = held
 
-    def settle(self) -> None:
-        """Wait until stage and light have settled."""
+    def settle(self, *, counted: str = "settling_s") -> None:
+        """Wait until stage and light have settled; as what the time counts can be said."""
         self._devices.step = "letting stage and light settle"
-        self._wait_until(max(self._stage_settled, self._light_settled))
+        self._wait_until(max(self._stage_settled, self._light_settled), counted)
+
+    def patience_s(self, exposures: Sequence[float]) -> float:
+        """How long a light that has settled may burn for nothing before its exposures [s].
+
+        As long as lighting it anew would take: so it never burns more than twice as long as needed, and what is saved
+        is never less than half of what could be. Never so long that it could not burn for all of them.
+        """
+        anew_s = self._plan.relighting_s
+        if (left_s := self._may_burn_s()) is None:
+            return anew_s
+        return max(0.0, min(anew_s, left_s - sum(map(self._plan.frames_s, exposures))))
 
     def expose(self, posture: Posture, exposure: float) -> Shot:
         """Take an image under the light that burns, or in the dark."""
@@ -155,21 +182,23 @@ class Shooter:
                 self._grab()  # it may have begun before the change
         self._changed = False
         begun = time.time()
-        frames = [self._grab() for _ in range(self._plan.options.average)]
-        held = frames[0].exposure_us
-        image = mean_of_frames(
-            [frame.levels for frame in frames],
-            sensor=self._sensor,
-            exposure=held / self._plan.wiring.exposure_us,
-        )
+        mean = FrameMean(self._sensor)
+        counted: list[Future[None]] = []
+        first = last = None
+        for _ in range(self._plan.options.average):
+            last = self._grab()
+            first = first or last
+            counted.append(self._darkroom.submit(mean.add, last.levels))  # while the next is exposed
+        assert first is not None
+        assert last is not None
+        held = first.exposure_us
         facts: dict[str, Any] = {
             "time": utc(begun),
             "exposure_us": {"asked": self._plan.exposure_us(exposure), "read": held},
-            "frames": len(frames),
-            "frame_numbers": [frames[0].number, frames[-1].number],
+            "frames": len(counted),
+            "frame_numbers": [first.number, last.number],
             "light": None if self._lit is None else self._lit[1],
             "stage": self._stage,
-            "saturated_share": float(image.saturated.mean()),
             "devices": self._identities,
         }
         if self._lit is not None:  # what happened at frames without light belongs to the image that follows
@@ -177,11 +206,17 @@ class Shooter:
             facts["retries"] = sum(event.retry for event in events)
             if events:
                 facts["events"] = [event.as_dict() for event in events]
-        if frames[0].timestamp_ns is not None:
-            facts["camera_time_ns"] = frames[0].timestamp_ns
-        if frames[0].says:
-            facts["camera"] = frames[0].says
-        return Shot(image=image, facts=facts)
+        if first.timestamp_ns is not None:
+            facts["camera_time_ns"] = first.timestamp_ns
+        if first.says:
+            facts["camera"] = first.says
+
+        def develop() -> Exposed:
+            for frame in counted:
+                frame.result()
+            return mean.image(held / self._plan.wiring.exposure_us)
+
+        return Shot(developed=self._darkroom.submit(develop), facts=facts)
 
     def events_since(self) -> tuple[Event, ...]:
         """What was out of the ordinary on the links since the image before."""
@@ -233,7 +268,7 @@ class Shooter:
             "came later than planned; take fewer or shorter exposures"
         )
 
-    def _wait_until(self, moment: float) -> None:
-        with self._timing.spent("settling_s"):
+    def _wait_until(self, moment: float, counted: str = "settling_s") -> None:
+        with self._timing.spent(counted):
             while (left := moment - time.monotonic()) > 0:
                 time.sleep(left)

@@ -33,7 +33,7 @@ def switch_off(
     serial_log
         File that gets every byte on the wires.
     warn
-        Called if that file ends early.
+        Called with what is out of the ordinary on the wires, as it happens, and if that file ends early.
 
     Returns
     -------
@@ -53,9 +53,8 @@ def switch_off(
     with ExitStack() as stack:
         stack.callback(signals.restore)
         stack.enter_context(signals.shielded())  # Ctrl-C waits until every channel was tried
-        log = None if serial_log is None else SerialLog(serial_log, warn=warn)
-        if log is not None:
-            stack.callback(log.close)
+        log = SerialLog(serial_log, warn=warn)
+        stack.callback(log.close)
         ports: dict[str, str] = {}
         problems: list[LightoptError] = []
         told: list[str] = []

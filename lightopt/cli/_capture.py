@@ -6,9 +6,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import Force, PartFile, Quiet, RigFile, parse_exposure, parse_posture
+from lightopt.cli._options import (
+    Force,
+    Lights,
+    PartFile,
+    Postures,
+    Quiet,
+    RigFile,
+    Sheet,
+    parse_exposure,
+    parse_posture,
+)
+from lightopt.cli._sheets import add_sheets
 from lightopt.cli._terminal import say, say_error, say_warning, show_share, show_table
-from lightopt.errors import InputError, counted
+from lightopt.errors import InputError, Interrupted, counted
 
 if TYPE_CHECKING:
     from lightopt.capture import Captured, Plan
@@ -27,15 +38,8 @@ def capture(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")
     ] = None,
-    light: Annotated[
-        list[str] | None, typer.Option("--light", metavar="NAME", help="Only this light; repeatable.")
-    ] = None,
-    posture: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
-        ),
-    ] = None,
+    light: Lights = None,
+    posture: Postures = None,
     exposures: Annotated[
         str, typer.Option(metavar="X,…", help="Exposures of each image, such as 1,1/16.")
     ] = "1",
@@ -53,13 +57,7 @@ def capture(
     resume: Annotated[
         bool, typer.Option("--resume", help="Take only what is missing of the set that is there.")
     ] = False,
-    sheet: Annotated[
-        bool,
-        typer.Option(
-            "--sheet",
-            help="Also a labelled contact sheet of all images, contact-sheet.png; one per exposure.",
-        ),
-    ] = False,
+    sheet: Sheet = False,
     serial_log: SerialLog = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -110,20 +108,14 @@ def capture(
                 warn=say_warning,
                 report=report,
             )
-    except KeyboardInterrupt as stopped:
-        if stopped.args and isinstance(stopped.args[0], str) and "on disk" in stopped.args[0]:
-            say_error(stopped.args[0], label="")
+    except Interrupted as stopped:
+        say_error(*stopped.messages, label="")
         raise
     if not quiet:
         _show_result(done)
     if sheet:
-        from lightopt.report import add_contact_sheets
-
         title = f"{loaded_part.name} on {loaded_rig.name}, captured"
-        sheets = add_contact_sheets(out, exposures=chosen_exposures, title=title, overwrite=force)
-        for exposure, path in zip(chosen_exposures, sheets, strict=True):
-            if not quiet:
-                say(f"contact sheet, exposure {exposure:g}: {path}")
+        add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)
 
 
 def _show_plan(plan: Plan) -> None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Force",
+    "Lights",
     "NoShadows",
     "Out",
     "PartFile",
@@ -24,6 +25,7 @@ __all__ = [
     "Postures",
     "Quiet",
     "RigFile",
+    "Sheet",
     "Threads",
     "make_folder",
     "parse_exposure",
@@ -42,6 +44,15 @@ Postures = Annotated[
     list[str] | None,
     typer.Option(
         "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
+    ),
+]
+Lights = Annotated[
+    list[str] | None, typer.Option("--light", metavar="NAME", help="Only this light; repeatable.")
+]
+Sheet = Annotated[
+    bool,
+    typer.Option(
+        "--sheet", help="Also a labelled contact sheet of all images, contact-sheet.png; one per exposure."
     ),
 ]
 Points = Annotated[
@@ -63,14 +74,9 @@ LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9
 
 def make_folder(folder: Path) -> None:
     """Make an output folder, or say why that cannot be."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder for the results, found a file; choose another name")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made: {error.strerror}; choose a folder that can be written"
-        ) from error
+    from lightopt.images import make_folder as make
+
+    make(folder)
 
 
 def parse_posture(text: str) -> Posture:

@@ -7,6 +7,7 @@ import typer
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import (
     Force,
+    Lights,
     NoShadows,
     Out,
     PartFile,
@@ -15,11 +16,13 @@ from lightopt.cli._options import (
     Postures,
     Quiet,
     RigFile,
+    Sheet,
     Threads,
     parse_exposure,
     parse_points,
     parse_posture,
 )
+from lightopt.cli._sheets import add_sheets
 from lightopt.cli._terminal import say, say_warning, show_progress
 from lightopt.errors import counted
 
@@ -30,9 +33,7 @@ def render(
     rig: RigFile,
     part: PartFile,
     out: Out,
-    light: Annotated[
-        list[str] | None, typer.Option("--light", metavar="NAME", help="Only this light; repeatable.")
-    ] = None,
+    light: Lights = None,
     posture: Postures = None,
     points: Points = None,
     exposure: Annotated[
@@ -53,13 +54,7 @@ def render(
     ] = False,
     supersample: Annotated[int, typer.Option(metavar="N", help="N × N rays per pixel.")] = 1,
     patches: Patches = None,
-    sheet: Annotated[
-        bool,
-        typer.Option(
-            "--sheet",
-            help="Also a labelled contact sheet of all images, contact-sheet.png; one per exposure.",
-        ),
-    ] = False,
+    sheet: Sheet = False,
     threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -107,10 +102,5 @@ def render(
             say(done.patches)
         say(f"{done.folder / 'manifest.json'}")
     if sheet:
-        from lightopt.report import add_contact_sheets
-
         title = f"{loaded_part.name} on {loaded_rig.name}"
-        sheets = add_contact_sheets(out, exposures=exposures, title=title, overwrite=force)
-        for exposure_shown, path in zip(exposures, sheets, strict=True):
-            if not quiet:
-                say(f"contact sheet, exposure {exposure_shown:g}: {path}")
+        add_sheets(out, exposures=exposures, title=title, force=force, quiet=quiet)

@@ -14,7 +14,7 @@ from lightopt.align import PlacementInFile
 from lightopt.config import PartConfig, RigConfig, Source, relocated, with_values
 from lightopt.errors import InputError
 from lightopt.fit._result import FitResult
-from lightopt.images import ImageSet, file_sha256, write_text_atomic
+from lightopt.images import ImageSet, file_sha256, make_folder, write_text_atomic
 
 __all__ = ["FIT_NAME", "PART_NAME", "RIG_NAME", "FitFolder", "provenance"]
 
@@ -82,12 +82,7 @@ class FitFolder:
         if name not in self._files:
             self._files.append(name)
         path = self.folder / name
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{path.parent}: cannot be made: {error.strerror or error}; choose a folder that can be written"
-            ) from error
+        make_folder(path.parent)
         return path
 
     def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:

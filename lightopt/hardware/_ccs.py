@@ -11,16 +11,15 @@ import re
 from collections.abc import Mapping
 
 from lightopt.hardware._errors import RefusedError, ReplyError, printable
-from lightopt.hardware._lights import LightSettings, check_light
+from lightopt.hardware._light_driver import LightDriver, open_driver
+from lightopt.hardware._lights import LightSettings
 from lightopt.hardware._link import SerialLink
-from lightopt.hardware._log import Event, SerialLog
-from lightopt.hardware._retry import Persistence
-from lightopt.hardware._roles import Identity
+from lightopt.hardware._log import SerialLog
 
 __all__ = ["CcsController", "open_ccs"]
 
 _BAUD = 38400
-_GAP_S = 0.006  # the controllers ask for 5 ms between commands
+_GAP_S = 0.0055  # the controllers ask for 5 ms between commands
 _DAMAGED = "02"
 _REFUSALS = {
     "01": "it does not know the command (NG 01)",
@@ -29,7 +28,7 @@ _REFUSALS = {
 }
 
 
-class CcsController:
+class CcsController(LightDriver):
     """A light controller with CCS ``@`` frames, as a :class:`~lightopt.hardware.LightController`.
 
     The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a
@@ -63,80 +62,32 @@ class CcsController:
         dialect: str = "lan",
         max_levels: Mapping[int, int] | None = None,
     ) -> None:
-        self._link = link
-        self._channels = channels
-        self._top_level = top_level
-        self._max_levels = max_levels
+        super().__init__(link, name="ccs", channels=channels, top_level=top_level, max_levels=max_levels)
         self._unit = "00" if dialect == "serial" else ""
         self._digits = max(3, len(str(top_level)))
-        self._persistence = Persistence(link)
         self._status()
-        self._reads = self._can_read()
+        self._reads = self._answers_reading()
 
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return self._channels
+    def _ask_who(self) -> dict[str, str]:
+        return {"status": self._status()}
 
-    @property
-    def top_level(self) -> int:
-        """Highest intensity."""
-        return self._top_level
-
-    @property
-    def events(self) -> list[Event]:
-        """What was out of the ordinary on the wire."""
-        return self._link.events
-
-    def identify(self) -> Identity:
-        """Ask for the unit's status."""
-        says = {"status": self._status(), "read_back": "yes" if self._reads else "no"}
-        return Identity("ccs", self._link.port, says)
-
-    def set_level(self, channel: int, level: int) -> None:
+    def _tell(self, channel: int, level: int) -> None:
         """Set the intensity, then switch: a light comes on at its level, and goes dark twice over."""
-        check_light(
-            self._link.device,
-            channel,
-            level,
-            channels=self._channels,
-            top_level=self._top_level,
-            max_levels=self._max_levels,
-        )
-        on = int(level > 0)
-        with self._link.lock:
-            try:
-                self._ask(channel, f"F{level:0{self._digits}d}")
-            finally:
-                if not on:  # even if the intensity was not accepted
-                    self._ask(channel, "L0")
-            if on:
-                self._ask(channel, "L1")
-            if self._reads:
-                self._verify(channel, level)
+        on = level > 0
+        try:
+            self._ask(channel, f"F{level:0{self._digits}d}")
+        finally:
+            if not on:  # even if the intensity was not accepted
+                self._ask(channel, "L0")
+        if on:
+            self._ask(channel, "L1")
 
-    def read_level(self, channel: int) -> int | None:
-        """Intensity that the controller holds, 0 where it is switched off; None where it does not answer M."""
-        check_light(self._link.device, channel, 0, channels=self._channels, top_level=self._top_level)
-        if not self._reads:
-            return None
+    def _held(self, channel: int) -> int:
         level, _, on = self._settings(channel)
         return level if on else 0
 
-    def close(self) -> None:
-        """Give up the link; lights stay as they are."""
-        self._link.close()
-
     def _status(self) -> str:
         return self._ask(1, "C")
-
-    def _can_read(self) -> bool:
-        try:
-            self._settings(1)
-        except RefusedError as error:  # a lost reply says nothing of what the controller can
-            self._link.note(f"lights cannot be read back: {error}")
-            return False
-        return True
 
     def _verify(self, channel: int, level: int) -> None:
         held, mode, on = self._settings(channel)
@@ -194,25 +145,20 @@ def open_ccs(settings: LightSettings, log: SerialLog | None = None) -> CcsContro
     lightopt.errors.HardwareError
         When the controller does not answer.
     """
-    link = SerialLink(
-        settings.port,
-        device=f"light controller {settings.name} (ccs)",
-        baud=settings.baud or _BAUD,
-        timeout_s=settings.timeout_s,
+    return open_driver(
+        settings,
+        log,
+        name="ccs",
+        baud=_BAUD,
         gap_s=_GAP_S,
-        log=log,
-    )
-    try:
-        return CcsController(
+        speak=lambda link: CcsController(
             link,
             channels=settings.channels,
             top_level=settings.top_level,
             max_levels=settings.max_levels,
             dialect=settings.dialect,
-        )
-    except BaseException:
-        link.close()
-        raise
+        ),
+    )
 
 
 def _checksum(body: bytes) -> bytes:

@@ -1,14 +1,14 @@
-"""Light controllers whatever their protocol: how they are opened, what they refuse, and all lights off."""
+"""Light controllers whatever their protocol: what opens them, and all lights off."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lightopt.errors import HardwareError, InputError, LightoptError
+from lightopt.errors import HardwareError, LightoptError
 from lightopt.hardware._roles import LightController
 
-__all__ = ["LightSettings", "LightsStillOnError", "all_off", "check_light"]
+__all__ = ["LightSettings", "LightsStillOnError", "all_off"]
 
 
 class LightsStillOnError(HardwareError):
@@ -62,33 +62,6 @@ class LightSettings:
     template: Mapping[str, str | None] | None = None
     timeout_s: float = 1.0
     max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
-
-
-def check_light(
-    device: str,
-    channel: int,
-    level: int,
-    *,
-    channels: int,
-    top_level: int,
-    max_levels: Mapping[int, int] | None = None,
-) -> None:
-    """Refuse a channel or an intensity that a controller does not have or may not be set to, before anything is sent.
-
-    Raises
-    ------
-    lightopt.errors.InputError
-        When either is out of range.
-    """
-    if not 1 <= channel <= channels:
-        raise InputError(f"{device}: expected a channel from 1 to {channels}, found {channel}")
-    if not 0 <= level <= top_level:
-        raise InputError(f"{device}: expected an intensity from 0 to {top_level}, found {level}")
-    if max_levels is not None and level > max_levels.get(channel, level):
-        raise InputError(
-            f"{device}: channel {channel} may have an intensity of {max_levels[channel]} at most (max_level), "
-            f"found {level}; nothing was sent"
-        )
 
 
 def all_off(controllers: Mapping[str, LightController]) -> None:

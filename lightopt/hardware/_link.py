@@ -16,7 +16,7 @@ import serial
 
 from lightopt.errors import HardwareError
 from lightopt.hardware._errors import LinkLostError, ReplyError, printable
-from lightopt.hardware._log import Event, SerialLog, now
+from lightopt.hardware._log import Event, LogEntry, SerialLog, now
 from lightopt.hardware._ports import cannot_open
 
 try:
@@ -185,7 +185,7 @@ class SerialLink:
         until = time.monotonic() + limit_s
         got = bytearray()
         heard = time.monotonic()
-        entry = _Entry(self._log, self.port)
+        entry = LogEntry(self._log, self.port)
         with self.lock:
             try:
                 while True:
@@ -212,7 +212,7 @@ class SerialLink:
         with self.lock:
             until = time.monotonic() + deadline_s
             heard = time.monotonic()
-            entry = _Entry(self._log, self.port)
+            entry = LogEntry(self._log, self.port)
             stale = 0
             while (moment := time.monotonic()) < min(until, heard + quiet_s):
                 data = self._guarded(lambda: self._serial.read(1), b"")
@@ -226,7 +226,7 @@ class SerialLink:
     def discard(self) -> None:
         """Throw away what already lies in the input, without waiting; it is logged and told as an event."""
         with self.lock:
-            entry = _Entry(self._log, self.port)
+            entry = LogEntry(self._log, self.port)
             stale = 0
             # in_waiting is only trusted to say whether there is anything: over TCP it is never more than 1
             while stale < _STALE_BYTES and self._guarded(lambda: self._serial.in_waiting, b""):
@@ -239,11 +239,11 @@ class SerialLink:
             self._told_stale(stale)
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Write down something out of the ordinary: in `events`, and in the log."""
+        """Tell of something out of the ordinary: in `events`, and to the log."""
         event = Event(now(), self.port, what, retry)
         self.events.append(event)
         if self._log is not None:
-            self._log.write(self.port, "note", what, event.time)
+            self._log.note(event)
 
     def failure(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> HardwareError:
         """Error that names device and port, what went wrong, the command, and the reply."""
@@ -298,27 +298,6 @@ class SerialLink:
     def _told_stale(self, count: int) -> None:
         if count:
             self.note(f"threw away {count} bytes that nothing had asked for")
-
-
-class _Entry:
-    """Bytes that came together, on their way into the log."""
-
-    def __init__(self, log: SerialLog | None, port: str) -> None:
-        self._log = log
-        self._port = port
-        self._time = ""
-        self._data = bytearray()
-
-    def add(self, data: bytes) -> None:
-        if self._log is not None:
-            self._time = self._time or now()
-            self._data += data
-
-    def write(self) -> None:
-        if self._log is not None and self._data:
-            self._log.write(self._port, "in", bytes(self._data), self._time)
-            self._time = ""
-            self._data.clear()
 
 
 def _ended(got: bytearray, end: bytes | re.Pattern[bytes] | None) -> bool:

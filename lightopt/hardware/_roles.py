@@ -61,8 +61,16 @@ class LightController(Protocol):
         """Ask the device who it is, without changing a light."""
         ...
 
-    def set_level(self, channel: int, level: int) -> None:
-        """Light a channel at an intensity in 1 … top_level, or darken it with 0; verified where the protocol can."""
+    def set_level(self, channel: int, level: int) -> int | None:
+        """Light a channel at an intensity in 1 … top_level, or darken it with 0.
+
+        Returns the intensity that the device then holds, read back; None where the protocol cannot tell.
+        """
+        ...
+
+    @property
+    def told_s(self) -> float:
+        """When [s, monotonic clock] the device had the last intensity; before it was read back."""
         ...
 
     def read_level(self, channel: int) -> int | None:

@@ -12,11 +12,10 @@ from collections.abc import Mapping
 
 from lightopt.errors import InputError
 from lightopt.hardware._errors import RefusedError, ReplyError
-from lightopt.hardware._lights import LightSettings, check_light
+from lightopt.hardware._light_driver import LightDriver, open_driver
+from lightopt.hardware._lights import LightSettings
 from lightopt.hardware._link import SerialLink
-from lightopt.hardware._log import Event, SerialLog
-from lightopt.hardware._retry import Persistence
-from lightopt.hardware._roles import Identity
+from lightopt.hardware._log import SerialLog
 
 __all__ = ["SaController", "open_sa"]
 
@@ -27,7 +26,7 @@ _ACK = re.compile(rb"NG|[A-Fa-f!]")
 _VALUE = re.compile(rb"NG|[A-Fa-f]\d{4}")
 
 
-class SaController:
+class SaController(LightDriver):
     """A light controller of the ``SA0255#`` family, as a :class:`~lightopt.hardware.LightController`.
 
     Opening asks for the intensity of channel A; no light changes.
@@ -64,66 +63,20 @@ class SaController:
                 f"{link.device}: the protocol has {len(_LETTERS)} channels and intensities up to {_TOP}, "
                 f"found channels: {channels}, top_level: {top_level}"
             )
-        self._link = link
-        self._channels = channels
-        self._top_level = top_level
-        self._max_levels = max_levels
-        self._persistence = Persistence(link)
-        self._reads = True
-        try:
-            self._read(1)
-        except RefusedError as error:
-            self._reads = False
-            link.note(f"lights cannot be read back: {error}")
+        super().__init__(link, name="sa", channels=channels, top_level=top_level, max_levels=max_levels)
+        self._reads = self._answers_reading()
 
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return self._channels
-
-    @property
-    def top_level(self) -> int:
-        """Highest intensity."""
-        return self._top_level
-
-    @property
-    def events(self) -> list[Event]:
-        """What was out of the ordinary on the wire."""
-        return self._link.events
-
-    def identify(self) -> Identity:
+    def _ask_who(self) -> dict[str, str]:
         """Ask for an intensity: the protocol has no name."""
         if self._reads:
-            self._read(1)
-        return Identity("sa", self._link.port, {"read_back": "yes" if self._reads else "no"})
+            self._held(1)
+        return {}
 
-    def set_level(self, channel: int, level: int) -> None:
-        """Set the intensity, and read it back."""
-        check_light(
-            self._link.device,
-            channel,
-            level,
-            channels=self._channels,
-            top_level=self._top_level,
-            max_levels=self._max_levels,
-        )
+    def _tell(self, channel: int, level: int) -> None:
         letter = _LETTERS[channel - 1]
-        with self._link.lock:
-            self._persistence.ask(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
-            held = self._read(channel) if self._reads else level
-        if held != level:
-            raise self._link.failure(f"channel {channel} was set to {level} but holds {held}")
+        self._persistence.ask(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
 
-    def read_level(self, channel: int) -> int | None:
-        """Intensity that the controller holds; None where it refuses to say."""
-        check_light(self._link.device, channel, 0, channels=self._channels, top_level=self._top_level)
-        return self._read(channel) if self._reads else None
-
-    def close(self) -> None:
-        """Give up the link; lights stay as they are."""
-        self._link.close()
-
-    def _read(self, channel: int) -> int:
+    def _held(self, channel: int) -> int:
         return self._persistence.ask(lambda: self._read_once(_LETTERS[channel - 1]))
 
     def _set_once(self, frame: bytes, letter: str) -> None:
@@ -157,17 +110,12 @@ def open_sa(settings: LightSettings, log: SerialLog | None = None) -> SaControll
     lightopt.errors.HardwareError
         When the controller does not answer.
     """
-    link = SerialLink(
-        settings.port,
-        device=f"light controller {settings.name} (sa)",
-        baud=settings.baud or _BAUD,
-        timeout_s=settings.timeout_s,
-        log=log,
-    )
-    try:
-        return SaController(
+    return open_driver(
+        settings,
+        log,
+        name="sa",
+        baud=_BAUD,
+        speak=lambda link: SaController(
             link, channels=settings.channels, top_level=settings.top_level, max_levels=settings.max_levels
-        )
-    except BaseException:
-        link.close()
-        raise
+        ),
+    )

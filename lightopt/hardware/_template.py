@@ -11,18 +11,17 @@ from collections.abc import Mapping
 
 from lightopt.errors import InputError
 from lightopt.hardware._errors import ReplyError
-from lightopt.hardware._lights import LightSettings, check_light
+from lightopt.hardware._light_driver import LightDriver, open_driver
+from lightopt.hardware._lights import LightSettings
 from lightopt.hardware._link import SerialLink
-from lightopt.hardware._log import Event, SerialLog
-from lightopt.hardware._retry import Persistence
-from lightopt.hardware._roles import Identity
+from lightopt.hardware._log import SerialLog
 
 __all__ = ["TemplateController", "open_template"]
 
 _BAUD = 9600
 
 
-class TemplateController:
+class TemplateController(LightDriver):
     """A light controller that speaks as a template says, as a :class:`~lightopt.hardware.LightController`.
 
     Opening asks for the intensity of channel 1 where the template can ask; no light changes.
@@ -59,70 +58,29 @@ class TemplateController:
         top_level: int = 255,
         max_levels: Mapping[int, int] | None = None,
     ) -> None:
-        self._link = link
-        self._channels = channels
-        self._top_level = top_level
-        self._max_levels = max_levels
+        super().__init__(link, name="template", channels=channels, top_level=top_level, max_levels=max_levels)
         self._words = {key: text for key, text in template.items() if text is not None}
         self._end = self._words.get("end", "").encode("latin-1")
         self._patterns: dict[str, re.Pattern[bytes]] = {}
-        self._check()
-        self._persistence = Persistence(link)
-        if self._reads:
-            self._read(1)
+        self._reads = "read" in self._words
+        self._check_template()
+        self._ask_who()
 
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return self._channels
-
-    @property
-    def top_level(self) -> int:
-        """Highest intensity."""
-        return self._top_level
-
-    @property
-    def events(self) -> list[Event]:
-        """What was out of the ordinary on the wire."""
-        return self._link.events
-
-    def identify(self) -> Identity:
+    def _ask_who(self) -> dict[str, str]:
         """Ask for an intensity where the template can; it has no question for a name."""
         if self._reads:
-            self._read(1)
-        return Identity("template", self._link.port, {"read_back": "yes" if self._reads else "no"})
+            self._held(1)
+        return {}
 
-    def set_level(self, channel: int, level: int) -> None:
-        """Set the intensity, or darken by the template's own command; read back where it can."""
-        check_light(
-            self._link.device,
-            channel,
-            level,
-            channels=self._channels,
-            top_level=self._top_level,
-            max_levels=self._max_levels,
-        )
+    def _tell(self, channel: int, level: int) -> None:
+        """Set the intensity, or darken by the template's own command."""
         verb = "off" if level == 0 and "off" in self._words else "set"
-        with self._link.lock:
-            self._persistence.ask(lambda: self._say(verb, channel, level))
-            held = self._read(channel) if self._reads else level
-        if held != level:
-            raise self._link.failure(f"channel {channel} was set to {level} but holds {held}")
+        self._persistence.ask(lambda: self._say(verb, channel, level))
 
-    def read_level(self, channel: int) -> int | None:
-        """Intensity that the controller holds; None where the template cannot ask."""
-        check_light(self._link.device, channel, 0, channels=self._channels, top_level=self._top_level)
-        return self._read(channel) if self._reads else None
+    def _held(self, channel: int) -> int:
+        return self._persistence.ask(lambda: self._read_once(channel))
 
-    def close(self) -> None:
-        """Give up the link; lights stay as they are."""
-        self._link.close()
-
-    @property
-    def _reads(self) -> bool:
-        return "read" in self._words
-
-    def _check(self) -> None:
+    def _check_template(self) -> None:
         for verb in ("set", "off", "read"):
             self._check_verb(verb)
         if self._reads and "level" not in getattr(self._patterns.get("read"), "groupindex", {}):
@@ -143,9 +101,6 @@ class TemplateController:
             channel=channel, channel0=channel - 1, letter=chr(ord("A") + channel - 1), level=level
         )
         return text.encode("latin-1")
-
-    def _read(self, channel: int) -> int:
-        return self._persistence.ask(lambda: self._read_once(channel))
 
     def _read_once(self, channel: int) -> int:
         digits = self._say("read", channel, 0)["level"]
@@ -179,23 +134,19 @@ def open_template(settings: LightSettings, log: SerialLog | None = None) -> Temp
     lightopt.errors.HardwareError
         When the controller does not answer.
     """
-    if settings.template is None:
+    template = settings.template
+    if template is None:
         raise InputError(f"light controller {settings.name} (template): there is no template")
-    link = SerialLink(
-        settings.port,
-        device=f"light controller {settings.name} (template)",
-        baud=settings.baud or _BAUD,
-        timeout_s=settings.timeout_s,
-        log=log,
-    )
-    try:
-        return TemplateController(
+    return open_driver(
+        settings,
+        log,
+        name="template",
+        baud=_BAUD,
+        speak=lambda link: TemplateController(
             link,
-            settings.template,
+            template,
             channels=settings.channels,
             top_level=settings.top_level,
             max_levels=settings.max_levels,
-        )
-    except BaseException:
-        link.close()
-        raise
+        ),
+    )

@@ -8,6 +8,7 @@ from lightopt.images._atomic import (
     write_text_atomic,
 )
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
+from lightopt.images._folders import make_folder
 from lightopt.images._manifest import (
     EVENTS_KEY,
     MANIFEST_NAME,
@@ -39,6 +40,7 @@ __all__ = [
     "exr_name",
     "file_sha256",
     "geometry_name",
+    "make_folder",
     "parse_manifest",
     "png_name",
     "posture_folder",

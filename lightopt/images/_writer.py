@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lightopt.errors import InputError
 from lightopt.images._atomic import file_sha256, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._exr import write_exr
+from lightopt.images._folders import make_folder
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
 from lightopt.images._names import ImageKey, Names, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
@@ -71,7 +72,7 @@ class ImageSetWriter:
                 self._refuse_stranger(name)
         self._manifest = existing or replace(header, images=(), geometry=(), patches=None, files={})
         self._names.claim_images(entry.key for entry in self._manifest.images)
-        self._make_folder(self._folder)
+        make_folder(self._folder)
         self._save()
 
     @property
@@ -345,18 +346,8 @@ class ImageSetWriter:
         if not self._may_overwrite and name not in self._verified:
             self._refuse_stranger(name)
         path = self._folder / name
-        self._make_folder(path.parent)
+        make_folder(path.parent)
         return path
-
-    @staticmethod
-    def _make_folder(folder: Path) -> None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{folder}: cannot be made: {error.strerror or error}; "
-                "choose an output folder that can be written"
-            ) from error
 
     def _intact(self, name: str, digest: str | None) -> bool:
         if digest is None:

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.config import PartConfig, RigConfig, load_rig
-from lightopt.errors import InputError
-from lightopt.images import read_image_set, write_text_atomic
+from lightopt.images import make_folder, read_image_set, write_text_atomic
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._earlier import RESULT_NAME, RIG_NAME, begin_writing, end_writing
 from lightopt.optimize._matrix import Thresholds
@@ -89,12 +88,7 @@ def write_outputs(
     InputError
         The folder cannot be written, or holds other results and `force` is False.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made: {error.strerror or error}; choose an output folder that can be written"
-        ) from error
+    make_folder(folder)
     rigs = tuple(
         (folder / path, postures, text)
         for path, postures, text in rig_texts(rig, results, candidates, folder=folder)
@@ -104,7 +98,7 @@ def write_outputs(
     ranking = folder / RANKING_NAME
     write_text_atomic(ranking, ranking_csv(results, candidates), overwrite=force)
     for path, _, text in rigs:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         write_text_atomic(path, text, overwrite=force)
     images = tuple(path.parent / IMAGES_NAME for path, _, _ in rigs) if options.images else ()
     overlaps: list[Overlap] = []

@@ -15,7 +15,7 @@ import numpy as np
 from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.errors import InputError, counted
-from lightopt.images import file_sha256, posture_folder
+from lightopt.images import file_sha256, make_folder, posture_folder
 from lightopt.optimize._angles import can_move
 from lightopt.optimize._answer import answer_set
 from lightopt.optimize._candidates import Candidates, find_candidates
@@ -298,13 +298,7 @@ class _Matrices:
             progress=None if report is None else lambda share, rays: report(posture, share, rays),
         )
         if self.options.keep_matrix:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(
-                    f"{path.parent}: cannot be made: {error.strerror or error}; choose an output folder that can be "
-                    "written"
-                ) from error
+            make_folder(path.parent)
             keep_matrix(path, made, self.candidates.angles, key=key)
         return made
 

@@ -111,7 +111,7 @@ def kill_and_resume(captured, tmp_path, kills, seed):
 
 
 def test_killed_and_resumed_it_is_the_same_set(captured, tmp_path):
-    kill_and_resume(captured, tmp_path, 3, seed=3)
+    kill_and_resume(captured, tmp_path, 2, seed=3)
 
 
 @pytest.mark.slow

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from stage_script import Dialogue, play
+from grbl_recordings import BANNER
+from scripted import Dialogue, play
 
 from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import Axis, open_stage
@@ -43,9 +44,9 @@ def test_shot_moves_both_axes(monkeypatch: pytest.MonkeyPatch) -> None:
     state = stage("shot", pulses()).move_to(Posture(18.0, 40.0))
     assert (state.posture, state.moving, state.alarm) == (Posture(18.0, 40.0), False, None)
     assert script.ended()
-    assert script.opened["baudrate"] == 9600
-    assert script.opened["rtscts"] is True
-    assert script.opened["exclusive"] is True
+    assert script.opened_with["baudrate"] == 9600
+    assert script.opened_with["rtscts"] is True
+    assert script.opened_with["exclusive"] is True
 
 
 def test_shot_moves_only_the_axis_that_is_not_there_yet(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +177,7 @@ def test_gsc_goes_from_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     assert stage("gsc", pulses()).move_to(Posture(18.0, 40.0)).posture == Posture(18.0, 40.0)
     assert script.ended()
-    assert script.opened["rtscts"] is False
+    assert script.opened_with["rtscts"] is False
 
 
 def test_gsc_homes_in_the_sense_that_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,7 +238,7 @@ def test_grbl_moves_in_machine_coordinates(monkeypatch: pytest.MonkeyPatch) -> N
     script = play(
         monkeypatch,
         [
-            (b"?", b"\r\nGrbl 1.1h ['$' for help]\r\n"),
+            (b"?", BANNER),
             (b"?", report("Idle", -50, -380)),
             (b"$$\n", SETTINGS),
             # 30 and 40 degrees in a second: 50 mm/s along the way
@@ -250,7 +251,7 @@ def test_grbl_moves_in_machine_coordinates(monkeypatch: pytest.MonkeyPatch) -> N
     state = stage("grbl", degrees()).move_to(Posture(30.0, 40.0))
     assert state.posture == Posture(30.0, 40.0)
     assert script.ended()
-    assert script.opened["baudrate"] == 115200
+    assert script.opened_with["baudrate"] == 115200
 
 
 def test_grbl_asks_no_more_after_a_soft_limit_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -317,7 +318,7 @@ def test_grbl_is_reset_at_once_while_it_seeks_its_switches(monkeypatch: pytest.M
             (b"?", report("Alarm", 0, 0)),
             (b"$$\n", SETTINGS),
             (b"$H\n", b"error:"),  # cut short by Ctrl-C
-            (b"\x18", b"ALARM:6\r\n\r\nGrbl 1.1h ['$' for help]\r\n"),
+            (b"\x18", b"ALARM:6\r\n" + BANNER),
             (b"?", report("Alarm", -3, -5)),
         ],
     )
@@ -347,7 +348,7 @@ def test_grbl_does_not_home_where_homing_is_not_enabled(monkeypatch: pytest.Monk
             # it is stopped after any failure, and stopping is a hold and a reset
             (b"!", b""),
             (b"?", report("Hold:0", 0, 0)),
-            (b"\x18", b"\r\nGrbl 1.1h ['$' for help]\r\n"),
+            (b"\x18", BANNER),
             (b"?", report("Idle", 0, 0)),
         ],
     )
@@ -410,7 +411,7 @@ def test_zaber_homes_and_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     zaber.home()
     assert zaber.move_to(Posture(0.0, 82.0)).posture == Posture(0.0, 82.0)
     assert script.ended()
-    assert script.opened["baudrate"] == 115200
+    assert script.opened_with["baudrate"] == 115200
 
 
 def test_zaber_frames_are_those_of_its_makers_library() -> None:

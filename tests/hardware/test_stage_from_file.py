@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from stage_script import Script
+from scripted import ScriptedPort
 
 from lightopt.capture import CaptureOptions, connect_devices, make_plan, wiring_of
 from lightopt.config import AxisConfig, StageDeviceConfig, load_part, load_rig
@@ -47,10 +47,10 @@ def wired(tmp_path, monkeypatch):
         path, part = make_rig(tmp_path)
         text = path.read_text(encoding="utf-8").partition("hardware:")[0]
         path.write_text(text + HARDWARE.format(driver=driver, stage=stage), encoding="utf-8")
-        ports = {"COM8": Script([*lights, *DARK]), "COM9": Script(dialogue)}
+        ports = {"COM8": ScriptedPort([*lights, *DARK]), "COM9": ScriptedPort(dialogue)}
 
         def open_url(port, **settings):
-            ports[port].opened = settings
+            ports[port].opened_with = settings
             return ports[port]
 
         monkeypatch.setattr("serial.serial_for_url", open_url)
@@ -96,7 +96,7 @@ def test_axis_steps_zero_sense_and_speed_reach_the_wire(wired):
         devices.home()
         assert devices.move_to(Posture(10.0, 90.0)).posture == Posture(10.0, 90.0)
     assert script.ended()
-    assert script.opened["baudrate"] == 19200
+    assert script.opened_with["baudrate"] == 19200
 
 
 def test_the_longest_time_of_homing_is_the_file_s(wired, monkeypatch):

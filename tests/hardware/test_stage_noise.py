@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from grbl_recordings import BANNER
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stage_worlds import AXES, KINDS, firmware
@@ -64,7 +65,7 @@ class Noisy:
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(pieces=NOISE)
 def test_drivers_take_any_reply(kind: str, monkeypatch: pytest.MonkeyPatch, pieces: list[bytes]) -> None:
-    greeting = b"\r\nGrbl 1.1h ['$' for help]\r\n" if kind == "grbl" else b""
+    greeting = BANNER if kind == "grbl" else b""
     port = Noisy(b"".join(pieces), greeting)
     monkeypatch.setattr("serial.serial_for_url", lambda *_, **__: port)
     stage = open_stage(kind, port="COM9", axes=AXES[kind], timeout_s=0.01)

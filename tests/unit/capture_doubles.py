@@ -49,6 +49,8 @@ class Lights:
     def set_level(self, channel, level):
         self.world.note("level", self.name, channel, level)
         self.world.levels[self.name, channel] = level
+        self.told_s = time.monotonic()
+        return self.read_level(channel)
 
     def read_level(self, channel):
         return self.world.levels.get((self.name, channel), 0)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from capture_doubles import World, broken, connecting
 
-from lightopt.capture import CaptureOptions, capture
+from lightopt.capture import CaptureOptions, Plan, capture
+from lightopt.capture._shoot import Shooter
+from lightopt.capture._timing import Timing
 from lightopt.config import load_part, load_rig
-from lightopt.errors import HardwareError, InputError
+from lightopt.errors import HardwareError, InputError, Interrupted
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata
 from lightopt.scene import build_scene
 from lightopt.transforms import Posture
@@ -34,6 +38,8 @@ def take(bench, world, monkeypatch):
         return plain(**given, timing=TimingConfig(light_ms=2, stage_ms=3))
 
     monkeypatch.setattr(_wiring, "HardwareConfig", quick)
+    # what the devices do is compared step by step: however slow the disk, lights wait for it
+    monkeypatch.setattr(Plan, "relighting_s", 60.0)
     rig, part = load_rig(bench.rig), load_part(bench.part)
     scene = build_scene(rig, part)
 
@@ -162,6 +168,59 @@ def test_an_exposure_waits_for_the_image_before_it(take, bench, world):
     world.trouble = watch
     take(exposures=(1.0, 1 / 16))
     assert listed == [0, 0, 0, 1, 2, 3, 4, 4, 5, 6, 7, 8]  # the first two and each fifth are without light
+
+
+def burning_after(monkeypatch, world, module, name, *, seconds=0.15):
+    """What burns once a function has taken long, each time that it is called."""
+    seen = []
+    plain = getattr(module, name)
+
+    def slow(*arguments, **options):
+        time.sleep(seconds)
+        seen.append(set(world.burning))
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(module, name, slow)
+    return seen
+
+
+def test_no_light_burns_for_a_slow_disk(take, world, bench, monkeypatch):
+    from lightopt.images import _writer
+
+    monkeypatch.setattr(Plan, "relighting_s", 0.02)
+    burning = burning_after(monkeypatch, world, _writer, "write_png")
+    assert take(exposures=(1.0, 1 / 16)).taken == 8
+    assert burning == [set()] * 8
+    assert [len(e.sha256) for e in read_image_set(bench.out).images] == [2] * 8  # PNG and EXR
+
+
+def test_a_light_waits_for_a_quick_disk(take, world):
+    take(exposures=(1.0, 1 / 16))
+    assert len([event for event in world.did("level") if event[3]]) == 4  # two postures, two lights
+
+
+def test_the_light_is_out_before_anything_is_made_of_its_frames(take, world, monkeypatch):
+    from lightopt.capture._frames import FrameMean
+
+    monkeypatch.setattr(Plan, "relighting_s", 0.02)
+    burning = burning_after(monkeypatch, world, FrameMean, "image", seconds=0.1)
+    take(postures=(Posture(0.0, 0.0),), average=3)
+    assert burning == [set()] * 4
+
+
+def test_what_may_not_burn_long_waits_less():
+    plan = SimpleNamespace(
+        exposures=(),
+        exposure_us={}.get,
+        relighting_s=0.16,
+        frames_s={1.0: 0.02, 0.5: 0.01}.__getitem__,
+    )
+    for left, expected in ((None, 0.16), (5.0, 0.16), (0.1, 0.07), (0.02, 0.0)):
+        camera = SimpleNamespace(exposure_range_us=(1.0, 1e7))
+        devices = SimpleNamespace(camera=camera, may_burn_s=lambda name, left=left: left)
+        shooter = Shooter(devices, plan, sensor=None, identities={}, timing=Timing())
+        shooter._lit = ("light1", {})
+        assert shooter.patience_s((1.0, 0.5)) == pytest.approx(expected)
 
 
 def test_a_camera_without_trigger_has_frames_discarded(take, bench, world):
@@ -422,7 +481,7 @@ def test_without_the_check_is_another_plan(take, world):
 def test_an_interrupted_run_says_where_it_stands(take, world, bench):
     world.trouble = broken("grab", number=4, error=KeyboardInterrupt())
     with pytest.raises(
-        KeyboardInterrupt, match="all lights are off; 2 of 4 images are on disk; go on with --resume"
+        Interrupted, match="all lights are off; 2 of 4 images are on disk; go on with --resume"
     ):
         take()
     assert len(read_image_set(bench.out).images) == 2

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from lightopt.images import read_png
+
 HARDWARE = """\
 hardware:
   controllers:
@@ -118,6 +120,58 @@ def test_capture_says_where_the_set_is_and_takes_nothing_twice(cli, wired):
     assert "captured images, which are not replaced" in render.err
 
 
+def test_the_contact_sheets_of_a_capture(cli, wired):
+    ran = cli(
+        "capture",
+        wired.rig,
+        wired.part,
+        "-o",
+        wired.out,
+        "--exposures",
+        "1,1/16",
+        "--sheet",
+        "--posture",
+        "0,0",
+    )
+    assert (ran.status, ran.err) == (0, "")
+    sheets = [line.partition(": ") for line in ran.out.splitlines()[-2:]]
+    assert [words for words, _, _ in sheets] == [
+        "contact sheet, exposure 1",
+        "contact sheet, exposure 0.0625",
+    ]
+    whole, dim = (read_png(path, colour=True) for _, _, path in sheets)
+    assert whole.shape == dim.shape
+    assert whole.mean() > dim.mean() + 1.0  # a sixteenth of the light
+
+
+@pytest.mark.parametrize("quiet", [(), ("--quiet",)])
+def test_what_is_out_of_the_ordinary_on_the_wires_is_said(cli, wired, quiet):
+    options = ("--posture", "0,10.005", "--light", "light1", *quiet)
+    ran = cli("capture", wired.rig, wired.part, "-o", wired.out, *options)
+    assert ran.status == 0
+    (said,) = ran.err.splitlines()
+    assert said.startswith("warning: ")
+    assert "rotation: 10.005° lies between two steps, goes to 10" in said
+    moved = cli("bench", "move", wired.rig, "--rotation", "10.005")
+    assert "warning: " in moved.err
+    assert "rotation: 10.005° lies between two steps" in moved.err
+
+
+def test_an_interrupted_capture_says_how_to_go_on(cli, wired, monkeypatch):
+    import lightopt.capture
+    from lightopt.errors import Interrupted
+
+    def stop(*arguments, **options):
+        raise Interrupted("all lights are off; 1 of 4 images are on disk; go on with --resume")
+
+    monkeypatch.setattr(lightopt.capture, "capture", stop)
+    ran = cli("capture", wired.rig, wired.part, "-o", wired.out)
+    assert (ran.status, ran.out) == (130, "")
+    said = [line for line in ran.err.splitlines() if line]
+    assert said[0] == "all lights are off; 1 of 4 images are on disk; go on with --resume"
+    assert said[1].startswith("interrupted")
+
+
 # --- bench
 
 
@@ -171,8 +225,6 @@ def test_home_move_and_off(cli, wired):
 
 
 def test_snap_takes_a_frame(cli, wired):
-    from lightopt.images import read_png
-
     path = wired.folder / "frame.png"
     ran = cli("bench", "snap", wired.rig, path, "--light", "light3", "--part", wired.part)
     assert (ran.status, ran.err) == (0, "")

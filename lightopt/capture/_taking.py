@@ -1,0 +1,253 @@
+"""Taking the images of a plan: the order of things between the devices and the disk."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.capture._devices import Devices
+from lightopt.capture._disk import DiskWork
+from lightopt.capture._frames import Exposed
+from lightopt.capture._judge import Judge
+from lightopt.capture._plan import Plan, PostureTask
+from lightopt.capture._records import CapturedSet
+from lightopt.capture._shoot import Shooter, Shot
+from lightopt.capture._timing import Timing
+from lightopt.errors import Interrupted, LightoptError, counted
+from lightopt.scene import Scene
+from lightopt.transforms import Posture
+
+__all__ = ["CaptureReport", "Taking"]
+
+Dark = dict[float, NDArray[np.float32]]
+"""Frames without light of a posture by relative exposure."""
+
+CaptureReport = Callable[[str, float], None]
+"""Called with what is being done and the share of the images that is there (0 to 1)."""
+
+
+class Taking:
+    """A plan on its way to disk: takes what is missing, and says where an interrupted run stands.
+
+    Parameters
+    ----------
+    plan, scene
+        What is taken of what.
+    records
+        The set on disk.
+    timing
+        Where the time goes.
+    warn, report
+        Called with warnings and with progress.
+
+    Attributes
+    ----------
+    taken
+        Number of images taken so far.
+    warnings
+        What was noticed so far.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        scene: Scene,
+        records: CapturedSet,
+        timing: Timing,
+        warn: Callable[[str], None] | None,
+        report: CaptureReport | None,
+    ) -> None:
+        self._plan = plan
+        self._records = records
+        self._timing = timing
+        self._warn = warn
+        self._report = report
+        self._disk = DiskWork(timing)
+        self._judge = Judge(scene, check=plan.options.check, with_dark=plan.options.dark)
+        self._there = len(plan.keys) - sum(
+            len(records.missing(light, task.posture)) for task in plan.tasks for light in task.lights
+        )
+        self._devices: Devices | None = None
+        self._shooter: Shooter | None = None
+        self.taken = 0
+        self.warnings: tuple[str, ...] = ()
+
+    def __enter__(self) -> Taking:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Finish what is being written, and say where an interrupted run stands; its devices are closed already."""
+        del kind, trace
+        self.finish()
+        if error is None:
+            return
+        with contextlib.suppress(LightoptError):  # the error that ends the run is told, not a second one
+            self._note_events()
+        if isinstance(error, KeyboardInterrupt) and self._devices is not None:
+            there = len(self._records.writer.manifest.images)
+            raise Interrupted(
+                f"all lights are off; {there} of {counted(len(self._plan.keys), 'image')} are on disk; "
+                "go on with --resume"
+            ) from error
+
+    @property
+    def replaced(self) -> int:
+        """Files of another set that were removed."""
+        return self._records.writer.replaced
+
+    def warn(self, *texts: str) -> None:
+        """Say something once, and note it for the manifest."""
+        for text in texts:
+            if text not in self.warnings:
+                self.warnings += (text,)
+                if self._warn is not None:
+                    self._warn(text)
+
+    def todo(self) -> tuple[PostureTask, ...]:
+        """Postures in which something is missing."""
+        return tuple(
+            task
+            for task in self._plan.tasks
+            if self._records.todo(task)
+            or any(not self._records.dark_kept(task.posture, e) for e in task.dark_exposures)
+        )
+
+    def execute(self, devices: Devices) -> None:
+        """Take all that is missing."""
+        self._devices = devices
+        devices.step = "asking the devices who they are"
+        with self._timing.spent("opening_s"):
+            shooter = self._shooter = Shooter(
+                devices,
+                self._plan,
+                sensor=self._judge.sensor,
+                identities=devices.identities(),
+                timing=self._timing,
+            )
+        if self._plan.home:
+            self._tell("homing the stage")
+            shooter.home()
+        for task in self.todo():
+            self._posture(devices, shooter, task)
+        devices.step = "checking and writing the last images"
+        self._disk.wait()
+
+    def flush(self) -> None:
+        """Put what was noticed into the manifest."""
+        self._records.writer.add_warnings(self.warnings)
+        self._note_events()
+        self.finish()
+
+    def _note_events(self) -> None:
+        """Put what was out of the ordinary on the links, and is not in the entry of an image, into the manifest."""
+        events = (
+            self._shooter.events_since() if self._shooter else self._devices.events() if self._devices else ()
+        )
+        self._records.note_events([event.as_dict() for event in events])
+
+    def finish(self) -> None:
+        """Let what is being written be finished, whatever else happened."""
+        self._disk.close()
+        if self._shooter is not None:
+            self._shooter.close()
+        self._judge.close()
+
+    def _posture(self, devices: Devices, shooter: Shooter, task: PostureTask) -> None:
+        self._judge.begin(task.posture)
+        self._tell(f"moving to {task.posture}")
+        shooter.move(task.posture)
+        dark = self._dark(devices, shooter, task)
+        for light in self._records.todo(task):
+            self._light(devices, shooter, task, light, dark)
+        if self._plan.options.check:
+            exposure = self._plan.exposures[0]
+            self._disk.image(
+                self._judge.dark, self._expose(devices, shooter, task, exposure), exposure, self.warn
+            )
+
+    def _dark(self, devices: Devices, shooter: Shooter, task: PostureTask) -> Dark:
+        dark: Dark = {}
+        for exposure in task.dark_exposures:
+            if not self._records.dark_missing(task.posture, exposure):
+                dark[exposure] = self._records.dark_there(task.posture, exposure)
+                continue
+            shot = self._expose(devices, shooter, task, exposure)
+            self._disk.image(self._keep_dark, task.posture, exposure, shot, dark)
+        for exposure in self._plan.exposures if self._plan.reference else ():
+            if not self._judge.has_reference(exposure):
+                shot = self._expose(devices, shooter, task, exposure)
+                self._disk.image(self._judge.dark, shot, exposure, self.warn)
+        return dark
+
+    def _light(self, devices: Devices, shooter: Shooter, task: PostureTask, light: str, dark: Dark) -> None:
+        missing = self._records.missing(light, task.posture)
+        taken: dict[float, Exposed] = {}
+        if missing:
+            shooter.set_exposure(missing[0])
+            shooter.light_on(light)
+        for i, exposure in enumerate(missing):
+            shot = self._expose(devices, shooter, task, exposure, light=light, rest=missing[i:])
+            if exposure == missing[-1]:
+                shooter.light_off()  # before anything is done with the frames
+            self._disk.image(self._keep, light, task.posture, exposure, shot, dark, taken)
+            self.taken += 1
+        self._disk.linear(self._records.add_linear, light, task.posture, taken, dark)
+
+    def _keep(
+        self,
+        light: str,
+        posture: Posture,
+        exposure: float,
+        shot: Shot,
+        dark: Dark,
+        taken: dict[float, Exposed],
+    ) -> None:
+        """Check that the image is lit by its light, as those of its other exposures were, and put it on disk."""
+        shot.facts["lit"] = self._judge.judge(light, posture, exposure, shot, dark, taken, self.warn)
+        self._records.add(light, posture, exposure, shot)
+        taken[exposure] = shot.image
+
+    def _keep_dark(self, posture: Posture, exposure: float, shot: Shot, dark: Dark) -> None:
+        """Check that no light burns, and put the frame on disk."""
+        self._judge.dark(shot, exposure, self.warn)
+        self._records.add_dark(posture, exposure, shot)
+        dark[exposure] = shot.image.mean
+
+    def _expose(
+        self,
+        devices: Devices,
+        shooter: Shooter,
+        task: PostureTask,
+        exposure: float,
+        *,
+        light: str | None = None,
+        rest: Sequence[float] = (),
+    ) -> Shot:
+        """Take an image once everything has settled and the image before it is on disk.
+
+        A light that burns waits for the disk no longer than lighting it anew would take, nor longer than it may burn:
+        then it goes dark until the image is there. `rest` are the exposures that it is still to burn for.
+        """
+        self._tell(f"{light or 'dark'} {task.posture} exposure {exposure:g}")
+        shooter.set_exposure(exposure)
+        shooter.settle()
+        devices.step = "checking and writing the image before"
+        if light is None:
+            self._disk.wait_for_image()
+        elif not self._disk.wait_for_image(shooter.patience_s(rest)):
+            shooter.light_off()
+            devices.step = "checking and writing the image before"
+            self._disk.wait_for_image()
+            shooter.light_on(light)
+            shooter.settle(counted="writing_s")
+        return shooter.expose(task.posture, exposure)
+
+    def _tell(self, what: str) -> None:
+        if self._report is not None:
+            self._report(what, (self._there + self.taken) / len(self._plan.keys))

@@ -1,0 +1,18 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from lightopt.cli._terminal import say
+
+__all__ = ["add_sheets"]
+
+
+def add_sheets(folder: Path, *, exposures: Sequence[float], title: str, force: bool, quiet: bool) -> None:
+    """Add a contact sheet per exposure to an image set, and say where they are."""
+    from lightopt.report import add_contact_sheets
+
+    sheets = add_contact_sheets(folder, exposures=exposures, title=title, overwrite=force)
+    for exposure, path in zip(exposures, sheets, strict=True):
+        if not quiet:
+            say(f"contact sheet, exposure {exposure:g}: {path}")
