@@ -85,6 +85,7 @@ class AravisSdk:
         self._failure: Any = import_module("gi.repository.GLib").Error
         chosen = choose_camera(aravis_cameras(), settings)
         self._where = settings.where
+        self._lost: str | None = None
         self._stream: Any = None
         self._camera: Any = self._try(
             f"opening {chosen}", lambda: self._library.Camera.new(chosen.identifier)
@@ -239,6 +240,8 @@ class AravisSdk:
         return isinstance(self._device.get_feature(feature), self._library.GcFloat)
 
     def _try(self, what: str, action: Callable[[], Value]) -> Value:
+        if self._lost is not None:  # each question to a camera that is gone would take seconds
+            raise LinkLostError(self._lost)
         try:
             return action()
         except self._failure as error:
@@ -249,4 +252,6 @@ class AravisSdk:
             )
             kind = LinkLostError if lost else HardwareError
             gone = "the camera does not answer any more: " if lost else ""
-            raise kind(f"{self._where}: {what}: {gone}{error.message}") from None
+            message = f"{self._where}: {what}: {gone}{error.message}"
+            self._lost = message if lost else None
+            raise kind(message) from None

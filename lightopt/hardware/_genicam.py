@@ -208,9 +208,16 @@ class GenicamSdk:
                 data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="it has no image"
             )
         part = payload.components[0]
+        if padding := _known(lambda: int(module.padding_x), 0):
+            raise HardwareError(
+                f"{self._where}: the lines of frame {number} end with {padding} bytes that are no pixels; choose a "
+                "width or a pixel format without"
+            )
+        # the library would expand packed pixels itself; the bytes are read by the tables of this package
+        offset = _known(lambda: int(part.data_offset), 0)
         stamp = _known(lambda: int(module.timestamp_ns), 0) or _known(lambda: int(module.timestamp), 0)
         return RawFrame(
-            data=np.array(part.data, copy=True).view(np.uint8).reshape(-1),
+            data=np.frombuffer(module.raw_buffer, np.uint8, offset=offset).copy(),
             width=int(part.width),
             height=int(part.height),
             code=_known(lambda: int(module.pixel_format), 0) or None,

@@ -166,7 +166,7 @@ class BenchCamera:
             "triggered": self._setup.truth.triggered,
         }, b""
 
-    def look(self, exposure_us: float, gain_db: float, triggered: bool) -> Levels:
+    def look(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
         """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
 
         Parameters
@@ -177,11 +177,17 @@ class BenchCamera:
             Gain [dB].
         triggered
             Whether it begins now.
+        counted
+            False for a frame that is lost on its way: the next has the noise that it would have had.
         """
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen
         pixels = self._build().frame(
-            shares, posture, exposure=exposure_us / self._setup.exposure_us, gain_db=gain_db
+            shares,
+            posture,
+            exposure=exposure_us / self._setup.exposure_us,
+            gain_db=gain_db,
+            counted=counted,
         )
         self._seen = self._state()
         return pixels

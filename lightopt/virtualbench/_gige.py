@@ -25,14 +25,19 @@ from lightopt.virtualbench._gige_formats import FORMATS, packed
 
 __all__ = ["GigeCamera"]
 
-Look = Callable[[float, float, bool], NDArray[np.integer[Any]]]
-"""What is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another."""
+Look = Callable[[float, float, bool, bool], NDArray[np.integer[Any]]]
+"""What is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another; whether
+it will arrive, so that it counts."""
 
 _ADDRESS = "127.0.0.1"
 _CONTROL_PORT = 3956
 _FREE_S = 60.0
 _LONGEST_US = 1_000_000
-_PERIOD_US = 10_000  # frames follow one another so, and triggers are looked for so often
+_PERIOD_US = 10_000
+"""Frames of a camera that runs freely follow one another so."""
+
+_TRIGGER_US = 1_000
+"""Triggers are looked for so often."""
 
 
 class GigeCamera:
@@ -87,6 +92,7 @@ class GigeCamera:
             (registers.FAKE_CAMERA_REGISTER_ACQUISITION_FRAME_PERIOD_US, _PERIOD_US),
         ):
             self._device.write_register(register, value)
+        self._device.set_trigger_frequency(1e6 / _TRIGGER_US)
         kind = ctypes.CFUNCTYPE(
             None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
         )
@@ -140,7 +146,7 @@ class GigeCamera:
         held_us = self._faults.begin(buffer, number, exposure_us)
         device = self._device
         triggered = device is not None and not device.is_in_free_running_mode()
-        levels = self._faults.seen(self._look(held_us, float(gain), triggered))
+        levels = self._faults.seen(self._look(held_us, float(gain), triggered, self._faults.arrives))
         data = packed(levels, code)
         size = ctypes.c_size_t()
         where = self._c.arv_buffer_get_data(buffer, ctypes.byref(size))

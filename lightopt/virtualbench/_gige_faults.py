@@ -20,6 +20,7 @@ FAULTS = ("lost", "incomplete", "duplicate", "order", "stale", "old_image", "exp
 that of the frame before; its image is that of the frame before; it is exposed half as long; the camera holds another
 pixel format from here on, as after a power cycle; its cable is pulled."""
 
+_UNSOUND = {"lost", "incomplete", "duplicate", "order", "stale", "vanish"}
 _BACK = 3
 _BACK_NS = 10**9
 _INCOMPLETE = 0.5
@@ -88,6 +89,11 @@ class GigeFaults:
             # the camera's own thread is here and cannot end itself
             threading.Thread(target=self._camera.unplug, daemon=True).start()
         return float(exposure_us)
+
+    @property
+    def arrives(self) -> bool:
+        """Whether the frame that was begun will be taken for what it is."""
+        return not self._now & _UNSOUND
 
     def seen(self, image: Image) -> Image:
         """What the frame has of what is seen."""

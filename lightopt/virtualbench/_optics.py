@@ -64,7 +64,13 @@ class BenchOptics:
         self._layer(posture, self._scene.lights[0].name)
 
     def frame(
-        self, shares: Mapping[str, float], posture: Posture, *, exposure: float, gain_db: float = 0.0
+        self,
+        shares: Mapping[str, float],
+        posture: Posture,
+        *,
+        exposure: float,
+        gain_db: float = 0.0,
+        counted: bool = True,
     ) -> Levels:
         """One frame with noise, quantised and saturated.
 
@@ -80,6 +86,8 @@ class BenchOptics:
             Relative exposure.
         gain_db
             Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
+        counted
+            Whether it counts among the frames that were taken before the next.
         """
         gain = 10.0 ** (gain_db / 20.0)
         electrons = self._scene.sensor.electrons_per_level
@@ -100,13 +108,17 @@ class BenchOptics:
             sensor=sensor,
             exposure=exposure * gain,
             full_scale=self._scene.reflectance.full_scale,
-            rng=self._noise(burning, posture, exposure),
+            rng=self._noise(burning, posture, exposure, counted=counted),
         )
 
-    def _noise(self, burning: Mapping[str, float], posture: Posture, exposure: float) -> np.random.Generator:
+    def _noise(
+        self, burning: Mapping[str, float], posture: Posture, exposure: float, *, counted: bool
+    ) -> np.random.Generator:
         numbers = (*burning.values(), posture.elevation_deg, posture.rotation_deg, exposure)
         state = ",".join(burning).encode() + struct.pack(f"<{len(numbers)}d", *numbers)
-        number = self._taken[state] = self._taken.get(state, -1) + 1
+        number = self._taken.get(state, -1) + 1
+        if counted:
+            self._taken[state] = number
         digest = hashlib.sha256(state + struct.pack("<qq", number, self._truth.seed)).digest()
         return np.random.default_rng(int.from_bytes(digest[:16], "little"))
 

@@ -5,12 +5,17 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from lightopt.cli._main import run
 from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import CameraSettings, camera_drivers, cameras_here, check_camera_driver, open_camera
+from lightopt.hardware._genicam import GenicamSdk
+from lightopt.hardware._pixels import PIXEL_FORMATS, levels_of
+from lightopt.virtualbench._gige_formats import FORMATS, packed
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -97,6 +102,32 @@ def test_software_that_is_not_there_is_named_with_how_to_install_it(
     assert "lightopt[" in said
     assert not list((tmp_path / "out").rglob("*.png"))
     assert run(["bench", "devices"]) == 0  # a computer without cameras has serial ports all the same
+
+
+def test_packed_pixels_of_a_producer_are_read_by_our_tables() -> None:
+    """No producer at hand packs pixels; the bytes are those of the simulated GigE camera."""
+    sent = np.random.default_rng(1).integers(0, 4096, (3, 5))
+    code = FORMATS["Mono12p"][0]
+    module = SimpleNamespace(
+        frame_id=7,
+        is_complete=lambda: True,
+        padding_x=0,
+        pixel_format=code,
+        timestamp_ns=9,
+        raw_buffer=b"head" + packed(sent, code) + b"tail",
+    )
+    part = SimpleNamespace(width=5, height=3, data_offset=4)
+    sdk = GenicamSdk.__new__(GenicamSdk)
+    sdk._where = "rig"
+    buffer = SimpleNamespace(module=module, payload=SimpleNamespace(components=[part]))
+    raw = sdk._raw(buffer)
+    assert (raw.number, raw.code, raw.timestamp_ns, raw.problem) == (7, code, 9, None)
+    assert np.array_equal(levels_of(raw.data, PIXEL_FORMATS["Mono12p"], width=5, height=3), sent)
+    module.padding_x = 2
+    with pytest.raises(HardwareError, match="end with 2 bytes that are no pixels"):
+        sdk._raw(buffer)
+    module.is_complete = lambda: False
+    assert sdk._raw(buffer).problem == "parts of it were lost"
 
 
 def test_every_driver_that_rig_files_may_name_is_there() -> None:
