@@ -31,7 +31,7 @@ it will arrive, so that it counts."""
 
 _ADDRESS = "127.0.0.1"
 _CONTROL_PORT = 3956
-_FREE_S = 60.0
+_FREE_S = 100.0
 _LONGEST_US = 1_000_000
 _PERIOD_US = 10_000
 """Frames of a camera that runs freely follow one another so."""
