@@ -37,11 +37,14 @@ demo: $(BIN)/.installed  ## render the sample into out/demo, fit noisy renders, 
 batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
 	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch
 
+# many tests wait for simulated devices: a worker for each processor, modules kept together as long as all are busy
+PYTEST = $(BIN)/python -m pytest --numprocesses=auto --dist=worksteal
+
 test: $(BIN)/.installed  ## the tests that take less than ten minutes
-	$(BIN)/python -m pytest -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-all: $(BIN)/.installed  ## all tests
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 check: $(BIN)/.installed  ## formatting, lint, types, layers
 	$(BIN)/ruff format --check .

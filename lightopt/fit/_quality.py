@@ -34,7 +34,8 @@ class Quality:
     typical
         Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
     noise
-        What the rig's noise figures and the quantisation make of a typical pixel [sensor level].
+        What the rig's noise figures make of a typical pixel of a mean of so many frames, and the quantisation of its
+        levels [sensor level].
     image_noise
         What the images show: how far pixels are off the plane through their neighbours, typically [sensor level].
     explained
@@ -80,8 +81,9 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
     residual = (level - np.maximum(mean, 0.0))[seen]
     signal = np.maximum(mean[seen] - sensor.black_level, 0.0)
     electrons = sensor.electrons_per_level
-    variance = sensor.read_noise_levels**2 + (signal / electrons if electrons else 0.0) + 1.0 / 12.0
-    noise = math.sqrt(float(np.median(variance * np.ones(len(signal))))) if seen.any() else 0.0
+    single = sensor.read_noise_levels**2 + (signal / electrons if electrons else 0.0)
+    variance = single / samples.facts.frames[samples.image[seen]] + 1.0 / 12.0
+    noise = math.sqrt(float(np.median(variance))) if seen.any() else 0.0
     shown = _image_noise(samples)
     spread = float(np.var(level[seen])) - max(noise, shown) ** 2 if seen.any() else 0.0
     missed = float(np.mean(residual**2)) - max(noise, shown) ** 2 if seen.any() else 0.0

@@ -161,7 +161,13 @@ def test_a_folder_is_replayed_as_it_was_captured(bed, tmp_path):
 
 
 @pytest.fixture
-def outside(bed, tmp_path):
+def light_ms():
+    """Long enough for a second command to start, on however busy a machine, while the first has its first light on."""
+    return 20_000
+
+
+@pytest.fixture
+def outside(bed, light_ms):
     """A bench that outlives the command, and a rig whose ports are its wires."""
     folder, rigs, _ = bed
     rig, part = rigs["shot"]
@@ -171,7 +177,7 @@ def outside(bed, tmp_path):
         text = text.replace("driver: ccs, port: virtual", f"driver: ccs, port: {bench.ports['lights']}")
         text = text.replace("port: virtual", f"port: {bench.ports['stage']}")
         camera = f"camera: {{driver: folder, folder: {(folder / 'truth-shot').as_posix()}}}"
-        text = text.replace("camera: {driver: virtual}", camera).replace("light_ms: 5", "light_ms: 400")
+        text = text.replace("camera: {driver: virtual}", camera).replace("light_ms: 5", f"light_ms: {light_ms}")
         real = rig.with_name("real.yaml")
         real.write_text(text, encoding="utf-8", newline="\n")
         yield bench, real, part
@@ -203,7 +209,8 @@ def test_lights_go_off_when_the_command_is_told_to_end(outside, tmp_path, name):
     process.send_signal(getattr(signal, name))
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    first, last = errors.splitlines()
+    # a busy machine may make a reply late, which is told
+    first, last = (line for line in errors.splitlines() if not line.startswith("warning: "))
     assert re.fullmatch(r"all lights are off; \d of 4 images are on disk; go on with --resume", first)
     assert last == "interrupted; files that were finished are complete"
     assert not any(bench.levels("lights").values())
@@ -211,6 +218,7 @@ def test_lights_go_off_when_the_command_is_told_to_end(outside, tmp_path, name):
 
 
 @posix
+@pytest.mark.parametrize("light_ms", [1000])
 def test_lights_left_on_by_a_killed_command_are_off_before_the_next_moves(outside, tmp_path):
     bench, rig, part = outside
     process = start(rig, part, tmp_path / "out")
@@ -225,6 +233,7 @@ def test_lights_left_on_by_a_killed_command_are_off_before_the_next_moves(outsid
 
 
 @posix
+@pytest.mark.parametrize("light_ms", [1000])
 def test_a_cable_pulled_is_exit_3_and_says_in_which_step(outside, tmp_path):
     bench, rig, part = outside
     process = start(rig, part, tmp_path / "out")
@@ -232,10 +241,9 @@ def test_a_cable_pulled_is_exit_3_and_says_in_which_step(outside, tmp_path):
     bench.unplug("lights")
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 3
-    lost, failed = errors.splitlines()[:2]
-    assert lost.startswith("warning: ")  # as it happens
-    assert "device lost" in lost
-    assert failed.startswith("error: while ")
+    warnings = [line for line in errors.splitlines() if line.startswith("warning: ")]
+    assert "device lost" in warnings[-1]  # told as it happens
+    assert errors.splitlines()[len(warnings)].startswith("error: while ")
     assert "may still be lit" in errors
     assert "Traceback" not in errors
 
