@@ -70,11 +70,16 @@ def _gige_bare(frames: int) -> float:
     camera.start_acquisition()
 
     def take() -> np.ndarray:
-        camera.software_trigger()
-        buffer = stream.timeout_pop_buffer(5_000_000)
-        frame = np.frombuffer(buffer.get_data(), np.uint8).reshape(SIZE[::-1]).copy()
-        stream.push_buffer(buffer)
-        return frame
+        while True:  # a frame that lost packets on a busy computer is taken again, as the driver does
+            camera.software_trigger()
+            buffer = stream.timeout_pop_buffer(5_000_000)
+            if buffer is None:
+                continue
+            whole = buffer.get_status() == library.BufferStatus.SUCCESS
+            frame = np.frombuffer(buffer.get_data(), np.uint8).copy()
+            stream.push_buffer(buffer)
+            if whole:
+                return frame.reshape(SIZE[::-1])
 
     try:
         return _rate(frames, take)
