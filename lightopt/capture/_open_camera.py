@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 from lightopt.capture._folder_camera import FolderCamera
@@ -83,7 +84,12 @@ def opened_camera(
         packet_size=config.packet_size,
         packet_delay_ns=config.packet_delay_ns,
     )
-    return open_camera(config.driver, settings, tell=None if log is None else log.note)
+    return open_camera(
+        config.driver,
+        settings,
+        tell=None if log is None else log.note,
+        ready=partial(bench.request, "prepare") if bench is not None and wiring.camera_is_gige else None,
+    )
 
 
 def _producer(rig: RigConfig, wiring: Wiring) -> Path | None:

@@ -23,7 +23,11 @@ def camera_drivers() -> dict[str, Callable[[CameraSettings], CameraSdk]]:
 
 
 def open_camera(
-    driver: str, settings: CameraSettings, *, tell: Callable[[Event], None] | None = None
+    driver: str,
+    settings: CameraSettings,
+    *,
+    tell: Callable[[Event], None] | None = None,
+    ready: Callable[[], object] | None = None,
 ) -> MachineCamera:
     """Open a camera and set it as the rig wants it; no frame is taken.
 
@@ -35,6 +39,8 @@ def open_camera(
         Which camera, and how it is to be.
     tell
         Called with what is out of the ordinary, as it happens.
+    ready
+        Called before each frame is asked for; returns when one can be.
 
     Raises
     ------
@@ -43,7 +49,7 @@ def open_camera(
     HardwareError
         When it does not answer.
     """
-    return MachineCamera(driver, camera_drivers()[driver](settings), settings, tell=tell)
+    return MachineCamera(driver, camera_drivers()[driver](settings), settings, tell=tell, ready=ready)
 
 
 def check_camera_driver(driver: str, producer: Path | None) -> None:

@@ -40,6 +40,8 @@ class MachineCamera:
         How it is to be.
     tell
         Called with what is out of the ordinary, as it happens.
+    ready
+        Called before each frame is asked for; returns when one can be: a simulated camera has to render first.
 
     Attributes
     ----------
@@ -61,12 +63,14 @@ class MachineCamera:
         settings: CameraSettings,
         *,
         tell: Callable[[Event], None] | None = None,
+        ready: Callable[[], object] | None = None,
     ) -> None:
         self.events: list[Event] = []
         self._driver = driver
         self._sdk = sdk
         self._settings = settings
         self._tell = tell
+        self._ready = ready
         self._order = FrameOrder()
         self._persistence = Persistence(self, verb="taken")
         self._running = False
@@ -138,6 +142,8 @@ class MachineCamera:
         HardwareError
             When no sound frame came in time or in the attempts that there are.
         """
+        if self._ready is not None:
+            self._ready()
         end = time.monotonic() + timeout_s
         exposure_s = self._held_us / 1e6
         each_s = exposure_s + max(0.0, timeout_s - exposure_s) / ATTEMPTS

@@ -25,8 +25,6 @@ __all__ = ["EXPOSURE_RANGE_US", "AxisWire", "BenchCamera", "CameraSetup", "Light
 EXPOSURE_RANGE_US = (10.0, 10e6)
 """Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""
 
-_PREPARE_S = 0.02
-
 Brightness = Callable[[str], Mapping[int, float]]
 Positions = Callable[[str], Mapping[str, float]]
 
@@ -141,7 +139,7 @@ class BenchCamera:
 
     def requests(self) -> dict[str, Handler]:
         """What the control socket can ask of the camera."""
-        return {"camera": self._identity, "frame": self._frame}
+        return {"camera": self._identity, "frame": self._frame, "prepare": self._prepare}
 
     def _build(self) -> BenchOptics:
         with self._building:
@@ -192,20 +190,13 @@ class BenchCamera:
         self._seen = self._state()
         return pixels
 
-    def prepare(self) -> None:
-        """Render what will be seen as soon as the stage stands, as long as the bench runs.
+    def _prepare(self, _: Mapping[str, Any]) -> Answer:
+        """Render what will be seen where the stage stands.
 
         A camera on a network does not answer while a frame is made; one that is silent for seconds counts as gone.
         """
-        stood: Posture | None = None
-        ready: Posture | None = None
-        while True:
-            _, posture = self._state()
-            if posture == stood != ready:
-                self._build().prepare(posture)
-                ready = posture
-            stood = posture
-            time.sleep(_PREPARE_S)
+        self._build().prepare(self._state()[1])
+        return {}, b""
 
     def sensor(self) -> tuple[tuple[int, int], int]:
         """Width and height [pixels], and bits of a level."""

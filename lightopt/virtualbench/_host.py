@@ -49,7 +49,6 @@ def run(spec: Mapping[str, Any]) -> None:
         requests |= camera.requests()
         if spec["camera"].get("gige"):
             gige = _gige(camera)
-            threading.Thread(target=camera.prepare, name="prepare", daemon=True).start()
             requests |= _camera_faults(dict(requests), gige)
     token = secrets.token_hex(16)
     control = ControlServer(requests, token)

@@ -207,6 +207,14 @@ def test_an_exposure_beyond_the_bounds_is_not_sent() -> None:
     assert camera.set_exposure(200.0) == 100.0  # the run refuses what does not take
 
 
+def test_a_frame_is_asked_for_once_there_can_be_one() -> None:
+    sdk = Sdk()
+    camera = MachineCamera("aravis", sdk, SETTINGS, ready=lambda: sdk.log.append("ready"))
+    sdk.log.clear()
+    camera.grab(timeout_s=1)
+    assert sdk.log == ["ready", "start", "TriggerSoftware"]
+
+
 def test_each_grab_is_one_trigger() -> None:
     camera, sdk, told = opened()
     frames = [camera.grab(timeout_s=1) for _ in range(3)]
