@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import subprocess
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from lightopt.errors import HardwareError
 from lightopt.images import read_exr, read_image_set, read_png
 from lightopt.virtualbench import BenchProcess
 
-__all__ = ["OPTIONS", "Outcome", "differences", "kill_sometime", "suffer", "undisturbed"]
+__all__ = ["OPTIONS", "Outcome", "Steps", "differences", "kill_sometime", "suffer", "undisturbed"]
 
 STATES = ("dark", "lit", "deaf", "alarm")
 """Faults that hold from the moment when they are set."""
@@ -56,13 +57,13 @@ class Outcome:
     wrong: tuple[str, ...]
 
 
-class _Steps:
-    """Counts the steps that devices are at, and kills the bench at one of them."""
+class Steps:
+    """Counts the steps that devices are at, and does something at one of them."""
 
-    def __init__(self, bench: BenchProcess, kill_at: int | None) -> None:
+    def __init__(self, at: int | None, action: Callable[[], None]) -> None:
         self.count = 0
-        self._bench = bench
-        self._kill_at = kill_at
+        self._at = at
+        self._action = action
 
     def watch(self, devices: Devices) -> None:
         steps = self
@@ -75,8 +76,8 @@ class _Steps:
             @step.setter
             def step(self, text: str) -> None:
                 self.__dict__["_step"] = text
-                if steps.count == steps._kill_at:
-                    steps._bench.kill()
+                if steps.count == steps._at:
+                    steps._action()
                 steps.count += 1
 
         text = devices.__dict__.pop("step")
@@ -88,12 +89,12 @@ def undisturbed(rig: Path, part: Path, folder: Path) -> tuple[dict[str, int], in
     """Capture without a fault; returns messages by device and the number of steps."""
     loaded_rig, loaded_part = load_rig(rig), load_part(part)
     found: dict[str, int] = {}
-    counted: list[_Steps] = []
+    counted: list[Steps] = []
 
     def connect(plan: Plan) -> Devices:
         bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
         devices = connect_devices(loaded_rig, plan.wiring, part=loaded_part, plan=plan, bench=bench)
-        counted.append(_Steps(bench, None))
+        counted.append(Steps(None, bench.kill))
         counted[0].watch(devices)
 
         def close() -> None:
@@ -120,7 +121,7 @@ def suffer(case: Case, rig: Path, part: Path, folder: Path, truth: Path) -> Outc
         if case.device is not None:
             bench.set_fault(case.device, case.fault, **case.options)
         else:
-            _Steps(bench, case.step).watch(devices)
+            Steps(case.step, bench.kill).watch(devices)
         return devices
 
     message, retries, finished = "", 0, False

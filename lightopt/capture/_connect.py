@@ -9,6 +9,7 @@ from typing import Any
 
 from lightopt.capture._devices import Devices
 from lightopt.capture._folder_camera import FolderCamera
+from lightopt.capture._open_camera import check_camera_software, opened_camera
 from lightopt.capture._open_lights import open_lights
 from lightopt.capture._plan import Plan
 from lightopt.capture._signals import EndSignals
@@ -26,7 +27,7 @@ from lightopt.hardware import (
     open_stage,
     port_problem,
 )
-from lightopt.virtualbench import BenchProcess, BenchTruth, VirtualCamera
+from lightopt.virtualbench import BenchProcess, BenchTruth
 
 __all__ = ["check_devices", "connect_devices"]
 
@@ -106,18 +107,18 @@ def connect_devices(
             stage = _stage(rig, wiring, ports, log)
             if stage is not None:
                 stack.callback(stage.close)
+            seen: Camera | None = None
+            if camera:
+                seen = opened_camera(rig, wiring, replay=replay, bench=bench, log=log)
+                stack.callback(seen.close)
         except LightoptError as error:
             raise (lights.raised(error) if touch_lights else error) from error
-        seen: Camera | None = replay
-        if camera and replay is None:
-            assert bench is not None
-            seen = VirtualCamera(bench)
         devices = Devices(
             wiring=wiring,
             controllers=lights.controllers,
             stage=stage,
             camera=seen,
-            events=lambda: _events([*lights.controllers.values(), stage, log]),
+            events=lambda: _events([*lights.controllers.values(), stage, seen, log]),
             closing=closing,
             signals=signals,
             touch_lights=touch_lights,
@@ -150,7 +151,9 @@ def check_devices(
     problems: list[str] = []
     replay: FolderCamera | None = None
     try:
-        replay = _folder_camera(rig, wiring, plan) if camera else None
+        if camera:
+            check_camera_software(rig, wiring)
+            replay = _folder_camera(rig, wiring, plan)
     except InputError as error:
         problems += error.messages
     try:

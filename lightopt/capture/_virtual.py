@@ -56,6 +56,7 @@ def start_bench(
         elevation=_axis_wire(wiring, "elevation"),
         rotation=_axis_wire(wiring, "rotation"),
         truth=truth or BenchTruth(),
+        gige=wiring.camera_is_gige,
     )
     return BenchProcess(devices, camera=setup.as_dict())
 

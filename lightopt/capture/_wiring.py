@@ -14,10 +14,13 @@ from lightopt.config import (
     StageDeviceConfig,
 )
 
-__all__ = ["VIRTUAL", "VIRTUAL_EXPOSURE_US", "Wiring", "wiring_of"]
+__all__ = ["CAMERA", "VIRTUAL", "VIRTUAL_EXPOSURE_US", "Wiring", "wiring_of"]
 
 VIRTUAL = "virtual"
 """Port of a device that is simulated on this computer."""
+
+CAMERA = "camera"
+"""Name of a simulated GigE camera among the devices of a virtual bench."""
 
 VIRTUAL_EXPOSURE_US = 10_000.0
 """Exposure time of exposure 1 where all is virtual and the rig does not give one."""
@@ -63,7 +66,17 @@ class Wiring:
     def needs_bench(self) -> bool:
         """Whether any device is simulated."""
         ports = [controller.port for controller in self.hardware.controllers.values()]
-        return VIRTUAL in ports or self.stage_is_virtual or self.hardware.camera.driver == VIRTUAL
+        return VIRTUAL in ports or self.stage_is_virtual or self.camera_is_virtual
+
+    @property
+    def camera_is_gige(self) -> bool:
+        """Whether the camera is the simulated one on the loopback, behind its real driver."""
+        return self.hardware.camera.driver == "aravis" and self.hardware.camera.port == VIRTUAL
+
+    @property
+    def camera_is_virtual(self) -> bool:
+        """Whether frames are rendered: what lies on the bench has to be known."""
+        return self.hardware.camera.driver == VIRTUAL or self.camera_is_gige
 
 
 def wiring_of(rig: RigConfig) -> Wiring:

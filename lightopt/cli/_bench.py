@@ -14,7 +14,8 @@ from lightopt.errors import HardwareError, InputError
 
 if TYPE_CHECKING:
     from lightopt.capture import Devices
-    from lightopt.config import RigConfig
+    from lightopt.config import CameraDeviceConfig, RigConfig
+    from lightopt.hardware import CameraHere
 
 __all__ = ["bench"]
 
@@ -162,7 +163,7 @@ def snap(
     relative = parse_exposure(exposure)
     loaded, loaded_part = load_inputs(rig, part)
     wiring = wiring_of(loaded)
-    if wiring.hardware.camera.driver == "virtual" and loaded_part is None:
+    if wiring.camera_is_virtual and loaded_part is None:
         raise InputError("--part: the virtual camera needs to know which part lies on the bench")
     if light is not None:
         check_level(wiring, loaded, light, None)
@@ -180,7 +181,7 @@ def list_devices(
         Path | None, typer.Argument(metavar="[RIG]", help="Also say what this rig expects.")
     ] = None,
 ) -> None:
-    """List the serial ports of this computer; nothing is opened or sent."""
+    """List the serial ports of this computer and the cameras that answer; no port is opened or written to."""
     from lightopt.hardware import serial_ports
 
     ports = serial_ports()
@@ -193,12 +194,15 @@ def list_devices(
     else:
         say("no serial ports on this computer")
     if rig is None:
+        _show_cameras(None)
         return
     from lightopt.capture import wiring_of
     from lightopt.hardware import port_problem
 
     loaded, _ = load_inputs(rig, None)
     hardware = wiring_of(loaded).hardware
+    producer = hardware.camera.producer
+    cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
 
     def here(port: str) -> str:
         if port == "virtual":
@@ -213,9 +217,40 @@ def list_devices(
     ]
     if hardware.stage is not None:
         rows.append(("stage", hardware.stage.driver, hardware.stage.port, here(hardware.stage.port)))
-    rows.append(("camera", hardware.camera.driver, hardware.camera.folder or "", ""))
+    camera = hardware.camera
+    rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_here(camera, cameras)))
     say("")
     show_table(("device", "driver", "port", "there"), rows, numbers_from=4)
+
+
+def _show_cameras(producer: Path | None) -> list[CameraHere]:
+    """List the cameras that answer, and say what could not be asked."""
+    from lightopt.hardware import cameras_here
+
+    cameras, problems = cameras_here(producer)
+    say("")
+    if cameras:
+        show_table(
+            ("camera", "driver", "names"),
+            [(camera.model, camera.driver, ", ".join(camera.names)) for camera in cameras],
+            numbers_from=3,
+        )
+    else:
+        say("no cameras answer")
+    for problem in problems:
+        say(f"not asked: {problem}")
+    return cameras
+
+
+def _camera_here(config: CameraDeviceConfig, cameras: list[CameraHere]) -> str:
+    """Whether the camera of a rig is among those that answer."""
+    if config.driver not in ("aravis", "genicam"):
+        return "simulated" if config.driver == "virtual" else ""
+    if config.port == "virtual":
+        return "simulated"
+    named = [camera for camera in cameras if camera.driver == config.driver]
+    found = [camera for camera in named if config.port is None or config.port in camera.names]
+    return "yes" if len(found) == 1 else f"NO: {len(found)} answer"
 
 
 def _open(

@@ -127,7 +127,7 @@ def _show_plan(plan: Plan) -> None:
         rows.append((f"{at:.2f}", f"{step.seconds:.2f}", str(step)))
         at += step.seconds
     show_table(("at [s]", "takes [s]", "step"), rows, numbers_from=3)
-    renders = "; opening and rendering come on top" if plan.wiring.hardware.camera.driver == "virtual" else ""
+    renders = "; opening and rendering come on top" if plan.wiring.camera_is_virtual else ""
     say(f"{counted(len(plan.keys), 'image')} in {at:.0f} s{renders}; nothing was opened or moved")
 
 

@@ -28,6 +28,7 @@ _Milliseconds = Annotated[
     float, Field(ge=0, le=60000, allow_inf_nan=False), expecting("milliseconds, from 0 to 60000")
 ]
 _Baud = Annotated[int, Field(ge=300, le=4000000), expecting("a baud rate, from 300 to 4000000")]
+_Offset = Annotated[int, Field(ge=0, le=65535), expecting("pixels, from 0 to 65535")]
 _MOST = {"ccs": {"top_level": 9999}, "sa": {"channels": 6, "top_level": 9999}}
 _AXES = {
     "shot": ("[12]", "1 or 2"),
@@ -226,15 +227,67 @@ class StageDeviceConfig(Frozen):
 class CameraDeviceConfig(Frozen):
     """The device that takes the images."""
 
-    driver: Annotated[Literal["virtual", "folder"], expecting("virtual or folder")] = Field(
+    driver: Annotated[
+        Literal["virtual", "folder", "aravis", "genicam"], expecting("virtual, folder, aravis or genicam")
+    ] = Field(
         default="virtual",
-        description="virtual: frames rendered by the virtual bench; folder: frames replayed.",
+        description="virtual: frames rendered by the virtual bench; folder: frames replayed; aravis: GigE Vision and "
+        "USB3 Vision cameras; genicam: any camera, through its maker's GenTL producer.",
     )
     folder: Text | None = Field(
         default=None,
         description="folder: an image set whose PNG files are replayed; relative to this file.",
         validate_default=True,
     )
+    port: Text | None = Field(
+        default=None,
+        description="aravis, genicam: serial number, address or identifier of the camera, in quotes, as lightopt bench "
+        "devices lists it; the only camera that there is if absent. aravis: virtual is a GigE Vision camera simulated "
+        "on this computer.",
+    )
+    producer: Text | None = Field(
+        default=None,
+        description="genicam: the maker's GenTL producer, a .cti file; relative to this file.",
+        validate_default=True,
+    )
+    pixel_format: Text | None = Field(
+        default=None,
+        description="aravis, genicam: pixel format, such as Mono12p; one that has the sensor's bit_depth if absent.",
+    )
+    offset_px: (
+        Annotated[
+            tuple[_Offset, _Offset],
+            Field(strict=False),
+            expecting("two whole numbers of pixels, [left, top]"),
+        ]
+        | None
+    ) = Field(
+        default=None,
+        description="aravis, genicam: where the image begins on the sensor, from the left and from the top [pixels]; "
+        "centred if absent.",
+    )
+    gain: Annotated[float, Field(ge=-100, le=1000, allow_inf_nan=False), expecting("a gain")] | None = Field(
+        default=None,
+        description="aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent.",
+    )
+    trigger: Annotated[Literal["auto", "software", "none"], expecting("auto, software or none")] = Field(
+        default="auto",
+        description="aravis, genicam: software: each frame is triggered; none: the camera runs freely and "
+        "timing.discard_frames are thrown away after each change; auto: software where the camera has it.",
+    )
+    fixed_exposure_us: Positive | None = Field(
+        default=None,
+        description="aravis, genicam: exposure time [us] of a camera that cannot be told one.",
+    )
+    packet_size: Annotated[int, Field(ge=576, le=65535), expecting("bytes, from 576 to 65535")] | None = (
+        Field(
+            default=None,
+            description="aravis: size of a camera's packets on the network [bytes]; as it is if absent.",
+        )
+    )
+    packet_delay_ns: (
+        Annotated[int, Field(ge=0, le=1000000000), expecting("nanoseconds, from 0 to 1000000000")] | None
+    ) = Field(default=None, description="aravis: pause between a camera's packets [ns]; as it is if absent.")
 
     @field_validator("folder")
     @classmethod
@@ -242,9 +295,47 @@ class CameraDeviceConfig(Frozen):
         driver = info.data.get("driver")
         if driver == "folder" and folder is None:
             raise absent('missing key "folder": an image set to replay, for driver: folder', "folder")
-        if driver == "virtual" and folder is not None:
-            raise complaint("only driver: folder has one, and the driver is virtual; leave this out")
+        if driver not in (None, "folder") and folder is not None:
+            raise complaint(f"only driver: folder has one, and the driver is {driver}; leave this out")
         return folder
+
+    @field_validator("producer")
+    @classmethod
+    def _of_genicam(cls, producer: str | None, info: ValidationInfo) -> str | None:
+        driver = info.data.get("driver")
+        if driver == "genicam" and producer is None:
+            raise absent(
+                'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam',
+                "producer",
+            )
+        if driver not in (None, "genicam") and producer is not None:
+            raise complaint(f"only driver: genicam has one, and the driver is {driver}; leave this out")
+        return producer
+
+    @field_validator("packet_size", "packet_delay_ns")
+    @classmethod
+    def _of_aravis(cls, value: int | None, info: ValidationInfo) -> int | None:
+        driver = info.data.get("driver")
+        if driver not in (None, "aravis") and value is not None:
+            raise complaint(f"only driver: aravis has this, and the driver is {driver}; leave this out")
+        return value
+
+    @field_validator("port", "pixel_format", "offset_px", "gain", "trigger", "fixed_exposure_us")
+    @classmethod
+    def _of_machine_cameras(cls, value: object, info: ValidationInfo) -> object:
+        driver = info.data.get("driver")
+        if driver in ("virtual", "folder") and value not in (None, "auto"):
+            raise complaint(
+                f"only driver: aravis and driver: genicam have this, and the driver is {driver}; leave this out"
+            )
+        return value
+
+    @field_validator("port")
+    @classmethod
+    def _simulated(cls, port: str | None, info: ValidationInfo) -> str | None:
+        if port == "virtual" and info.data.get("driver") == "genicam":
+            raise complaint("only driver: aravis has a simulated camera (or driver: virtual)")
+        return port
 
 
 class TimingConfig(Frozen):

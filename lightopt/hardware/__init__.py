@@ -1,6 +1,11 @@
-"""Devices of a rig behind three small roles, one module per protocol. The one home of pyserial."""
+"""Devices of a rig behind three small roles, one module per protocol.
+
+The one home of pyserial, of Aravis and of harvesters; the latter two are loaded where a camera is looked for.
+"""
 
 from lightopt.hardware._axes import Axis
+from lightopt.hardware._camera_settings import CameraHere, CameraSettings
+from lightopt.hardware._cameras import camera_drivers, cameras_here, check_camera_driver, open_camera
 from lightopt.hardware._drivers import light_drivers
 from lightopt.hardware._errors import LinkLostError, RefusedError, ReplyError
 from lightopt.hardware._lights import LightSettings, LightsStillOnError, all_off
@@ -13,6 +18,8 @@ from lightopt.hardware._stages import StageDriver, check_stage, open_stage, stag
 __all__ = [
     "Axis",
     "Camera",
+    "CameraHere",
+    "CameraSettings",
     "Event",
     "Frame",
     "Identity",
@@ -29,8 +36,12 @@ __all__ = [
     "StageDriver",
     "StageState",
     "all_off",
+    "camera_drivers",
+    "cameras_here",
+    "check_camera_driver",
     "check_stage",
     "light_drivers",
+    "open_camera",
     "open_stage",
     "port_problem",
     "serial_ports",

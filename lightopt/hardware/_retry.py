@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from lightopt.hardware._errors import ReplyError
-from lightopt.hardware._link import SerialLink
 
-__all__ = ["Persistence"]
+__all__ = ["ATTEMPTS", "Persistence", "Repeatable"]
 
 ATTEMPTS = 3
 
 Value = TypeVar("Value")
+
+
+class Repeatable(Protocol):
+    """What is asked again: a serial link, a camera."""
+
+    def drain(self) -> None:
+        """Throw away what is still on its way, so that it is not taken for the answer to the next question."""
+        ...
+
+    def note(self, what: str, *, retry: bool = False) -> None:
+        """Tell of something out of the ordinary."""
+        ...
 
 
 class Persistence:
@@ -27,12 +38,15 @@ class Persistence:
         Where retries are told.
     attempts
         Times that a command is sent at most.
+    verb
+        What is done again, in the past tense.
     """
 
-    def __init__(self, link: SerialLink, attempts: int = ATTEMPTS) -> None:
+    def __init__(self, link: Repeatable, attempts: int = ATTEMPTS, *, verb: str = "sent") -> None:
         self._link = link
         self._most = attempts
         self._attempts = attempts
+        self._verb = verb
 
     def ask(self, question: Callable[[], Value]) -> Value:
         """Call `question` until it returns, or raise its last :class:`ReplyError`; other errors are raised at once."""
@@ -48,12 +62,13 @@ class Persistence:
         except ReplyError as error:
             if attempt >= self._attempts:
                 self._attempts = 1
-                raise _exhausted(error, attempt) from None
+                raise self._exhausted(error, attempt) from None
             # A late reply must not be taken for the reply to the repeated command.
             self._link.drain()
-            self._link.note(f"sent again ({attempt} of {self._attempts - 1}) after: {error}", retry=True)
+            self._link.note(
+                f"{self._verb} again ({attempt} of {self._attempts - 1}) after: {error}", retry=True
+            )
             return None
 
-
-def _exhausted(error: ReplyError, attempts: int) -> ReplyError:
-    return ReplyError(f"{error} (sent {attempts} times)") if attempts > 1 else error
+    def _exhausted(self, error: ReplyError, attempts: int) -> ReplyError:
+        return ReplyError(f"{error} ({self._verb} {attempts} times)") if attempts > 1 else error

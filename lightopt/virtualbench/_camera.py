@@ -18,14 +18,14 @@ from lightopt.virtualbench._requests import Answer, Handler
 from lightopt.virtualbench._truth import BenchTruth
 
 if TYPE_CHECKING:
-    from lightopt.virtualbench._optics import BenchOptics
+    from lightopt.virtualbench._optics import BenchOptics, Levels
 
 __all__ = ["EXPOSURE_RANGE_US", "AxisWire", "BenchCamera", "CameraSetup", "LightWire"]
 
 EXPOSURE_RANGE_US = (10.0, 10e6)
 """Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""
 
-Levels = Callable[[str], Mapping[int, float]]
+Brightness = Callable[[str], Mapping[int, float]]
 Positions = Callable[[str], Mapping[str, float]]
 
 
@@ -69,6 +69,8 @@ class CameraSetup:
         Axes; None: fixed at 0.
     truth
         How the bench differs from the files.
+    gige
+        Whether the camera is a GigE Vision camera on the loopback.
     """
 
     rig: str
@@ -78,6 +80,7 @@ class CameraSetup:
     elevation: AxisWire | None = None
     rotation: AxisWire | None = None
     truth: BenchTruth = field(default_factory=BenchTruth)
+    gige: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -89,6 +92,7 @@ class CameraSetup:
             "elevation": None if self.elevation is None else vars(self.elevation),
             "rotation": None if self.rotation is None else vars(self.rotation),
             "truth": self.truth.as_dict(),
+            "gige": self.gige,
         }
 
     @classmethod
@@ -104,6 +108,7 @@ class CameraSetup:
             exposure_us=data["exposure_us"],
             lights=tuple(LightWire(**wire) for wire in data["lights"]),
             truth=BenchTruth.of(data["truth"]),
+            gige=bool(data.get("gige", False)),
             **axes,
         )
 
@@ -121,7 +126,7 @@ class BenchCamera:
         Where a device's axes stand at this moment, in device units.
     """
 
-    def __init__(self, setup: CameraSetup, levels: Levels, positions: Positions) -> None:
+    def __init__(self, setup: CameraSetup, levels: Brightness, positions: Positions) -> None:
         self._setup = setup
         self._levels = levels
         self._positions = positions
@@ -134,7 +139,7 @@ class BenchCamera:
 
     def requests(self) -> dict[str, Handler]:
         """What the control socket can ask of the camera."""
-        return {"camera": self._identity, "frame": self._frame}
+        return {"camera": self._identity, "frame": self._frame, "prepare": self._prepare}
 
     def _build(self) -> BenchOptics:
         with self._building:
@@ -152,20 +157,57 @@ class BenchCamera:
             return self._optics
 
     def _identity(self, _: Mapping[str, Any]) -> Answer:
-        scene = self._build().scene
+        resolution_px, bit_depth = self.sensor()
         return {
-            "resolution_px": [scene.camera.width, scene.camera.height],
-            "bit_depth": scene.sensor.bit_depth,
+            "resolution_px": resolution_px,
+            "bit_depth": bit_depth,
             "triggered": self._setup.truth.triggered,
         }, b""
 
-    def _frame(self, request: Mapping[str, Any]) -> Answer:
-        optics, exposure_us = self._build(), float(request["exposure_us"])
+    def look(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
+        """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
+
+        Parameters
+        ----------
+        exposure_us
+            Exposure time [µs].
+        gain_db
+            Gain [dB].
+        triggered
+            Whether it begins now.
+        counted
+            False for a frame that is lost on its way: the next has the noise that it would have had.
+        """
         now = self._state()
-        # a free-running camera began this frame when it had finished the one before
-        shares, posture = now if self._setup.truth.triggered or self._seen is None else self._seen
+        shares, posture = now if triggered or self._seen is None else self._seen
+        pixels = self._build().frame(
+            shares,
+            posture,
+            exposure=exposure_us / self._setup.exposure_us,
+            gain_db=gain_db,
+            counted=counted,
+        )
+        self._seen = self._state()
+        return pixels
+
+    def _prepare(self, _: Mapping[str, Any]) -> Answer:
+        """Render what will be seen where the stage stands.
+
+        A camera on a network does not answer while a frame is made; one that is silent for seconds counts as gone.
+        """
+        self._build().prepare(self._state()[1])
+        return {}, b""
+
+    def sensor(self) -> tuple[tuple[int, int], int]:
+        """Width and height [pixels], and bits of a level."""
+        scene = self._build().scene
+        return (scene.camera.width, scene.camera.height), scene.sensor.bit_depth
+
+    def _frame(self, request: Mapping[str, Any]) -> Answer:
+        self._build()
+        exposure_us = float(request["exposure_us"])
         begun, begun_ns = time.monotonic(), time.time_ns()
-        pixels = optics.frame(shares, posture, exposure=exposure_us / self._setup.exposure_us)
+        pixels = self.look(exposure_us, 0.0, self._setup.truth.triggered)
         time.sleep(max(0.0, exposure_us / 1e6 - (time.monotonic() - begun)))
         self._seen = self._state()
         self._number += 1

@@ -15,11 +15,15 @@ from typing import Any
 
 from lightopt.virtualbench._camera import BenchCamera, CameraSetup
 from lightopt.virtualbench._control import ControlServer
-from lightopt.virtualbench._requests import handlers
+from lightopt.virtualbench._gige import GigeCamera
+from lightopt.virtualbench._requests import Answer, Handler, handlers
 from lightopt.virtualbench._wires import have_ptys
 from lightopt.virtualbench._world import World
 
-__all__ = ["run"]
+__all__ = ["CAMERA", "run"]
+
+CAMERA = "camera"
+"""Name of a GigE camera among the devices."""
 
 _TICK_S = 0.005  # how late a device may be with what it says on its own
 
@@ -39,11 +43,18 @@ def run(spec: Mapping[str, Any]) -> None:
     """
     world = World(spec["devices"], tcp=bool(spec.get("tcp", not have_ptys)))
     requests = handlers(world)
+    gige: GigeCamera | None = None
     if "camera" in spec:
-        requests |= _camera(world, spec["camera"]).requests()
+        camera = _camera(world, spec["camera"])
+        requests |= camera.requests()
+        if spec["camera"].get("gige"):
+            gige = _gige(camera)
+            requests |= _camera_faults(dict(requests), gige)
     token = secrets.token_hex(16)
     control = ControlServer(requests, token)
     hello = {"control": control.port, "token": token, "ports": world.ports()}
+    if gige is not None:
+        hello["ports"] = {**world.ports(), CAMERA: gige.serial}
     print(json.dumps(hello), flush=True)  # noqa: T201  (how the ports are handed over)
     ours, theirs = socket.socketpair()
     threading.Thread(target=_await_end, args=(theirs,), daemon=True).start()
@@ -52,6 +63,31 @@ def run(spec: Mapping[str, Any]) -> None:
     finally:
         control.close()
         world.close()
+        if gige is not None:
+            gige.close()
+
+
+def _gige(camera: BenchCamera) -> GigeCamera:
+    resolution_px, bit_depth = camera.sensor()
+    return GigeCamera(camera.look, resolution_px=resolution_px, bit_depth=bit_depth)
+
+
+def _camera_faults(requests: Mapping[str, Handler], gige: GigeCamera) -> dict[str, Handler]:
+    """Requests about faults and cables, for the camera as for the devices."""
+
+    def fault(request: Mapping[str, Any]) -> Answer:
+        if request["device"] != CAMERA:
+            return requests["fault"](request)
+        gige.inject(request["fault"], dict(request.get("options", {})))
+        return {}, b""
+
+    def unplug(request: Mapping[str, Any]) -> Answer:
+        if request["device"] != CAMERA:
+            return requests["unplug"](request)
+        gige.unplug()
+        return {}, b""
+
+    return {"fault": fault, "unplug": unplug}
 
 
 def _camera(world: World, setup: Mapping[str, Any]) -> BenchCamera:

@@ -12,7 +12,9 @@ class Lamps:
     """Intensity and switch of each channel, counted from 1.
 
     Faults: ``dark`` (the lamp gives no light, the controller does not know), ``lit`` (it burns at the full, the
-    controller does not know), ``deaf`` (the controller acknowledges and keeps what it has), each for one channel.
+    controller does not know), ``deaf`` (the controller acknowledges and keeps what it has), ``aged`` (it gives that
+    ``share`` of its light), ``swapped`` (its plug is where that of channel ``other`` belongs, and the other way round),
+    each for one channel; ``power_cycle`` (the channels are as at power-up).
 
     Parameters
     ----------
@@ -26,7 +28,7 @@ class Lamps:
         Whether the channels are switched on at power-up.
     """
 
-    FAULTS = ("dark", "lit", "deaf")
+    FAULTS = ("dark", "lit", "deaf", "aged", "swapped", "power_cycle")
 
     def __init__(
         self, channels: int, top_level: int, levels: Mapping[str, int] | None = None, *, on: bool = True
@@ -36,10 +38,13 @@ class Lamps:
         self._level = dict.fromkeys(range(1, channels + 1), 0)
         self._on = dict.fromkeys(range(1, channels + 1), on)
         self._faults: dict[int, str] = {}
+        self._aged: dict[int, float] = {}
+        self._lamp_of = {channel: channel for channel in self._level}
         for channel, level in (levels or {}).items():
             if int(channel) not in self._level or not 0 <= level <= top_level:
                 raise ValueError(f"no level {level} on channel {channel} of {channels}")
             self._level[int(channel)] = level
+        self._at_power_up = dict(self._level), dict(self._on)
 
     def level(self, channel: int) -> int:
         """Intensity that a channel holds, whether it is switched on or not."""
@@ -63,18 +68,39 @@ class Lamps:
         """Let a channel suffer a fault: one of `FAULTS`, or ``clear``; `known` are others, for the message."""
         if fault == "clear":
             self._faults.clear()
+            self._aged.clear()
+            self._lamp_of = {channel: channel for channel in self._level}
             return
         if fault not in self.FAULTS:
             raise ValueError(
                 f'no fault called "{fault}"; there are {", ".join((*self.FAULTS, *known, "clear"))}'
             )
-        if set(options) != {"channel"} or options["channel"] not in self._level:
-            raise ValueError(f"{fault} wants a channel from 1 to {self.channels}, got {dict(options)}")
+        if fault == "power_cycle":
+            self._level, self._on = (dict(held) for held in self._at_power_up)
+            return
+        more = {"aged": {"share"}, "swapped": {"other"}}.get(fault, set[str]())
+        if set(options) != {"channel", *more} or options["channel"] not in self._level:
+            wants = "".join(f" and {name}" for name in more)
+            raise ValueError(f"{fault} wants a channel from 1 to {self.channels}{wants}, got {dict(options)}")
+        if fault == "aged":
+            self._aged[options["channel"]] = float(options["share"])
+            return
+        if fault == "swapped":
+            if options["other"] not in self._level:
+                raise ValueError(
+                    f"swapped wants another channel from 1 to {self.channels}, got {dict(options)}"
+                )
+            channel, other = options["channel"], options["other"]
+            self._lamp_of |= {channel: other, other: channel}
+            return
         self._faults[options["channel"]] = fault
 
     def shine(self, *, lit: bool = True) -> dict[int, float]:
         """Brightness of each channel as a share of the highest; `lit` is False where a master switch is off."""
-        return {channel: self._share(channel, lit=lit) for channel in self._level}
+        return {
+            lamp: self._share(channel, lit=lit) * self._aged.get(lamp, 1.0)
+            for channel, lamp in self._lamp_of.items()
+        }
 
     def _share(self, channel: int, *, lit: bool) -> float:
         fault = self._faults.get(channel)

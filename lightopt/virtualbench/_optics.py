@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
+import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
@@ -50,6 +51,7 @@ class BenchOptics:
         self._truth = truth
         self._caster: RayCaster = cast_rays_at(self._scene)
         self._layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
+        self._rendering = threading.Lock()
         self._taken: dict[bytes, int] = {}
 
     @property
@@ -57,7 +59,19 @@ class BenchOptics:
         """What is rendered."""
         return self._scene
 
-    def frame(self, shares: Mapping[str, float], posture: Posture, *, exposure: float) -> Levels:
+    def prepare(self, posture: Posture) -> None:
+        """Render all lights at a posture, for frames to come."""
+        self._layer(posture, self._scene.lights[0].name)
+
+    def frame(
+        self,
+        shares: Mapping[str, float],
+        posture: Posture,
+        *,
+        exposure: float,
+        gain_db: float = 0.0,
+        counted: bool = True,
+    ) -> Levels:
         """One frame with noise, quantised and saturated.
 
         The noise depends on the seed, on what is seen, and on how many frames of it were taken before.
@@ -70,30 +84,49 @@ class BenchOptics:
             Where the stage stands.
         exposure
             Relative exposure.
+        gain_db
+            Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
+        counted
+            Whether it counts among the frames that were taken before the next.
         """
+        gain = 10.0 ** (gain_db / 20.0)
+        electrons = self._scene.sensor.electrons_per_level
+        sensor = replace(
+            self._scene.sensor,
+            electrons_per_level=None if electrons is None else electrons / gain,
+            read_noise_levels=self._scene.sensor.read_noise_levels * gain,
+        )
         level = np.full(
             (self._scene.camera.height, self._scene.camera.width), self._truth.ambient_level, np.float32
         )
         burning = {name: share for name, share in sorted(shares.items()) if share > 0.0}
         for name, share in burning.items():
-            gain = self._truth.gains.get(name, 1.0)
-            level += np.float32(share * gain) * self._layer(posture, name)
+            factor = self._truth.gains.get(name, 1.0)
+            level += np.float32(share * factor) * self._layer(posture, name)
         return expose(
             level,
-            sensor=self._scene.sensor,
-            exposure=exposure,
+            sensor=sensor,
+            exposure=exposure * gain,
             full_scale=self._scene.reflectance.full_scale,
-            rng=self._noise(burning, posture, exposure),
+            rng=self._noise(burning, posture, exposure, counted=counted),
         )
 
-    def _noise(self, burning: Mapping[str, float], posture: Posture, exposure: float) -> np.random.Generator:
+    def _noise(
+        self, burning: Mapping[str, float], posture: Posture, exposure: float, *, counted: bool
+    ) -> np.random.Generator:
         numbers = (*burning.values(), posture.elevation_deg, posture.rotation_deg, exposure)
         state = ",".join(burning).encode() + struct.pack(f"<{len(numbers)}d", *numbers)
-        number = self._taken[state] = self._taken.get(state, -1) + 1
+        number = self._taken.get(state, -1) + 1
+        if counted:
+            self._taken[state] = number
         digest = hashlib.sha256(state + struct.pack("<qq", number, self._truth.seed)).digest()
         return np.random.default_rng(int.from_bytes(digest[:16], "little"))
 
     def _layer(self, posture: Posture, light: str) -> Float32:
+        with self._rendering:
+            return self._rendered(posture, light)
+
+    def _rendered(self, posture: Posture, light: str) -> Float32:
         if (posture, light) not in self._layers:
             # all lights at once: the rays are cast once, and the others are wanted next
             images = render_posture(self._scene, posture, caster=self._caster)

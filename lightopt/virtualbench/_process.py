@@ -16,7 +16,7 @@ from lightopt.errors import HardwareError, InputError
 
 __all__ = ["BenchProcess"]
 
-_START_S = 60.0
+_START_S = 120.0
 _REQUEST_S = 120.0
 _WRONG = 2  # exit status of the process where its description is at fault
 

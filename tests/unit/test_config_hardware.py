@@ -266,7 +266,7 @@ BAD = [
     ("port: COM4", "port: com3", "controllers.extra.port", ['"com3" is already that of controllers.main']),
     ("    folder: frames\n", "", "camera", ['missing key "folder"']),
     ("driver: folder", "driver: virtual", "camera.folder", ["only driver: folder", "leave this out"]),
-    ("driver: folder", "driver: pylon", "camera.driver", ["virtual or folder", '"pylon"']),
+    ("driver: folder", "driver: pylon", "camera.driver", ["virtual, folder, aravis or genicam", '"pylon"']),
     ("  exposure_us: 8000\n", "", "camera", ["exposure_us", "µs", "exposure 1"]),
     ("discard_frames: 2", "discard_frames: 2.5", "timing.discard_frames", ["whole number from 0 to 20"]),
 ]
