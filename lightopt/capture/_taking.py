@@ -167,9 +167,8 @@ class Taking:
             self._light(devices, shooter, task, light, dark)
         if self._plan.options.check:
             exposure = self._plan.exposures[0]
-            self._disk.image(
-                self._judge.dark, self._expose(devices, shooter, task, exposure), exposure, self.warn
-            )
+            shot = self._expose(devices, shooter, task, exposure)
+            self._disk.image(self._judge.dark, shot, task.posture, exposure, self.warn)
 
     def _dark(self, devices: Devices, shooter: Shooter, task: PostureTask) -> Dark:
         dark: Dark = {}
@@ -182,7 +181,7 @@ class Taking:
         for exposure in self._plan.exposures if self._plan.reference else ():
             if not self._judge.has_reference(exposure):
                 shot = self._expose(devices, shooter, task, exposure)
-                self._disk.image(self._judge.dark, shot, exposure, self.warn)
+                self._disk.image(self._judge.dark, shot, task.posture, exposure, self.warn)
         return dark
 
     def _light(self, devices: Devices, shooter: Shooter, task: PostureTask, light: str, dark: Dark) -> None:
@@ -215,7 +214,7 @@ class Taking:
 
     def _keep_dark(self, posture: Posture, exposure: float, shot: Shot, dark: Dark) -> None:
         """Check that no light burns, and put the frame on disk."""
-        self._judge.dark(shot, exposure, self.warn)
+        self._judge.dark(shot, posture, exposure, self.warn)
         self._records.add_dark(posture, exposure, shot)
         dark[exposure] = shot.image.mean
 

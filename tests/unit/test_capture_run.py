@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from types import SimpleNamespace
 
@@ -440,6 +441,34 @@ def test_a_light_that_stays_on_after_the_last_image_is_named(take, world, level)
     world.trouble = changing_at(world, 4, stuck)  # without light, light1, light3, without light
     with pytest.raises(HardwareError, match="the frame without light looks like light1"):
         take(postures=(Posture(0.0, 0.0),))
+
+
+def test_a_light_that_stays_on_is_judged_by_the_posture_that_it_shows(take, world, monkeypatch):
+    from lightopt.capture import _judge
+
+    plain = _judge.lights_left_on
+    last = threading.Event()
+
+    def late(*arguments, **options):  # the disk comes to it only once the stage travels to the next posture
+        if len(world.did("grab")) == 4:
+            last.wait(5.0)
+        return plain(*arguments, **options)
+
+    def stuck(event):
+        at = len(world.did("grab"))
+        if event[0] == "grab" and at == 4:  # without light, light1, light3, without light
+            world.plugs = {("bench1", 1): ("bench1", 9)}
+            world.levels["bench1", 9] = 60
+        if event[0] == "move" and at == 4:
+            time.sleep(0.1)
+            last.set()
+
+    monkeypatch.setattr(_judge, "lights_left_on", late)
+    world.trouble = stuck
+    with pytest.raises(HardwareError, match="the frame without light looks like light1"):
+        take(postures=(Posture(0.0, 0.0), Posture(-30.0, 90.0)))
+    assert last.is_set()
+    assert len(world.did("grab")) == 4
 
 
 def test_another_part_is_refused_unless_unchecked(take, world, bench):
