@@ -68,6 +68,10 @@ class Judge:
             predicted = self._worker.submit(predict, self._scene, posture, self._caster)
             self._predicted = dict([*before, (posture, predicted)])
 
+    def refer(self, dark: Float32, exposure: float) -> None:
+        """Compare frames without light with one [sensor level], (H, W), that an earlier run found dark and kept."""
+        self._reference.setdefault(exposure, dark)
+
     def dark(self, shot: Shot, posture: Posture, exposure: float, warn: Callable[[str], None]) -> None:
         """Keep a frame without light, the first at its exposure, once it shows that no light burns.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from lightopt.capture._shoot import Shot
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.images import (
+    ENDED_DARK_KEY,
     EVENTS_KEY,
     MANIFEST_NAME,
     ImageEntry,
@@ -95,19 +96,51 @@ class CapturedSet:
         }
 
     def missing(self, light: str, posture: Posture) -> tuple[float, ...]:
-        """Exposures to take; all of them where means of frames would be mixed with those of another run."""
+        """Exposures to take: all of them where one is, because what the lamp gives now may be another brightness.
+
+        The images of a posture count once a frame at its end has shown that no light burned on. Means of frames are
+        not on disk, only rounded, so that no linear image is made of them.
+        """
         exposures = self._plan.exposures
-        lacking = tuple(e for e in exposures if not self.writer.done(light, posture, e))
-        incomplete = bool(lacking) or not self.writer.linear_done(light, posture)
-        return exposures if incomplete and self._plan.options.average > 1 else lacking
+        if self._plan.options.check and not self.ended_dark(posture):
+            return exposures
+        if not all(self.writer.done(light, posture, exposure) for exposure in exposures):
+            return exposures
+        again = self._plan.options.average > 1 and not self.writer.linear_done(light, posture)
+        return exposures if again else ()
 
-    def complete(self, light: str, posture: Posture) -> bool:
-        """Whether all exposures and the linear image are there."""
-        return not self.missing(light, posture) and self.writer.linear_done(light, posture)
+    def todo(self, task: PostureTask) -> dict[str, tuple[float, ...]]:
+        """Lights of a posture that are not complete, and their exposures to take; none where the linear image lacks."""
+        missing = {light: self.missing(light, task.posture) for light in task.lights}
+        return {
+            light: exposures
+            for light, exposures in missing.items()
+            if exposures or not self.writer.linear_done(light, task.posture)
+        }
 
-    def todo(self, task: PostureTask) -> tuple[str, ...]:
-        """Lights of a posture that are not complete."""
-        return tuple(light for light in task.lights if not self.complete(light, task.posture))
+    def ended_dark(self, posture: Posture) -> bool:
+        """Whether a frame after the images of a posture showed that no light burned on."""
+        return posture.as_dict() in self._ended_dark
+
+    def end_dark(self, posture: Posture) -> None:
+        """Note that a frame after the images of a posture showed that no light burned on."""
+        self.writer.add_extra(ENDED_DARK_KEY, [*self._ended_dark, posture.as_dict()])
+
+    def forget(self, posture: Posture, lights: Iterable[str]) -> None:
+        """Drop images of a posture, which then has not ended dark: to take them anew, or because they are in doubt."""
+        ended = [there for there in self._ended_dark if there != posture.as_dict()]
+        changed = {ENDED_DARK_KEY: ended} if ended != self._ended_dark else None
+        self.writer.drop(images=[(light, posture) for light in lights], extra=changed)
+
+    @property
+    def in_doubt(self) -> int:
+        """Number of images on disk that no frame without light followed, so that they are taken anew."""
+        images = self.writer.manifest.images if self._plan.options.check else ()
+        return sum(not self.ended_dark(entry.posture) for entry in images)
+
+    @property
+    def _ended_dark(self) -> list[dict[str, float]]:
+        return list(self.writer.manifest.extra.get(ENDED_DARK_KEY, ()))
 
     def dark_kept(self, posture: Posture, exposure: float) -> bool:
         """Whether a dark frame is on disk."""
@@ -130,7 +163,9 @@ class CapturedSet:
             "mean_level": float(shot.image.mean.mean(dtype=np.float64)),
             "capture": _facts(shot),
         }
-        self.writer.add_levels(dark_name(posture, exposure), shot.image.png, metadata=facts)
+        name = dark_name(posture, exposure)
+        self.writer.drop(files=[name])
+        self.writer.add_levels(name, shot.image.png, metadata=facts)
 
     def add(self, light: str, posture: Posture, exposure: float, shot: Shot) -> None:
         """Put an image on disk and into the manifest."""

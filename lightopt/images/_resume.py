@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from lightopt.errors import InputError
-from lightopt.images._manifest import EVENTS_KEY, MANIFEST_NAME, Manifest
+from lightopt.images._manifest import ENDED_DARK_KEY, EVENTS_KEY, MANIFEST_NAME, Manifest
 from lightopt.images._parse import read_manifest
 
-__all__ = ["remove_image_set", "remove_set", "resumable_manifest"]
+__all__ = ["remove_file", "remove_image_set", "remove_set", "resumable_manifest"]
 
-_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings", EVENTS_KEY)
+_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings", EVENTS_KEY, ENDED_DARK_KEY)
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
@@ -86,28 +86,33 @@ def remove_image_set(folder: Path) -> int:
     if manifest.kind != "simulated":
         return 0
     removed = _remove_files(folder, manifest)
+    return removed + remove_file(folder / MANIFEST_NAME)
+
+
+def remove_file(path: Path) -> bool:
+    """Remove a file; whether it was there.
+
+    Raises
+    ------
+    InputError
+        When the operating system refuses.
+    """
     try:
-        (folder / MANIFEST_NAME).unlink()
+        path.unlink()
+    except FileNotFoundError:
+        return False
     except OSError as error:
         raise InputError(
-            f"{folder / MANIFEST_NAME}: cannot be removed: {error.strerror or error}; choose another output folder"
+            f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
         ) from error
-    return 1 + removed
+    return True
 
 
 def _remove_files(folder: Path, manifest: Manifest) -> int:
     removed = 0
     paths = [folder / name for name in _listed(manifest)]
     for path in paths:
-        try:
-            path.unlink()
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
-            ) from error
-        removed += 1
+        removed += remove_file(path)
     for parent in {path.parent for path in paths if path.parent != folder}:
         with contextlib.suppress(OSError):  # something else is in it
             parent.rmdir()
