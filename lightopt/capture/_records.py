@@ -27,13 +27,17 @@ from lightopt.images import (
     SourceFile,
     dark_name,
     file_sha256,
+    make_folder,
+    read_manifest,
     read_png,
     read_png_metadata,
+    remove_file,
+    resumable_manifest,
 )
-from lightopt.scene import Scene
+from lightopt.scene import Scene, build_scene
 from lightopt.transforms import Posture
 
-__all__ = ["CapturedSet", "open_set"]
+__all__ = ["CapturedSet", "check_folder", "open_set"]
 
 Float32 = NDArray[np.float32]
 
@@ -41,7 +45,7 @@ Float32 = NDArray[np.float32]
 def open_set(
     folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan, *, resume: bool, force: bool
 ) -> CapturedSet:
-    """Begin a captured set, or continue one.
+    """Begin a captured set, or continue one; one in which nothing is listed is begun anew.
 
     Raises
     ------
@@ -49,12 +53,50 @@ def open_set(
         When the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan; the
         message says what differs.
     """
-    if (folder / MANIFEST_NAME).exists() and not (resume or force):
+    _refuse_set(folder, resume=resume, force=force)
+    if not force and _lists_nothing(folder):
+        remove_file(folder / MANIFEST_NAME)
+    header = _header(rig, part, scene, plan)
+    return CapturedSet(ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
+
+
+def check_folder(
+    folder: Path, rig: RigConfig, part: PartConfig, plan: Plan, *, resume: bool, force: bool
+) -> None:
+    """Say whether a set could be begun or continued in a folder; nothing is written.
+
+    Raises
+    ------
+    InputError
+        As :func:`open_set`, and where a file is in the way of the folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        make_folder(folder)  # which says so
+    _refuse_set(folder, resume=resume, force=force)
+    if resume and (folder / MANIFEST_NAME).exists() and not _lists_nothing(folder):
+        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks])
+        resumable_manifest(folder, _header(rig, part, scene, plan))
+
+
+def _refuse_set(folder: Path, *, resume: bool, force: bool) -> None:
+    if (folder / MANIFEST_NAME).exists() and not (resume or force or _lists_nothing(folder)):
         raise InputError(
             f"{folder}: holds an image set; use --resume to take what is missing of it, --force to replace it, "
             "or choose another output folder"
         )
-    header = Manifest(
+
+
+def _lists_nothing(folder: Path) -> bool:
+    """Whether a capture was begun in a folder and ended before its first image."""
+    try:
+        manifest = read_manifest(folder / MANIFEST_NAME)
+    except InputError:
+        return False
+    return manifest.kind == "captured" and not (manifest.images or manifest.files)
+
+
+def _header(rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan) -> Manifest:
+    return Manifest(
         kind="captured",
         bit_depth=scene.sensor.bit_depth,
         full_scale=scene.reflectance.full_scale,
@@ -69,7 +111,6 @@ def open_set(
             "versions": {name: version(name) for name in ("numpy", "OpenImageIO")},
         },
     )
-    return CapturedSet(ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
 
 
 class CapturedSet:

@@ -128,13 +128,20 @@ def _listed(manifest: Manifest) -> list[str]:
 
 
 def _differences(existing: Manifest, header: Manifest) -> list[str]:
-    """Say in words what tells two runs apart."""
+    """Say in words what tells two runs apart: what a person set first, then which files have another content."""
     old, new = _flat(existing), _flat(header)
+    differing = [key for key in dict.fromkeys((*old, *new)) if old.get(key) != new.get(key)]
+    differing.sort(key=_is_hash)
     return [
-        f"{key}: there {old.get(key, 'absent')}, now {new.get(key, 'absent')}"
-        for key in dict.fromkeys((*old, *new))
-        if old.get(key) != new.get(key)
+        f"{key}: another content"
+        if _is_hash(key)
+        else f"{key}: there {old.get(key, 'absent')}, now {new.get(key, 'absent')}"
+        for key in differing
     ]
+
+
+def _is_hash(key: str) -> bool:
+    return key.endswith("sha256")
 
 
 def _flat(manifest: Manifest) -> dict[str, str]:

@@ -352,3 +352,24 @@ def test_what_was_noticed_stays_in_the_manifest_of_a_run_that_failed(take, world
     with pytest.raises(HardwareError):
         take(truth=BenchTruth(ambient_level=4.0))
     assert any(text.startswith("without any light") for text in manifest(bench)["warnings"])
+
+
+# --- the folder
+
+
+def test_a_start_that_failed_is_in_nobodys_way(take, world, bench):
+    world.trouble = broken("level")
+    with pytest.raises(HardwareError):
+        take()
+    undisturbed(world)
+    assert take(exposures=(1.0, 1 / 4)).taken == 8
+
+
+def test_what_differs_is_said_before_which_files_do(take, bench):
+    from lightopt.config import load_part
+
+    take(postures=HERE)
+    bench.edit("part.yaml", "R_d: 45.0", "R_d: 46.0")
+    with pytest.raises(InputError) as raised:
+        take(postures=HERE, part=load_part(bench.part), average=2, resume=True)
+    assert "(options.average: there 1, now 2; part.sha256: another content); use --force" in str(raised.value)
