@@ -54,9 +54,14 @@ def open_set(
         message says what differs.
     """
     _refuse_set(folder, resume=resume, force=force)
-    if not force and _lists_nothing(folder):
-        remove_file(folder / MANIFEST_NAME)
     header = _header(rig, part, scene, plan)
+    if not (resume or force) and _lists_nothing(folder):
+        try:
+            resumable_manifest(
+                folder, header
+            )  # of this plan: a killed run may have left a file that it did not list
+        except InputError:
+            remove_file(folder / MANIFEST_NAME)
     return CapturedSet(ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
 
 
@@ -73,7 +78,7 @@ def check_folder(
     if folder.exists() and not folder.is_dir():
         make_folder(folder)  # which says so
     _refuse_set(folder, resume=resume, force=force)
-    if resume and (folder / MANIFEST_NAME).exists() and not _lists_nothing(folder):
+    if resume and (folder / MANIFEST_NAME).exists():
         scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks])
         resumable_manifest(folder, _header(rig, part, scene, plan))
 

@@ -20,7 +20,7 @@ from lightopt.capture._records import CapturedSet
 from lightopt.capture._shoot import Shooter
 from lightopt.capture._timing import Timing
 from lightopt.errors import HardwareError, InputError, Interrupted
-from lightopt.images import ImageSetWriter, file_sha256, read_image_set, read_png
+from lightopt.images import ImageSetWriter, file_sha256, png_name, read_image_set, read_png
 from lightopt.transforms import Posture
 
 HERE = (Posture(0.0, 0.0),)
@@ -363,6 +363,18 @@ def test_a_start_that_failed_is_in_nobodys_way(take, world, bench):
         take()
     undisturbed(world)
     assert take(exposures=(1.0, 1 / 4)).taken == 8
+
+
+@pytest.mark.parametrize("options", [{}, {"resume": True}])
+def test_a_file_that_a_killed_run_had_not_listed_yet_is_taken_anew(take, world, bench, options):
+    world.trouble = broken("grab", number=2)  # without light, light1
+    with pytest.raises(HardwareError):
+        take(postures=HERE)
+    undisturbed(world)
+    assert manifest(bench)["images"] == []
+    (bench.out / "posture_0_0").mkdir(exist_ok=True)
+    (bench.out / png_name("light1", HERE[0], 1.0)).write_bytes(b"killed before it was listed")
+    assert take(postures=HERE, **options).taken == 2
 
 
 def test_what_differs_is_said_before_which_files_do(take, bench):
