@@ -19,6 +19,7 @@ from lightopt.capture._manual import (
 from lightopt.capture._merge import merge_bracket
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan import Plan, PostureTask, Step, make_plan
+from lightopt.capture._records import check_folder
 from lightopt.capture._run import Captured, CaptureReport, Connect, capture
 from lightopt.capture._switch_off import switch_off
 from lightopt.capture._timing import Timing
@@ -44,6 +45,7 @@ __all__ = [
     "check_angles",
     "check_burning",
     "check_devices",
+    "check_folder",
     "check_level",
     "check_lit",
     "connect_devices",

@@ -28,7 +28,7 @@ AMBIENT_LEVELS = 0.5
 
 
 class Judge:
-    """Holds the prediction of the posture that the stage is at, made while it travels, and the frame without light.
+    """Holds the predictions of the latest postures, made while the stage travels, and the frame without light.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Judge:
         self._check = check
         self._caster = cast_rays_at(scene) if check else None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="predict")
-        self._predicted: Future[Predictions] | None = None
+        self._predicted: dict[Posture, Future[Predictions]] = {}
         self._reference: dict[float, Float32] = {}
 
     @property
@@ -59,11 +59,20 @@ class Judge:
         return not self._check or exposure in self._reference
 
     def begin(self, posture: Posture) -> None:
-        """Predict what the lights make of the part in a posture, in a thread of its own."""
-        if self._caster is not None:
-            self._predicted = self._worker.submit(predict, self._scene, posture, self._caster)
+        """Predict what the lights make of the part in a posture, in a thread of its own.
 
-    def dark(self, shot: Shot, exposure: float, warn: Callable[[str], None]) -> None:
+        The prediction of the posture before is kept: its last frames may not have been judged yet.
+        """
+        if self._caster is not None:
+            before = list(self._predicted.items())[-1:]
+            predicted = self._worker.submit(predict, self._scene, posture, self._caster)
+            self._predicted = dict([*before, (posture, predicted)])
+
+    def refer(self, dark: Float32, exposure: float) -> None:
+        """Compare frames without light with one [sensor level], (H, W), that an earlier run found dark and kept."""
+        self._reference.setdefault(exposure, dark)
+
+    def dark(self, shot: Shot, posture: Posture, exposure: float, warn: Callable[[str], None]) -> None:
         """Keep a frame without light, the first at its exposure, once it shows that no light burns.
 
         Raises
@@ -71,12 +80,12 @@ class Judge:
         HardwareError
             When it looks like the image of a light.
         """
-        if self._predicted is None:
+        if not self._check:
             return
         first = self._reference.get(exposure)
         burning = lights_left_on(
             shot.image.mean,
-            predictions=self._predicted.result(),
+            predictions=self._predicted[posture].result(),
             sensor=self.sensor,
             exposure=shot.image.exposure,
             before=first,
@@ -112,13 +121,13 @@ class Judge:
         HardwareError
             When it is lit by another light, by two, or by none, or not as at its other exposures.
         """
-        if self._predicted is None:
+        if not self._check:
             return None
         found = check_lit(
             light,
             shot.image.mean,
             self._dark(dark, exposure),
-            predictions=self._predicted.result(),
+            predictions=self._predicted[posture].result(),
             sensor=self.sensor,
             exposure=shot.image.exposure,
         )

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from lightopt.errors import InputError
+from lightopt.images import make_folder
 
 __all__ = ["LOCK_NAME", "locked"]
 
@@ -51,8 +52,8 @@ def locked(folder: Path) -> Generator[None]:
 
 def _opened(path: Path) -> IO[str]:
     """Open and lock the file."""
+    make_folder(path.parent)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+", encoding="ascii")
     except OSError as error:
         raise InputError(

@@ -10,7 +10,7 @@ from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan_problems import exposure_problems, light_problems, posture_problems
 from lightopt.capture._wiring import Wiring, wiring_of
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.scene import travel_order, travel_s
 from lightopt.transforms import Posture
 
@@ -273,7 +273,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         home=wiring.hardware.stage is not None and (options.home or wiring.stage_is_virtual),
         pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
     )
-    taken = f"{len(exposures)} exposures of {options.average} frames"
+    taken = f"{counted(len(exposures), 'exposure')} of {counted(options.average, 'frame')}"
     problems += light_problems(rig, wiring, plan.tasks[0].lights, burning_s=plan.burning_s(), taken=taken)
     if problems:
         raise InputError(*problems)

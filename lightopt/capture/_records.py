@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from lightopt.capture._shoot import Shot
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.images import (
+    ENDED_DARK_KEY,
     EVENTS_KEY,
     MANIFEST_NAME,
     ImageEntry,
@@ -26,13 +27,17 @@ from lightopt.images import (
     SourceFile,
     dark_name,
     file_sha256,
+    make_folder,
+    read_manifest,
     read_png,
     read_png_metadata,
+    remove_file,
+    resumable_manifest,
 )
-from lightopt.scene import Scene
+from lightopt.scene import Scene, build_scene
 from lightopt.transforms import Posture
 
-__all__ = ["CapturedSet", "open_set"]
+__all__ = ["CapturedSet", "check_folder", "open_set"]
 
 Float32 = NDArray[np.float32]
 
@@ -40,7 +45,7 @@ Float32 = NDArray[np.float32]
 def open_set(
     folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan, *, resume: bool, force: bool
 ) -> CapturedSet:
-    """Begin a captured set, or continue one.
+    """Begin a captured set, or continue one; one in which nothing is listed is begun anew.
 
     Raises
     ------
@@ -48,12 +53,55 @@ def open_set(
         When the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan; the
         message says what differs.
     """
-    if (folder / MANIFEST_NAME).exists() and not (resume or force):
+    _refuse_set(folder, resume=resume, force=force)
+    header = _header(rig, part, scene, plan)
+    if not (resume or force) and _lists_nothing(folder):
+        try:
+            resumable_manifest(
+                folder, header
+            )  # of this plan: a killed run may have left a file that it did not list
+        except InputError:
+            remove_file(folder / MANIFEST_NAME)
+    return CapturedSet(ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
+
+
+def check_folder(
+    folder: Path, rig: RigConfig, part: PartConfig, plan: Plan, *, resume: bool, force: bool
+) -> None:
+    """Say whether a set could be begun or continued in a folder; nothing is written.
+
+    Raises
+    ------
+    InputError
+        As :func:`open_set`, and where a file is in the way of the folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        make_folder(folder)  # which says so
+    _refuse_set(folder, resume=resume, force=force)
+    if resume and (folder / MANIFEST_NAME).exists():
+        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks])
+        resumable_manifest(folder, _header(rig, part, scene, plan))
+
+
+def _refuse_set(folder: Path, *, resume: bool, force: bool) -> None:
+    if (folder / MANIFEST_NAME).exists() and not (resume or force or _lists_nothing(folder)):
         raise InputError(
             f"{folder}: holds an image set; use --resume to take what is missing of it, --force to replace it, "
             "or choose another output folder"
         )
-    header = Manifest(
+
+
+def _lists_nothing(folder: Path) -> bool:
+    """Whether a capture was begun in a folder and ended before its first image."""
+    try:
+        manifest = read_manifest(folder / MANIFEST_NAME)
+    except InputError:
+        return False
+    return manifest.kind == "captured" and not (manifest.images or manifest.files)
+
+
+def _header(rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan) -> Manifest:
+    return Manifest(
         kind="captured",
         bit_depth=scene.sensor.bit_depth,
         full_scale=scene.reflectance.full_scale,
@@ -68,7 +116,6 @@ def open_set(
             "versions": {name: version(name) for name in ("numpy", "OpenImageIO")},
         },
     )
-    return CapturedSet(ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
 
 
 class CapturedSet:
@@ -95,19 +142,51 @@ class CapturedSet:
         }
 
     def missing(self, light: str, posture: Posture) -> tuple[float, ...]:
-        """Exposures to take; all of them where means of frames would be mixed with those of another run."""
+        """Exposures to take: all of them where one is, because what the lamp gives now may be another brightness.
+
+        The images of a posture count once a frame at its end has shown that no light burned on. Means of frames are
+        not on disk, only rounded, so that no linear image is made of them.
+        """
         exposures = self._plan.exposures
-        lacking = tuple(e for e in exposures if not self.writer.done(light, posture, e))
-        incomplete = bool(lacking) or not self.writer.linear_done(light, posture)
-        return exposures if incomplete and self._plan.options.average > 1 else lacking
+        if self._plan.options.check and not self.ended_dark(posture):
+            return exposures
+        if not all(self.writer.done(light, posture, exposure) for exposure in exposures):
+            return exposures
+        again = self._plan.options.average > 1 and not self.writer.linear_done(light, posture)
+        return exposures if again else ()
 
-    def complete(self, light: str, posture: Posture) -> bool:
-        """Whether all exposures and the linear image are there."""
-        return not self.missing(light, posture) and self.writer.linear_done(light, posture)
+    def todo(self, task: PostureTask) -> dict[str, tuple[float, ...]]:
+        """Lights of a posture that are not complete, and their exposures to take; none where the linear image lacks."""
+        missing = {light: self.missing(light, task.posture) for light in task.lights}
+        return {
+            light: exposures
+            for light, exposures in missing.items()
+            if exposures or not self.writer.linear_done(light, task.posture)
+        }
 
-    def todo(self, task: PostureTask) -> tuple[str, ...]:
-        """Lights of a posture that are not complete."""
-        return tuple(light for light in task.lights if not self.complete(light, task.posture))
+    def ended_dark(self, posture: Posture) -> bool:
+        """Whether a frame after the images of a posture showed that no light burned on."""
+        return posture.as_dict() in self._ended_dark
+
+    def end_dark(self, posture: Posture) -> None:
+        """Note that a frame after the images of a posture showed that no light burned on."""
+        self.writer.add_extra(ENDED_DARK_KEY, [*self._ended_dark, posture.as_dict()])
+
+    def forget(self, posture: Posture, lights: Iterable[str]) -> None:
+        """Drop images of a posture, which then has not ended dark: to take them anew, or because they are in doubt."""
+        ended = [there for there in self._ended_dark if there != posture.as_dict()]
+        changed = {ENDED_DARK_KEY: ended} if ended != self._ended_dark else None
+        self.writer.drop(images=[(light, posture) for light in lights], extra=changed)
+
+    @property
+    def in_doubt(self) -> int:
+        """Number of images on disk that no frame without light followed, so that they are taken anew."""
+        images = self.writer.manifest.images if self._plan.options.check else ()
+        return sum(not self.ended_dark(entry.posture) for entry in images)
+
+    @property
+    def _ended_dark(self) -> list[dict[str, float]]:
+        return list(self.writer.manifest.extra.get(ENDED_DARK_KEY, ()))
 
     def dark_kept(self, posture: Posture, exposure: float) -> bool:
         """Whether a dark frame is on disk."""
@@ -130,7 +209,9 @@ class CapturedSet:
             "mean_level": float(shot.image.mean.mean(dtype=np.float64)),
             "capture": _facts(shot),
         }
-        self.writer.add_levels(dark_name(posture, exposure), shot.image.png, metadata=facts)
+        name = dark_name(posture, exposure)
+        self.writer.drop(files=[name])
+        self.writer.add_levels(name, shot.image.png, metadata=facts)
 
     def add(self, light: str, posture: Posture, exposure: float, shot: Shot) -> None:
         """Put an image on disk and into the manifest."""

@@ -42,6 +42,8 @@ class Captured:
         Files of another set that were removed.
     retries
         Commands that were sent again.
+    virtual_bench
+        Whether the rig has no hardware section, so that all devices were simulated.
     timing
         Where the time went.
     warnings
@@ -53,6 +55,7 @@ class Captured:
     taken: int
     replaced: int
     retries: int
+    virtual_bench: bool
     timing: Timing
     warnings: tuple[str, ...]
 
@@ -144,6 +147,7 @@ def capture(
         taken=run.taken,
         replaced=run.replaced,
         retries=0 if devices is None else devices.retries,
+        virtual_bench=not plan.wiring.given,
         timing=timing,
         warnings=run.warnings,
     )

@@ -16,12 +16,16 @@ from lightopt.capture._judge import Judge
 from lightopt.capture._plan import Plan, PostureTask
 from lightopt.capture._records import CapturedSet
 from lightopt.capture._shoot import Shooter, Shot
+from lightopt.capture._signals import EndSignals
 from lightopt.capture._timing import Timing
-from lightopt.errors import Interrupted, LightoptError, counted
+from lightopt.errors import HardwareError, InputError, Interrupted, LightoptError, counted
 from lightopt.scene import Scene
 from lightopt.transforms import Posture
 
 __all__ = ["CaptureReport", "Taking"]
+
+SILENT_S = 1.0
+"""The disk is waited for so long at the end before a word is said of it."""
 
 Dark = dict[float, NDArray[np.float32]]
 """Frames without light of a posture by relative exposure."""
@@ -73,6 +77,7 @@ class Taking:
         )
         self._devices: Devices | None = None
         self._shooter: Shooter | None = None
+        self._in_doubt: tuple[Posture, Sequence[str]] | None = None
         self.taken = 0
         self.warnings: tuple[str, ...] = ()
 
@@ -84,17 +89,31 @@ class Taking:
     ) -> None:
         """Finish what is being written, and say where an interrupted run stands; its devices are closed already."""
         del kind, trace
-        self.finish()
-        if error is None:
+        stopped = isinstance(error, KeyboardInterrupt)
+        signalled = self._finish(failed=error is not None, lights="all lights are off; " if stopped else "")
+        if error is None and not signalled:
             return
         with contextlib.suppress(LightoptError):  # the error that ends the run is told, not a second one
+            if self._in_doubt is not None:
+                self._records.forget(*self._in_doubt)
+            self._records.writer.add_warnings(self.warnings)
             self._note_events()
-        if isinstance(error, KeyboardInterrupt) and self._devices is not None:
-            there = len(self._records.writer.manifest.images)
-            raise Interrupted(
-                f"all lights are off; {there} of {counted(len(self._plan.keys), 'image')} are on disk; "
-                "go on with --resume"
-            ) from error
+        if (stopped or error is None) and self._devices is not None:
+            raise Interrupted(f"all lights are off; {self._standing()}") from error
+
+    def _standing(self) -> str:
+        """What is there and how to go on, in words."""
+        there, planned = len(self._records.writer.manifest.images), len(self._plan.keys)
+        on_disk = f"{there} of {counted(planned, 'image')} {'is' if planned == 1 else 'are'} on disk"
+        if not self.todo():
+            return f"{on_disk}; the set is complete"
+        again = self._records.in_doubt
+        if not again:
+            return f"{on_disk}; go on with --resume"
+        return (
+            f"{on_disk}; go on with --resume, which takes {again} of them anew, because no frame without light "
+            "followed them"
+        )
 
     @property
     def replaced(self) -> int:
@@ -133,6 +152,7 @@ class Taking:
         if self._plan.home:
             self._tell("homing the stage")
             shooter.home()
+        self._refer_to_darks()
         for task in self.todo():
             self._posture(devices, shooter, task)
         devices.step = "checking and writing the last images"
@@ -140,9 +160,16 @@ class Taking:
 
     def flush(self) -> None:
         """Put what was noticed into the manifest."""
-        self._records.writer.add_warnings(self.warnings)
-        self._note_events()
-        self.finish()
+        try:
+            self._records.writer.add_warnings(self.warnings)
+            self._note_events()
+        except InputError as error:
+            if self._devices is None:
+                raise
+            first, *others = error.messages
+            raise HardwareError(
+                f"while completing the manifest: {first}", *others, "all lights are off"
+            ) from error
 
     def _note_events(self) -> None:
         """Put what was out of the ordinary on the links, and is not in the entry of an image, into the manifest."""
@@ -151,25 +178,53 @@ class Taking:
         )
         self._records.note_events([event.as_dict() for event in events])
 
-    def finish(self) -> None:
-        """Let what is being written be finished, whatever else happened."""
-        self._disk.close()
-        if self._shooter is not None:
-            self._shooter.close()
-        self._judge.close()
+    def _finish(self, *, failed: bool, lights: str) -> bool:
+        """Let what is being written be finished, whatever happens; whether a signal came meanwhile.
+
+        Signals are held back: what writes into the folder must have ended before another capture may.
+        """
+        signals = EndSignals()
+        signals.install()
+        try:
+            with signals.shielded():
+                if failed:
+                    self._disk.give_up_linears()
+                if not self._disk.idle(SILENT_S) and self._warn is not None:
+                    self._warn(
+                        f"{lights}waiting for the disk to take what was exposed; Ctrl-C waits for it, too"
+                    )
+                self._disk.close()
+                if self._shooter is not None:
+                    self._shooter.close()
+                self._judge.close()
+        finally:
+            signals.restore()
+        return signals.pending is not None
 
     def _posture(self, devices: Devices, shooter: Shooter, task: PostureTask) -> None:
         self._judge.begin(task.posture)
         self._tell(f"moving to {task.posture}")
         shooter.move(task.posture)
+        todo = self._records.todo(task)
+        anew = [light for light, missing in todo.items() if missing]
+        if anew:
+            self._disk.image(self._records.forget, task.posture, anew)
         dark = self._dark(devices, shooter, task)
-        for light in self._records.todo(task):
-            self._light(devices, shooter, task, light, dark)
-        if self._plan.options.check:
+        for light, missing in todo.items():
+            self._light(devices, shooter, task, light, missing, dark)
+        if self._plan.options.check and anew:
             exposure = self._plan.exposures[0]
-            self._disk.image(
-                self._judge.dark, self._expose(devices, shooter, task, exposure), exposure, self.warn
-            )
+            shot = self._expose(devices, shooter, task, exposure)
+            self._disk.image(self._end_dark, task.posture, anew, exposure, shot)
+
+    def _refer_to_darks(self) -> None:
+        """Let frames without light be compared with those that an earlier run kept."""
+        for task in self._plan.tasks:
+            for exposure in task.dark_exposures:
+                if not self._judge.has_reference(exposure) and self._records.dark_kept(
+                    task.posture, exposure
+                ):
+                    self._judge.refer(self._records.dark_there(task.posture, exposure), exposure)
 
     def _dark(self, devices: Devices, shooter: Shooter, task: PostureTask) -> Dark:
         dark: Dark = {}
@@ -182,11 +237,18 @@ class Taking:
         for exposure in self._plan.exposures if self._plan.reference else ():
             if not self._judge.has_reference(exposure):
                 shot = self._expose(devices, shooter, task, exposure)
-                self._disk.image(self._judge.dark, shot, exposure, self.warn)
+                self._disk.image(self._judge.dark, shot, task.posture, exposure, self.warn)
         return dark
 
-    def _light(self, devices: Devices, shooter: Shooter, task: PostureTask, light: str, dark: Dark) -> None:
-        missing = self._records.missing(light, task.posture)
+    def _light(
+        self,
+        devices: Devices,
+        shooter: Shooter,
+        task: PostureTask,
+        light: str,
+        missing: Sequence[float],
+        dark: Dark,
+    ) -> None:
         taken: dict[float, Exposed] = {}
         if missing:
             shooter.set_exposure(missing[0])
@@ -215,9 +277,22 @@ class Taking:
 
     def _keep_dark(self, posture: Posture, exposure: float, shot: Shot, dark: Dark) -> None:
         """Check that no light burns, and put the frame on disk."""
-        self._judge.dark(shot, exposure, self.warn)
+        self._judge.dark(shot, posture, exposure, self.warn)
         self._records.add_dark(posture, exposure, shot)
         dark[exposure] = shot.image.mean
+
+    def _end_dark(self, posture: Posture, lights: Sequence[str], exposure: float, shot: Shot) -> None:
+        """Check that no light burned on; only then do the images of the posture count."""
+        try:
+            self._judge.dark(shot, posture, exposure, self.warn)
+        except HardwareError as error:
+            self._in_doubt = (posture, lights)
+            raise HardwareError(
+                *error.messages,
+                f"it may have burned during images of {posture} as well: those taken since the frame without light "
+                "before were not kept; --resume takes them anew",
+            ) from error
+        self._records.end_dark(posture)
 
     def _expose(
         self,

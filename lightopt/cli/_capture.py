@@ -75,7 +75,7 @@ def capture(
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
 
-    from lightopt.capture import CaptureOptions, check_devices, make_plan
+    from lightopt.capture import CaptureOptions, check_devices, check_folder, make_plan
     from lightopt.capture import capture as run
 
     loaded_rig, loaded_part = load_inputs(rig, part)
@@ -91,8 +91,19 @@ def capture(
     )
     if dry_run:
         plan = make_plan(loaded_rig, loaded_part, options)
-        _show_plan(plan)
-        check_devices(loaded_rig, plan.wiring, plan)  # a plan can be read where the devices are not
+        _show_plan(plan)  # it can be read where the devices are not
+        problems: list[str] = []
+        try:
+            check_devices(loaded_rig, plan.wiring, plan)
+        except InputError as error:
+            problems += error.messages
+        try:
+            if out is not None:
+                check_folder(out, loaded_rig, loaded_part, plan, resume=resume, force=force)
+        except InputError as error:
+            problems += error.messages
+        if problems:
+            raise InputError(*problems)
         return
     assert out is not None
     try:
@@ -140,3 +151,7 @@ def _show_result(done: Captured) -> None:
     if done.retries:
         say(f"{counted(done.retries, 'command')} had to be sent again; the manifest says at which images")
     say(f"{done.folder / 'manifest.json'}")
+    if done.virtual_bench:
+        say(
+            "all devices were the VIRTUAL BENCH: the rig file has no hardware section, and no real device was touched"
+        )

@@ -10,6 +10,7 @@ from lightopt.images._atomic import (
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
 from lightopt.images._folders import make_folder
 from lightopt.images._manifest import (
+    ENDED_DARK_KEY,
     EVENTS_KEY,
     MANIFEST_NAME,
     GeometryEntry,
@@ -21,11 +22,12 @@ from lightopt.images._names import dark_name, exr_name, geometry_name, png_name,
 from lightopt.images._parse import parse_manifest, read_manifest
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, LoadedImage, read_image_set
-from lightopt.images._resume import remove_image_set
+from lightopt.images._resume import remove_file, remove_image_set, resumable_manifest
 from lightopt.images._writer import ImageSetWriter
 from lightopt.transforms import Posture
 
 __all__ = [
+    "ENDED_DARK_KEY",
     "EVENTS_KEY",
     "MANIFEST_NAME",
     "GeometryEntry",
@@ -50,7 +52,9 @@ __all__ = [
     "read_manifest",
     "read_png",
     "read_png_metadata",
+    "remove_file",
     "remove_image_set",
+    "resumable_manifest",
     "sheet_name",
     "write_atomically",
     "write_bytes_atomic",

@@ -9,13 +9,25 @@ from typing import Any
 
 from lightopt.transforms import Posture
 
-__all__ = ["EVENTS_KEY", "FORMAT", "MANIFEST_NAME", "GeometryEntry", "ImageEntry", "Manifest", "SourceFile"]
+__all__ = [
+    "ENDED_DARK_KEY",
+    "EVENTS_KEY",
+    "FORMAT",
+    "MANIFEST_NAME",
+    "GeometryEntry",
+    "ImageEntry",
+    "Manifest",
+    "SourceFile",
+]
 
 FORMAT = "lightopt-images/1"
 MANIFEST_NAME = "manifest.json"
 
 EVENTS_KEY = "events"
 """Key of a captured set's manifest for what happened on the devices' links while no image was taken."""
+
+ENDED_DARK_KEY = "ended_dark"
+"""Key of a captured set's manifest for the postures after whose images a frame showed that no light burned on."""
 
 
 @dataclass(frozen=True)

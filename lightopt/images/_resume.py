@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from lightopt.errors import InputError
-from lightopt.images._manifest import EVENTS_KEY, MANIFEST_NAME, Manifest
+from lightopt.images._manifest import ENDED_DARK_KEY, EVENTS_KEY, MANIFEST_NAME, Manifest
 from lightopt.images._parse import read_manifest
 
-__all__ = ["remove_image_set", "remove_set", "resumable_manifest"]
+__all__ = ["remove_file", "remove_image_set", "remove_set", "resumable_manifest"]
 
-_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings", EVENTS_KEY)
+_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings", EVENTS_KEY, ENDED_DARK_KEY)
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
@@ -86,28 +86,33 @@ def remove_image_set(folder: Path) -> int:
     if manifest.kind != "simulated":
         return 0
     removed = _remove_files(folder, manifest)
+    return removed + remove_file(folder / MANIFEST_NAME)
+
+
+def remove_file(path: Path) -> bool:
+    """Remove a file; whether it was there.
+
+    Raises
+    ------
+    InputError
+        When the operating system refuses.
+    """
     try:
-        (folder / MANIFEST_NAME).unlink()
+        path.unlink()
+    except FileNotFoundError:
+        return False
     except OSError as error:
         raise InputError(
-            f"{folder / MANIFEST_NAME}: cannot be removed: {error.strerror or error}; choose another output folder"
+            f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
         ) from error
-    return 1 + removed
+    return True
 
 
 def _remove_files(folder: Path, manifest: Manifest) -> int:
     removed = 0
     paths = [folder / name for name in _listed(manifest)]
     for path in paths:
-        try:
-            path.unlink()
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
-            ) from error
-        removed += 1
+        removed += remove_file(path)
     for parent in {path.parent for path in paths if path.parent != folder}:
         with contextlib.suppress(OSError):  # something else is in it
             parent.rmdir()
@@ -123,13 +128,20 @@ def _listed(manifest: Manifest) -> list[str]:
 
 
 def _differences(existing: Manifest, header: Manifest) -> list[str]:
-    """Say in words what tells two runs apart."""
+    """Say in words what tells two runs apart: what a person set first, then which files have another content."""
     old, new = _flat(existing), _flat(header)
+    differing = [key for key in dict.fromkeys((*old, *new)) if old.get(key) != new.get(key)]
+    differing.sort(key=_is_hash)
     return [
-        f"{key}: there {old.get(key, 'absent')}, now {new.get(key, 'absent')}"
-        for key in dict.fromkeys((*old, *new))
-        if old.get(key) != new.get(key)
+        f"{key}: another content"
+        if _is_hash(key)
+        else f"{key}: there {old.get(key, 'absent')}, now {new.get(key, 'absent')}"
+        for key in differing
     ]
+
+
+def _is_hash(key: str) -> bool:
+    return key.endswith("sha256")
 
 
 def _flat(manifest: Manifest) -> dict[str, str]:

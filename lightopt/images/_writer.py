@@ -18,7 +18,7 @@ from lightopt.images._folders import make_folder
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
 from lightopt.images._names import ImageKey, Names, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
-from lightopt.images._resume import remove_set, resumable_manifest
+from lightopt.images._resume import remove_file, remove_set, resumable_manifest
 from lightopt.transforms import Posture
 
 __all__ = ["ImageSetWriter"]
@@ -308,6 +308,46 @@ class ImageSetWriter:
         self._verified[name] = digest
         with self._lock:
             self._save(files={**self._manifest.files, name: digest})
+
+    def drop(
+        self,
+        *,
+        images: Iterable[tuple[str, Posture]] = (),
+        files: Iterable[str] = (),
+        extra: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Take images and further files off the list, then from the disk, so that no listed file is ever written anew.
+
+        Parameters
+        ----------
+        images
+            Light and posture; all exposures of them go, and their linear image.
+        files
+            Names of further files.
+        extra
+            Keys of the manifest that change together with the list, as for :meth:`add_extra`.
+
+        Raises
+        ------
+        InputError
+            When the disk refuses.
+        """
+        of_them, names = set(images), set(files)
+        with self._lock:
+            entries = self._manifest.images
+            gone = [e for e in entries if e.key[:2] in of_them]
+            listed = [name for e in gone for name in (e.png, e.exr) if name is not None]
+            listed += [name for name in names if name in self._manifest.files]
+            changes: dict[str, Any] = {"extra": {**self._manifest.extra, **(extra or {})}}
+            if gone:
+                changes["images"] = tuple(e for e in entries if e.key[:2] not in of_them)
+            if names & set(self._manifest.files):
+                changes["files"] = {n: h for n, h in self._manifest.files.items() if n not in names}
+            if len(changes) > 1 or changes["extra"] != self._manifest.extra:
+                self._save(**changes)
+        for name in listed:
+            self._verified.pop(name, None)
+            remove_file(self._folder / name)
 
     def add_warnings(self, warnings: Iterable[str]) -> None:
         """List warnings that are not listed yet.

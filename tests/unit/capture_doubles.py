@@ -153,3 +153,13 @@ def broken(kind, *, number=1, error=None):
                 raise error or HardwareError(f"the double fails at {kind} {number}")
 
     return trouble
+
+
+def changing_at(world, grab, change):
+    """Do something to the world at the `grab`-th frame."""
+
+    def trouble(event):
+        if event[0] == "grab" and len(world.did("grab")) == grab:
+            change(world)
+
+    return trouble

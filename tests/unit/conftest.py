@@ -21,3 +21,46 @@ def read_only_folder(tmp_path: Path) -> Iterator[Path]:
         tmp_path.chmod(0o500)
         yield tmp_path
         tmp_path.chmod(0o700)
+
+
+@pytest.fixture
+def world():
+    """Devices of a rig in memory."""
+    from capture_doubles import World
+
+    return World()
+
+
+@pytest.fixture
+def take(bench, world, monkeypatch):
+    """Capture the small rig on doubles that settle at once."""
+    from capture_doubles import connecting
+
+    from lightopt.capture import CaptureOptions, Plan, _wiring, capture
+    from lightopt.config import load_part, load_rig
+    from lightopt.config._hardware import TimingConfig
+    from lightopt.scene import build_scene
+
+    plain = _wiring.HardwareConfig
+
+    def quick(**given):
+        return plain(**given, timing=TimingConfig(light_ms=2, stage_ms=3))
+
+    monkeypatch.setattr(_wiring, "HardwareConfig", quick)
+    # what the devices do is compared step by step: however slow the disk, lights wait for it
+    monkeypatch.setattr(Plan, "relighting_s", 60.0)
+    rig, part = load_rig(bench.rig), load_part(bench.part)
+    scene = build_scene(rig, part)
+
+    def run(folder=bench.out, truth=None, rig=rig, part=part, **options):
+        control = {key: options.pop(key) for key in ("resume", "force", "warn", "report") if key in options}
+        return capture(
+            rig,
+            part,
+            folder,
+            options=CaptureOptions(**options),
+            connect=connecting(world, scene, truth),
+            **control,
+        )
+
+    return run

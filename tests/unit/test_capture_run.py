@@ -3,58 +3,22 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from capture_doubles import World, broken, connecting
+from capture_doubles import broken, changing_at
 
-from lightopt.capture import CaptureOptions, Plan, capture
+from lightopt.capture import Plan
 from lightopt.capture._shoot import Shooter
 from lightopt.capture._timing import Timing
 from lightopt.config import load_part, load_rig
 from lightopt.errors import HardwareError, InputError, Interrupted
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata
-from lightopt.scene import build_scene
 from lightopt.transforms import Posture
 from lightopt.virtualbench import BenchTruth
-
-
-@pytest.fixture
-def world():
-    return World()
-
-
-@pytest.fixture
-def take(bench, world, monkeypatch):
-    """Capture the small rig on doubles that settle at once."""
-    from lightopt.capture import _wiring
-    from lightopt.config._hardware import TimingConfig
-
-    plain = _wiring.HardwareConfig
-
-    def quick(**given):
-        return plain(**given, timing=TimingConfig(light_ms=2, stage_ms=3))
-
-    monkeypatch.setattr(_wiring, "HardwareConfig", quick)
-    # what the devices do is compared step by step: however slow the disk, lights wait for it
-    monkeypatch.setattr(Plan, "relighting_s", 60.0)
-    rig, part = load_rig(bench.rig), load_part(bench.part)
-    scene = build_scene(rig, part)
-
-    def run(folder=bench.out, truth=None, rig=rig, part=part, **options):
-        control = {key: options.pop(key) for key in ("resume", "force", "warn", "report") if key in options}
-        return capture(
-            rig,
-            part,
-            folder,
-            options=CaptureOptions(**options),
-            connect=connecting(world, scene, truth),
-            **control,
-        )
-
-    return run
 
 
 def order(world):
@@ -245,8 +209,8 @@ def test_only_what_is_missing_is_taken(take, bench, world, snapshot):
     world.trouble = lambda event: None
     world.log.clear()
     done = take(exposures=(1.0, 1 / 16), dark=True, resume=True)
-    assert done.taken == 8 - before
-    assert len(world.did("grab")) == 5 + 2 + 2  # dark frames, and one at the end of each posture
+    assert done.taken == 8  # no frame without light followed the first three
+    assert len(world.did("grab")) == 8 + 2 + 2  # dark frames, and one at the end of each posture
     whole, resumed = read_image_set(bench.folder / "whole"), read_image_set(bench.out)
     assert [e.key for e in whole.images] == [e.key for e in resumed.images]
     for a, b in zip(whole.images, resumed.images, strict=True):
@@ -364,8 +328,11 @@ def test_a_disk_that_refuses_ends_with_lights_off(take, world, monkeypatch):
         raise InputError("disk full")
 
     monkeypatch.setattr(_writer, "write_png", full)
-    with pytest.raises(InputError, match="disk full"):
+    with pytest.raises(
+        HardwareError, match="while checking and writing the image before: disk full"
+    ) as raised:
         take()
+    assert "all lights are off" in str(raised.value)
     assert not world.burning
 
 
@@ -404,16 +371,6 @@ def test_without_the_check_anything_is_captured(take, world):
     assert len(world.did("grab")) == 4  # and no frame without light is needed
 
 
-def changing_at(world, grab, change):
-    """Do something to the world at the `grab`-th frame."""
-
-    def trouble(event):
-        if event[0] == "grab" and len(world.did("grab")) == grab:
-            change(world)
-
-    return trouble
-
-
 def test_a_lamp_that_dies_between_exposures_is_named(take, world, bench):
     # two frames without light, light1 at 1, light1 at 1/16
     world.trouble = changing_at(world, 4, lambda world: world.levels.update({("bench1", 1): 0}))
@@ -440,6 +397,34 @@ def test_a_light_that_stays_on_after_the_last_image_is_named(take, world, level)
     world.trouble = changing_at(world, 4, stuck)  # without light, light1, light3, without light
     with pytest.raises(HardwareError, match="the frame without light looks like light1"):
         take(postures=(Posture(0.0, 0.0),))
+
+
+def test_a_light_that_stays_on_is_judged_by_the_posture_that_it_shows(take, world, monkeypatch):
+    from lightopt.capture import _judge
+
+    plain = _judge.lights_left_on
+    last = threading.Event()
+
+    def late(*arguments, **options):  # the disk comes to it only once the stage travels to the next posture
+        if len(world.did("grab")) == 4:
+            last.wait(5.0)
+        return plain(*arguments, **options)
+
+    def stuck(event):
+        at = len(world.did("grab"))
+        if event[0] == "grab" and at == 4:  # without light, light1, light3, without light
+            world.plugs = {("bench1", 1): ("bench1", 9)}
+            world.levels["bench1", 9] = 60
+        if event[0] == "move" and at == 4:
+            time.sleep(0.1)
+            last.set()
+
+    monkeypatch.setattr(_judge, "lights_left_on", late)
+    world.trouble = stuck
+    with pytest.raises(HardwareError, match="the frame without light looks like light1"):
+        take(postures=(Posture(0.0, 0.0), Posture(-30.0, 90.0)))
+    assert last.is_set()
+    assert len(world.did("grab")) == 4
 
 
 def test_another_part_is_refused_unless_unchecked(take, world, bench):

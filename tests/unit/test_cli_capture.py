@@ -120,6 +120,38 @@ def test_capture_says_where_the_set_is_and_takes_nothing_twice(cli, wired):
     assert "captured images, which are not replaced" in render.err
 
 
+def test_a_capture_without_devices_says_that_it_was_the_virtual_bench(cli, bench):
+    ran = cli("capture", bench.rig, bench.part, "-o", bench.out, "--posture", "0,0", "--light", "light1")
+    assert (ran.status, ran.err) == (0, "")
+    assert "VIRTUAL BENCH" in ran.out.splitlines()[-1]
+
+
+def test_a_dry_run_says_that_the_folder_holds_another_capture(cli, wired, sealed, snapshot):
+    from lightopt.images import read_manifest
+
+    whole = ("capture", wired.rig, wired.part, "--dry-run", "-o", wired.out)
+    assert cli(*whole).status == 0
+    (wired.folder / "plain.txt").write_text("mine")
+    file = cli(*whole[:-1], wired.folder / "plain.txt")
+    assert file.status == 2
+    assert "expected a folder for the results, found a file" in file.err
+    assert "found a file" in cli("capture", wired.rig, wired.part, "-o", wired.folder / "plain.txt").err
+    cli("render", wired.rig, wired.part, "-o", wired.out, "--patches", "500", "--posture", "0,0")
+    before = snapshot(wired.out)
+    assert read_manifest(wired.out / "manifest.json").images
+    ran = cli(*whole)
+    assert ran.status == 2
+    assert "holds an image set; use --resume" in ran.err
+    assert "holds the image set of another run (kind: there" in cli(*whole, "--resume").err
+    assert cli(*whole, "--force").status == 0
+    assert snapshot(wired.out) == before
+
+
+def test_what_is_taken_of_a_light_is_counted_in_words_that_agree(cli, wired, sealed):
+    ran = cli("capture", wired.rig, wired.part, "--dry-run", "--exposures", "700")
+    assert "(settling and 1 exposure of 1 frame)" in ran.err
+
+
 def test_the_contact_sheets_of_a_capture(cli, wired):
     ran = cli(
         "capture",
