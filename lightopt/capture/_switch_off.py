@@ -24,7 +24,7 @@ def switch_off(
     serial_log: Path | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> tuple[str, ...]:
-    """Darken every channel of every controller, one controller after the other; stage and camera are left alone.
+    """Darken every channel of every controller, no controller waiting for another; stage and camera are left alone.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def switch_off(
             done = open_lights(
                 wiring, group, ports=ports, log=log, darken=True, opened=lambda c: stack.callback(c.close)
             )
-            problems += done.problems
+            problems += done.problems.values()
             burning += done.burning
             told += [name for name, controller in done.controllers.items() if _only_told(controller)]
         if problems:

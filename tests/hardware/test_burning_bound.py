@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import pytest
 
 from lightopt.capture._burning import BurnWatch
 from lightopt.errors import HardwareError
-from lightopt.hardware import LightSettings, light_drivers
+from lightopt.hardware import LightSettings, LightsStillOnError, all_off, light_drivers, side_by_side
 from lightopt.virtualbench import BenchProcess
 
 LONGEST_S = 0.3
@@ -53,3 +54,70 @@ def test_a_reading_gives_way_to_darkening():
         assert not any(bench.levels("main").values())
         assert controller.read_level(1) == 0
         controller.close()
+
+
+class Controller:
+    """Notes down when which channel is darkened; a mute one takes long over it and fails."""
+
+    channels = 4
+
+    def __init__(self, *, mute=False):
+        self.mute, self.dark = mute, []
+
+    def set_level(self, channel, level):
+        assert level == 0
+        self.dark.append((channel, time.monotonic()))
+        if self.mute:
+            time.sleep(0.3)
+            raise HardwareError("no reply")
+
+
+def test_what_burns_goes_dark_first_whatever_the_other_controllers_do():
+    left, right = Controller(mute=True), Controller()
+    started = time.monotonic()
+    with pytest.raises(LightsStillOnError) as raised:
+        all_off({"left": left, "right": right}, burning={"right": [4], "left": [3]})
+    assert [channel for channel, _ in right.dark] == [4, 1, 2, 3]
+    assert [channel for channel, _ in left.dark] == [3, 1, 2, 4]
+    assert right.dark[-1][1] - started < 0.3
+    assert raised.value.channels == {"left": [1, 2, 3, 4]}
+    assert raised.value.messages == (
+        "controller left, channels 1, 2, 3, 4: not switched off, may still be lit: no reply",
+    )
+
+
+def test_the_report_does_not_depend_on_who_is_first_to_fail():
+    def slow(_channel, _level):
+        time.sleep(0.1)
+        raise HardwareError("slow")
+
+    left, right = Controller(), Controller()
+    left.set_level = slow
+    right.mute = True
+    with pytest.raises(LightsStillOnError) as raised:
+        all_off({"left": left, "right": right, "third": Controller()})
+    assert [message.partition(",")[0] for message in raised.value.messages] == [
+        "controller left",
+        "controller right",
+    ]
+
+
+def test_all_of_it_is_done_although_some_fails_and_no_thread_can_be_started(monkeypatch):
+    done = []
+
+    def fail():
+        raise KeyboardInterrupt("SIGINT")
+
+    work = {"a": fail, "b": lambda: done.append("b"), "c": lambda: done.append("c")}
+    with pytest.raises(KeyboardInterrupt, match="SIGINT"):
+        side_by_side(work)
+    assert sorted(done) == ["b", "c"]
+
+    def none_left(_self):
+        raise RuntimeError("can't create new thread at interpreter shutdown")
+
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    with pytest.raises(KeyboardInterrupt, match="SIGINT"):
+        side_by_side(work)
+    assert done[2:] == ["b", "c"]
+    assert side_by_side({}) == {}

@@ -124,3 +124,15 @@ def test_a_mere_look_switches_nothing(bench, rig_on):
     with connect_devices(rig, wiring_of(rig), camera=False, touch_lights=False):
         pass
     assert dark(bench, "left", "right") == [False, False]
+
+
+def test_nothing_waits_for_a_mute_controller(bench, rig_on):
+    """Opening the mute one alone takes three times its timeout."""
+    bench.set_fault("left", "drop", count=None)
+    rig = rig_on(bench.ports)
+    rig.hardware.controllers["left"].__dict__["timeout_s"] = 1.0
+    started = bench.state()["time"]
+    with pytest.raises(HardwareError, match="lights that may still burn: light1"):
+        off(rig)
+    dark_at = max(t for t, name, _, level in bench.trace() if name == "right" and level == 0)
+    assert dark_at - started < 1.0
