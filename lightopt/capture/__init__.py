@@ -20,7 +20,7 @@ from lightopt.capture._merge import merge_bracket
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan import Plan, PostureTask, Step, make_plan
 from lightopt.capture._run import Captured, CaptureReport, Connect, capture
-from lightopt.capture._switch_off import switch_off
+from lightopt.capture._switch_off import SwitchedOff, switch_off
 from lightopt.capture._timing import Timing
 from lightopt.capture._virtual import start_bench
 from lightopt.capture._wiring import Wiring, wiring_of
@@ -37,6 +37,7 @@ __all__ = [
     "PostureTask",
     "Predictions",
     "Step",
+    "SwitchedOff",
     "Timing",
     "Wiring",
     "burn",

@@ -19,6 +19,7 @@ from lightopt.config._hardware import (
 )
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
+from lightopt.config._load_lights import LightsOnly, load_lights
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, ReflectanceConfig
 from lightopt.config._posture import PostureConfig
 from lightopt.config._relocate import relocated
@@ -38,6 +39,7 @@ __all__ = [
     "HardwareConfig",
     "LightConfig",
     "LightSourceConfig",
+    "LightsOnly",
     "MeshConfig",
     "PartConfig",
     "PixelPlaceConfig",
@@ -52,6 +54,7 @@ __all__ = [
     "TemplateConfig",
     "TimingConfig",
     "json_schema",
+    "load_lights",
     "load_part",
     "load_rig",
     "relocated",

@@ -221,7 +221,7 @@ def test_bench_refuses_before_anything_is_opened(cli, wired, sealed, arguments, 
 def test_home_move_and_off(cli, wired):
     assert cli("bench", "home", wired.rig).out == "the stage stands at (0°, 0°)\n"
     assert cli("bench", "move", wired.rig, "--rotation", "82").out == "the stage stands at (0°, 82°)\n"
-    assert cli("bench", "off", wired.rig).out == "all lights of small are off\n"
+    assert cli("bench", "off", wired.rig).out == "all lights of small are off (main)\n"
 
 
 def test_snap_takes_a_frame(cli, wired):
