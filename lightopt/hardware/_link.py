@@ -66,7 +66,7 @@ class SerialLink:
     lightopt.errors.InputError
         When the port is not there (the message lists those that are), is none, or may not be opened.
     lightopt.errors.HardwareError
-        When another program has it.
+        When another program has it, or nothing answers at its address.
     """
 
     def __init__(

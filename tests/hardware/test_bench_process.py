@@ -188,7 +188,7 @@ def test_clients_come_and_go() -> None:
         for level in (1, 2, 3):
             controller = light_drivers()["ccs"](LightSettings("a", bench.ports["a"]), None)
             controller.set_level(2, level)
-            with pytest.raises(InputError, match="its one connection"):
+            with pytest.raises(HardwareError, match="its one connection"):
                 SerialLink(bench.ports["a"], device="b", baud=9600)
             controller.close()
 

@@ -213,3 +213,10 @@ def test_status_asks_every_device_although_some_are_silent(bench, rig_on, cli):
     ]
     assert failed == ["controller left", "stage"]
     assert dark(bench, "left", "right") == [False, False]
+
+
+@pytest.mark.parametrize("command", [("status",), ("light", "light1", "--seconds", "0.1"), ("off",)])
+def test_an_address_at_which_nothing_answers_is_a_device_that_failed(bench, rig_on, cli, command):
+    path = rig_on({**bench.ports, "left": "socket://127.0.0.1:1"}).source.path
+    ran = cli("bench", command[0], path, *command[1:])
+    assert (ran.status, "cannot be reached" in ran.err) == (3, True)

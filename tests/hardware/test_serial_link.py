@@ -351,7 +351,7 @@ def test_nobody_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
     with pytest.raises(
-        InputError, match=r"cannot be reached.*check address and network, that the device is on"
+        HardwareError, match=r"cannot be reached.*check address and network, that the device is on"
     ):
         SerialLink(f"socket://127.0.0.1:{number}", device="lamp", baud=9600)
 
