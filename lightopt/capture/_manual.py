@@ -9,6 +9,7 @@ from pathlib import Path
 
 from lightopt.capture._devices import Devices
 from lightopt.capture._folder_camera import FolderCamera
+from lightopt.capture._plan_problems import exposure_problems
 from lightopt.capture._timing import utc
 from lightopt.capture._virtual import STAGE
 from lightopt.capture._wiring import Wiring
@@ -23,6 +24,7 @@ __all__ = [
     "burn",
     "check_angles",
     "check_burning",
+    "check_exposure",
     "check_level",
     "device_rows",
     "snap",
@@ -148,6 +150,18 @@ def check_burning(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> 
             f"{name} would burn {seconds:.3g} s, longer than its max_on_s of {longest:g} s "
             f"({rig.source.at('hardware', 'lights', name)}); nothing was opened"
         )
+
+
+def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
+    """Refuse a relative exposure that the camera is known not to have; nothing is opened.
+
+    Raises
+    ------
+    InputError
+        With the camera's range.
+    """
+    if problems := tuple(exposure_problems(rig, wiring, (exposure,))):
+        raise InputError(*problems)
 
 
 def snap_s(wiring: Wiring, exposure: float) -> float:

@@ -168,7 +168,14 @@ def snap(
     force: Force = False,
 ) -> None:
     """Take one frame where the stage stands."""
-    from lightopt.capture import check_burning, check_level, connect_devices, snap_s, wiring_of
+    from lightopt.capture import (
+        check_burning,
+        check_exposure,
+        check_level,
+        connect_devices,
+        snap_s,
+        wiring_of,
+    )
     from lightopt.capture import snap as take
 
     relative = parse_exposure(exposure)
@@ -176,6 +183,7 @@ def snap(
     wiring = wiring_of(loaded)
     if wiring.hardware.camera.driver == "virtual" and loaded_part is None:
         raise InputError("--part: the virtual camera needs to know which part lies on the bench")
+    check_exposure(wiring, loaded, relative)
     if light is not None:
         check_level(wiring, loaded, light, None)
         check_burning(wiring, loaded, light, snap_s(wiring, relative))
@@ -217,7 +225,11 @@ def list_devices(
             return "simulated"
         if "://" in port:
             return "not tried"
-        return "yes" if (problem := port_problem(port)) is None else f"NO: {problem.partition('; ')[0]}"
+        return (
+            "there, not opened"
+            if (problem := port_problem(port)) is None
+            else f"NO: {problem.partition('; ')[0]}"
+        )
 
     rows = [
         (f"controller {name}", config.driver, config.port, here(config.port))

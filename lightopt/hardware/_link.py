@@ -29,6 +29,7 @@ __all__ = ["SerialLink"]
 _LOST = (serial.SerialException, OSError, _termios_error)
 _SLICE_S = 0.02  # longest single wait for a byte; a deadline is kept to within it
 _STALE_BYTES = 65536
+_USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 
 Value = TypeVar("Value")
 
@@ -103,6 +104,11 @@ class SerialLink:
             raise cannot_open(port, device, error) from None
         if log is not None:
             log.write(port, "note", f"opened at {baud} baud for {device}")
+        if "://" not in port and baud not in _USUAL_BAUD:
+            usual = ", ".join(map(str, _USUAL_BAUD))
+            self.note(
+                f"{device}: {baud} baud is unusual (usual are {usual}); garbage or silence may come of it"
+            )
 
     @property
     def retries(self) -> int:

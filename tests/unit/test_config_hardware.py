@@ -146,7 +146,7 @@ BAD = [
         MAIN,
         "main: {driver: css, port: COM3}",
         "controllers.main.driver",
-        ["ccs, sa or template", 'found "css"'],
+        ["ccs, sa or template, which suits devices of other makers", 'found "css"; did you mean "ccs"?'],
     ),
     (MAIN, "main: {driver: ccs, prot: COM3}", "controllers.main", ['did you mean "port"?']),
     (MAIN, "main: {driver: ccs}", "controllers.main", ['missing key "port"', "/dev/serial/by-id"]),
@@ -385,7 +385,7 @@ def test_any_value_anywhere(tmp_path: Path, data: st.DataObject) -> None:
     document = yaml.safe_load(RIG)
     here = document["hardware"]
     while True:
-        key = data.draw(st.sampled_from(sorted(here)))
+        key = data.draw(st.sampled_from(sorted(here, key=str)))
         if not isinstance(here[key], dict) or data.draw(st.booleans()):
             break
         here = here[key]
@@ -396,3 +396,14 @@ def test_any_value_anywhere(tmp_path: Path, data: st.DataObject) -> None:
     except InputError as error:
         for message in error.messages:
             assert re.match(rf"{re.escape(str(path))}:\d+: hardware", message), message
+
+
+def test_a_camera_driver_that_is_none_says_nothing_of_exposure_times(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    text = RIG.replace("  exposure_us: 8000\n", "")
+    assert "driver: folder" in text
+    path.write_text(text.replace("driver: folder", "driver: floder"), encoding="utf-8")
+    with pytest.raises(InputError) as raised:
+        load_rig(path)
+    assert 'did you mean "folder"?' in str(raised.value)
+    assert "exposure_us" not in str(raised.value)
