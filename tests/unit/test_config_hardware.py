@@ -11,10 +11,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lightopt.config import (
+    AxisConfig,
+    CameraDeviceConfig,
+    ChannelConfig,
     ControllerConfig,
     HardwareConfig,
     RigConfig,
     StageDeviceConfig,
+    TemplateConfig,
+    TimingConfig,
     load_rig,
     relocated,
     with_values,
@@ -407,3 +412,25 @@ def test_a_camera_driver_that_is_none_says_nothing_of_exposure_times(tmp_path: P
         load_rig(path)
     assert 'did you mean "folder"?' in str(raised.value)
     assert "exposure_us" not in str(raised.value)
+
+
+def test_the_page_has_every_key_with_its_default() -> None:
+    sections = {
+        "`controllers.NAME`": ControllerConfig,
+        "`controllers.NAME.template`": TemplateConfig,
+        "`lights.NAME`": ChannelConfig,
+        "`stage`": StageDeviceConfig,
+        "`stage.elevation`, `stage.rotation`": AxisConfig,
+        "`camera`": CameraDeviceConfig,
+        "`timing`": TimingConfig,
+    }
+    expected: list[tuple[str, str, str]] = []
+    for section, model in sections.items():
+        for key, field in model.model_fields.items():
+            default = field.default
+            text = f"{default:g}" if isinstance(default, float) else str(default).lower()
+            expected.append((section, f"`{key}`", "required" if field.is_required() else text))
+    page = (CONFIGS.parent / "docs" / "hardware.md").read_text(encoding="utf-8")
+    _, _, table = page.partition("## All keys of `hardware`")
+    rows = [line.strip("| ").split(" | ")[:3] for line in table.splitlines() if line.startswith("| `")]
+    assert [tuple(row) for row in rows] == expected
