@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from lightopt.images import read_png
@@ -285,6 +287,7 @@ def test_an_exposure_that_no_camera_has_is_told_before_how_long_a_light_would_bu
     assert "max_on_s" not in ran.err
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="the port is one of POSIX")
 def test_a_port_that_is_there_was_not_opened(cli, wired, sealed):
     wired.edit("rig.yaml", "{driver: ccs, port: virtual,", "{driver: ccs, port: /dev/tty,")
     assert "there, not opened" in cli("bench", "devices", wired.rig).out
