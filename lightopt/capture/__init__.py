@@ -11,6 +11,7 @@ from lightopt.capture._manual import (
     burn,
     check_angles,
     check_burning,
+    check_exposure,
     check_level,
     device_rows,
     snap,
@@ -21,7 +22,7 @@ from lightopt.capture._options import CaptureOptions
 from lightopt.capture._plan import Plan, PostureTask, Step, make_plan
 from lightopt.capture._records import check_folder
 from lightopt.capture._run import Captured, CaptureReport, Connect, capture
-from lightopt.capture._switch_off import switch_off
+from lightopt.capture._switch_off import SwitchedOff, switch_off
 from lightopt.capture._timing import Timing
 from lightopt.capture._virtual import start_bench
 from lightopt.capture._wiring import Wiring, wiring_of
@@ -38,6 +39,7 @@ __all__ = [
     "PostureTask",
     "Predictions",
     "Step",
+    "SwitchedOff",
     "Timing",
     "Wiring",
     "burn",
@@ -45,6 +47,7 @@ __all__ = [
     "check_angles",
     "check_burning",
     "check_devices",
+    "check_exposure",
     "check_folder",
     "check_level",
     "check_lit",

@@ -31,7 +31,7 @@ class BurnWatch:
     Parameters
     ----------
     darken
-        Switches a light off; waits for the link if a command is under way there, which is bounded.
+        Switches a light off; a command that is under way on its link is broken off for it.
     """
 
     def __init__(self, darken: Callable[[str], None]) -> None:

@@ -44,6 +44,7 @@ def connect_devices(
     bench: BenchProcess | None = None,
     touch_lights: bool = True,
     warn: Callable[[str], None] | None = None,
+    silent: dict[str, LightoptError] | None = None,
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
 
@@ -71,6 +72,9 @@ def connect_devices(
     warn
         Called with what is out of the ordinary on the wires, as it happens, and if the serial log ends early, which
         ends nothing else.
+    silent
+        For a mere look: gets the controllers and the stage that do not answer, with why, and the others are opened all
+        the same. None: that is an error.
 
     Raises
     ------
@@ -101,18 +105,26 @@ def connect_devices(
             darken=touch_lights,
             opened=lambda controller: stack.callback(controller.close),
         )
-        if lights.problems:
+        if silent is not None:
+            silent |= lights.problems
+        elif lights.problems:
             raise lights.raised()
+        stage: Stage | None = None
         try:
             stage = _stage(rig, wiring, ports, log)
             if stage is not None:
                 stack.callback(stage.close)
-            seen: Camera | None = None
-            if camera:
-                seen = opened_camera(rig, wiring, replay=replay, bench=bench, log=log)
-                stack.callback(seen.close)
         except LightoptError as error:
-            raise (lights.raised(error) if touch_lights else error) from error
+            if silent is None:
+                raise (lights.raised(error) if touch_lights else error) from error
+            silent[STAGE] = error
+        seen: Camera | None = None
+        if camera:
+            try:
+                seen = opened_camera(rig, wiring, replay=replay, bench=bench, log=log)
+            except LightoptError as error:
+                raise (lights.raised(error) if touch_lights else error) from error
+            stack.callback(seen.close)
         devices = Devices(
             wiring=wiring,
             controllers=lights.controllers,

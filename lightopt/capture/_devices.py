@@ -70,6 +70,7 @@ class Devices:
         self._stage_may_move = False
         self._homed = False
         self._watch = BurnWatch(self._darken)
+        self._lit: set[str] = set()
         self._touch_lights = touch_lights
         self._dark = dark
         self._left = False
@@ -134,7 +135,7 @@ class Devices:
         InputError
             When the level is above the channel's `max_level`; nothing was sent.
         HardwareError
-            When the controller holds another level.
+            When the controller does not obey.
         """
         channel = self.wiring.light(name)
         controller = self.controllers[channel.controller]
@@ -145,13 +146,8 @@ class Devices:
             )
         if channel.max_on_s is not None:
             self._watch.begin(name, channel.max_on_s)
-        held = controller.set_level(channel.channel, asked)
-        if held is not None and held != asked:
-            self.check_burning(name)
-            raise HardwareError(
-                f"{name} ({channel.controller}, channel {channel.channel}): set to level {asked}, but it holds {held}"
-            )
-        return held
+        self._lit.add(name)
+        return controller.set_level(channel.channel, asked)
 
     def told_s(self, name: str) -> float:
         """When [s, monotonic clock] the controller of a panel had its last intensity, before it was read back."""
@@ -166,6 +162,7 @@ class Devices:
             When it had to be darkened before, because it had burned for its `max_on_s`.
         """
         self._darken(name)
+        self._lit.discard(name)
         self._watch.end(name)
         self.check_burning(name)
 
@@ -183,12 +180,22 @@ class Devices:
         self.controllers[channel.controller].set_level(channel.channel, 0)
 
     def all_off(self) -> list[str]:
-        """Switch every channel off, each tried even if another fails; returns what failed, in words."""
+        """Switch every channel off, what this program lit first, each tried even if another fails.
+
+        Returns
+        -------
+        list of str
+            What failed, in words.
+        """
+        burning: dict[str, list[int]] = {}
+        for channel in map(self.wiring.light, tuple(self._lit)):
+            burning.setdefault(channel.controller, []).append(channel.channel)
         try:
-            all_off(self.controllers)
+            all_off(self.controllers, burning=burning)
         except LightsStillOnError as error:
             lights = lights_on(self.wiring, error.channels)
             return [*error.messages, f"lights that may still burn: {', '.join(lights) or NONE_OF_THE_RIG}"]
+        self._lit.clear()
         return []
 
     def check_referenced(self) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from lightopt.capture._devices import Devices
 from lightopt.capture._folder_camera import FolderCamera
+from lightopt.capture._plan_problems import exposure_problems
 from lightopt.capture._timing import utc
+from lightopt.capture._virtual import STAGE
 from lightopt.capture._wiring import Wiring
 from lightopt.config import RigConfig
 from lightopt.errors import InputError, LightoptError
@@ -22,6 +24,7 @@ __all__ = [
     "burn",
     "check_angles",
     "check_burning",
+    "check_exposure",
     "check_level",
     "device_rows",
     "snap",
@@ -41,11 +44,27 @@ class DeviceRow:
     failed: bool = False
 
 
-def device_rows(devices: Devices, rig: RigConfig) -> Iterator[DeviceRow]:
-    """Ask every device how it is, without changing anything; a failure is told and the others are asked."""
+def device_rows(
+    devices: Devices, rig: RigConfig, silent: Mapping[str, LightoptError] | None = None
+) -> Iterator[DeviceRow]:
+    """Ask every device how it is, without changing anything; a failure is told and the others are asked.
+
+    Parameters
+    ----------
+    devices
+        Those that could be opened.
+    rig
+        The rig.
+    silent
+        Why others could not, by name.
+    """
     wiring = devices.wiring
-    for name, controller in devices.controllers.items():
-        config = wiring.hardware.controllers[name]
+    unopened = silent or {}
+    for name, config in wiring.hardware.controllers.items():
+        if name in unopened:
+            yield DeviceRow(name=f"controller {name}", says=str(unopened[name]), failed=True)
+            continue
+        controller = devices.controllers[name]
         yield _row(
             f"controller {name}",
             lambda controller=controller, config=config: (
@@ -55,15 +74,20 @@ def device_rows(devices: Devices, rig: RigConfig) -> Iterator[DeviceRow]:
         )
     for light in rig.lights:
         channel = wiring.light(light.name)
+        place = f"{channel.controller} channel {channel.channel}"
+        if channel.controller in unopened:
+            yield DeviceRow(name=f"light {light.name}", says=f"{place}: its controller does not answer")
+            continue
         yield _row(
             f"light {light.name}",
-            lambda channel=channel: (
-                f"{channel.controller} channel {channel.channel}: "
-                + _level(devices.controllers[channel.controller].read_level(channel.channel))
+            lambda channel=channel, place=place: (
+                f"{place}: {_level(devices.controllers[channel.controller].read_level(channel.channel))}"
             ),
         )
-    if devices.stage is not None:
-        yield _row("stage", lambda: _stage(devices))
+    if STAGE in unopened:
+        yield DeviceRow(name=STAGE, says=str(unopened[STAGE]), failed=True)
+    elif devices.stage is not None:
+        yield _row(STAGE, lambda: _stage(devices))
 
 
 def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) -> int:
@@ -126,6 +150,18 @@ def check_burning(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> 
             f"{name} would burn {seconds:.3g} s, longer than its max_on_s of {longest:g} s "
             f"({rig.source.at('hardware', 'lights', name)}); nothing was opened"
         )
+
+
+def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
+    """Refuse a relative exposure that the camera is known not to have; nothing is opened.
+
+    Raises
+    ------
+    InputError
+        With the camera's range.
+    """
+    if problems := tuple(exposure_problems(rig, wiring, (exposure,))):
+        raise InputError(*problems)
 
 
 def snap_s(wiring: Wiring, exposure: float) -> float:

@@ -15,6 +15,7 @@ from lightopt.hardware import (
     SerialLog,
     all_off,
     light_drivers,
+    side_by_side,
 )
 
 __all__ = ["NONE_OF_THE_RIG", "OpenedLights", "lights_on", "open_controller", "open_lights"]
@@ -31,18 +32,18 @@ class OpenedLights:
     controllers
         Those that answered, by name.
     problems
-        Why others did not, or did not go dark.
+        Why others did not, or did not go dark, by name.
     burning
         Lights that may still burn.
     """
 
     controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
-    problems: list[LightoptError] = field(default_factory=list[LightoptError])
+    problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])
     burning: list[str] = field(default_factory=list[str])
 
     def raised(self, *others: LightoptError) -> LightoptError:
         """The error for what failed, other devices included, with the lights that may still burn."""
-        problems = [*self.problems, *others]
+        problems = [*self.problems.values(), *others]
         kind = HardwareError if any(isinstance(p, HardwareError) for p in problems) else type(problems[0])
         messages = [message for problem in problems for message in problem.messages]
         if not self.problems:
@@ -59,7 +60,7 @@ def open_lights(
     darken: bool,
     opened: Callable[[LightController], object],
 ) -> OpenedLights:
-    """Open controllers one by one, each even if another fails, and darken each as it opens.
+    """Open controllers side by side, each even if another fails, and darken each as it opens.
 
     Parameters
     ----------
@@ -74,26 +75,52 @@ def open_lights(
     darken
         False for a mere look.
     opened
-        Called with each that is open, before anything else is sent to it.
+        Called with each that is open, before anything else is sent to it, from the thread that opened it.
     """
+    done = side_by_side(
+        {
+            name: lambda name=name: _open_one(
+                wiring, name, port=ports.get(name), log=log, darken=darken, opened=opened
+            )
+            for name in names
+        }
+    )
     result = OpenedLights()
-    for name in names:
-        config = wiring.hardware.controllers[name]
-        try:
-            controller = open_controller(wiring, name, port=ports.get(name, config.port), log=log)
-        except LightoptError as error:
-            result.problems.append(error)
-            result.burning += lights_on(wiring, {name: range(1, config.channels + 1)})
-            continue
-        opened(controller)
-        result.controllers[name] = controller
-        if darken:
-            try:
-                all_off({name: controller})
-            except LightsStillOnError as error:
-                result.problems.append(error)
-                result.burning += lights_on(wiring, error.channels)
+    for name, (controller, problem) in done.items():
+        if controller is not None:
+            result.controllers[name] = controller
+        if problem is not None:
+            result.problems[name] = problem
+            if isinstance(problem, LightsStillOnError):
+                result.burning += lights_on(wiring, problem.channels)
+            else:
+                channels = range(1, wiring.hardware.controllers[name].channels + 1)
+                result.burning += lights_on(wiring, {name: channels})
     return result
+
+
+def _open_one(
+    wiring: Wiring,
+    name: str,
+    *,
+    port: str | None,
+    log: SerialLog | None,
+    darken: bool,
+    opened: Callable[[LightController], object],
+) -> tuple[LightController | None, LightoptError | None]:
+    """The controller, if it can be opened, and what went wrong with it."""
+    config = wiring.hardware.controllers[name]
+    try:
+        controller = open_controller(wiring, name, port=port or config.port, log=log)
+    except LightoptError as error:
+        return None, error
+    opened(controller)
+    if darken:
+        try:
+            all_off({name: controller})
+        except LightsStillOnError as error:
+            return controller, error
+    return controller, None
 
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:

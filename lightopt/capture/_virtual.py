@@ -13,7 +13,7 @@ from lightopt.config import (
 )
 from lightopt.virtualbench import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
 
-__all__ = ["STAGE", "start_bench"]
+__all__ = ["STAGE", "start_bench", "start_lights"]
 
 STAGE = "stage"
 """Name of the stage among the devices of a virtual bench; controllers have the names of the rig file."""
@@ -30,11 +30,7 @@ def start_bench(
         When its process does not start.
     """
     hardware = wiring.hardware
-    devices: dict[str, dict[str, Any]] = {
-        name: {"kind": config.driver, "options": _lights(config)}
-        for name, config in hardware.controllers.items()
-        if config.port == VIRTUAL
-    }
+    devices = _controllers(wiring)
     if wiring.stage_is_virtual and hardware.stage is not None:
         devices[STAGE] = {"kind": hardware.stage.driver, "options": _stage(rig, wiring)}
     if part is None:
@@ -59,6 +55,25 @@ def start_bench(
         gige=wiring.camera_is_gige,
     )
     return BenchProcess(devices, camera=setup.as_dict())
+
+
+def start_lights(wiring: Wiring) -> BenchProcess:
+    """Switch on a virtual bench with the virtual light controllers alone.
+
+    Raises
+    ------
+    HardwareError
+        When its process does not start.
+    """
+    return BenchProcess(_controllers(wiring))
+
+
+def _controllers(wiring: Wiring) -> dict[str, dict[str, Any]]:
+    return {
+        name: {"kind": config.driver, "options": _lights(config)}
+        for name, config in wiring.hardware.controllers.items()
+        if config.port == VIRTUAL
+    }
 
 
 def _lights(config: ControllerConfig) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from lightopt.cli._capture import SerialLog
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, RigFile, parse_exposure
 from lightopt.cli._terminal import say, say_warning, show_table
-from lightopt.errors import HardwareError, InputError
+from lightopt.errors import HardwareError, InputError, LightoptError
 
 if TYPE_CHECKING:
     from lightopt.capture import Devices
@@ -31,9 +31,10 @@ def status(rig: RigFile, serial_log: SerialLog = None) -> None:
     """Ask every device how it is; nothing is switched or moved."""
     from lightopt.capture import device_rows
 
-    loaded, devices = _open(rig, serial_log, touch_lights=False)
+    silent: dict[str, LightoptError] = {}
+    loaded, devices = _open(rig, serial_log, touch_lights=False, silent=silent)
     with devices:
-        rows = list(device_rows(devices, loaded))
+        rows = list(device_rows(devices, loaded, silent))
     show_table(("device", "says"), [(row.name, row.says) for row in rows], numbers_from=2)
     if failed := [row for row in rows if row.failed]:
         raise HardwareError(*(f"{row.name}: {row.says}" for row in failed))
@@ -81,15 +82,26 @@ def light(
 
 @bench.command()
 def off(rig: RigFile, serial_log: SerialLog = None) -> None:
-    """Switch every channel of every controller off, whatever state stage and camera are in."""
-    from lightopt.capture import switch_off, wiring_of
+    """Switch every channel of every controller off, whatever state stage, camera and the rest of the file are in.
 
-    loaded, _ = load_inputs(rig, None)
-    told = switch_off(loaded, wiring_of(loaded), serial_log=serial_log, warn=say_warning)
-    if told:
-        say(f"all lights of {loaded.name} were told to be off; {', '.join(told)} cannot be read back: look")
+    Of the file only the controllers have to be readable: what else is wrong with it is said afterwards.
+    """
+    from lightopt.capture import switch_off
+    from lightopt.config import load_lights
+
+    lights = load_lights(rig)
+    try:
+        done = switch_off(lights, serial_log=serial_log, warn=say_warning)
+    finally:
+        for problem in lights.problems:
+            say_warning(problem)
+    which = f"({', '.join(done.controllers)})"
+    if done.told:
+        say(
+            f"all lights of {lights.name} were told to be off {which}; {', '.join(done.told)} cannot be read back: look"
+        )
     else:
-        say(f"all lights of {loaded.name} are off")
+        say(f"all lights of {lights.name} are off {which}")
 
 
 @bench.command()
@@ -157,7 +169,14 @@ def snap(
     force: Force = False,
 ) -> None:
     """Take one frame where the stage stands."""
-    from lightopt.capture import check_burning, check_level, connect_devices, snap_s, wiring_of
+    from lightopt.capture import (
+        check_burning,
+        check_exposure,
+        check_level,
+        connect_devices,
+        snap_s,
+        wiring_of,
+    )
     from lightopt.capture import snap as take
 
     relative = parse_exposure(exposure)
@@ -165,6 +184,7 @@ def snap(
     wiring = wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
         raise InputError("--part: the virtual camera needs to know which part lies on the bench")
+    check_exposure(wiring, loaded, relative)
     if light is not None:
         check_level(wiring, loaded, light, None)
         check_burning(wiring, loaded, light, snap_s(wiring, relative))
@@ -209,7 +229,11 @@ def list_devices(
             return "simulated"
         if "://" in port:
             return "not tried"
-        return "yes" if (problem := port_problem(port)) is None else f"NO: {problem.partition('; ')[0]}"
+        return (
+            "there, not opened"
+            if (problem := port_problem(port)) is None
+            else f"NO: {problem.partition('; ')[0]}"
+        )
 
     rows = [
         (f"controller {name}", config.driver, config.port, here(config.port))
@@ -254,7 +278,12 @@ def _camera_here(config: CameraDeviceConfig, cameras: list[CameraHere]) -> str:
 
 
 def _open(
-    rig: Path, serial_log: Path | None, *, needs_stage: bool = False, touch_lights: bool = True
+    rig: Path,
+    serial_log: Path | None,
+    *,
+    needs_stage: bool = False,
+    touch_lights: bool = True,
+    silent: dict[str, LightoptError] | None = None,
 ) -> tuple[RigConfig, Devices]:
     from lightopt.capture import connect_devices, wiring_of
 
@@ -263,7 +292,13 @@ def _open(
     if needs_stage and wiring.hardware.stage is None:
         raise InputError(f"{loaded.source.at('hardware')}: this rig has no stage")
     return loaded, connect_devices(
-        loaded, wiring, camera=False, serial_log=serial_log, touch_lights=touch_lights, warn=say_warning
+        loaded,
+        wiring,
+        camera=False,
+        serial_log=serial_log,
+        touch_lights=touch_lights,
+        warn=say_warning,
+        silent=silent,
     )
 
 

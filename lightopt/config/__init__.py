@@ -20,6 +20,7 @@ from lightopt.config._hardware import (
 from lightopt.config._inspection import InspectionConfig
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
+from lightopt.config._load_lights import LightsOnly, load_lights
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, ReflectanceConfig
 from lightopt.config._posture import PostureConfig
 from lightopt.config._relocate import relocated
@@ -40,6 +41,7 @@ __all__ = [
     "InspectionConfig",
     "LightConfig",
     "LightSourceConfig",
+    "LightsOnly",
     "MeshConfig",
     "PartConfig",
     "PixelPlaceConfig",
@@ -54,6 +56,7 @@ __all__ = [
     "TemplateConfig",
     "TimingConfig",
     "json_schema",
+    "load_lights",
     "load_part",
     "load_rig",
     "relocated",

@@ -92,9 +92,10 @@ class TemplateConfig(Frozen):
 class ControllerConfig(Frozen):
     """A light controller."""
 
-    driver: Annotated[Literal["ccs", "sa", "template"], expecting("ccs, sa or template")] = Field(
-        description="Protocol: ccs (@ frames), sa (SA0255# family), or template."
-    )
+    driver: Annotated[
+        Literal["ccs", "sa", "template"],
+        expecting("ccs, sa or template, which suits devices of other makers"),
+    ] = Field(description="Protocol: ccs (@ frames), sa (SA0255# family), or template.")
     port: Text = Field(description=_PORT)
     baud: _Baud | None = Field(default=None, description="Baud rate; the protocol's usual one if absent.")
     channels: _Channel = Field(default=4, description="Number of channels.")

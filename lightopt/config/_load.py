@@ -16,7 +16,7 @@ from lightopt.config._rig import RigConfig
 from lightopt.config._source import Source, dotted
 from lightopt.errors import InputError
 
-__all__ = ["load_part", "load_rig"]
+__all__ = ["load_part", "load_rig", "read_text"]
 
 MAX_BYTES = 1_000_000
 _KINDS = {"lightopt-rig": "a rig", "lightopt-part": "a part", "lightopt-images": "an image set"}
@@ -65,6 +65,11 @@ def load_part(path: Path | str) -> PartConfig:
         With one message per thing that is wrong, sorted by line.
     """
     return _load(Path(path), PartConfig, "lightopt-part/1")
+
+
+def read_text(path: Path, expected: str) -> str:
+    """Text of a file that should be of a format; raises an InputError where it is none."""
+    return _decode(_read(path, expected), path)
 
 
 def _load(path: Path, model: type[Config], expected: str) -> Config:

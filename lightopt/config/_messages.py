@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
@@ -94,7 +94,7 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
     if kind == "expected":
         if context["expected"].startswith(("a name", "text")) and isinstance(error["input"], (int, float)):
             found += "; put it in quotes to make it text"
-        return f"expected {context['expected']}, {found}"
+        return f"expected {context['expected']}, {found}{_meant_word(model, error)}"
     if kind == "missing":
         parent = _model_at(model, loc[:-1])
         field = parent.model_fields[str(loc[-1])] if parent else None
@@ -110,6 +110,25 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
     if kind == "too_long":
         return f"expected at most {context['max_length']} entries, found {context['actual_length']}"
     return f"this value cannot be used here: {found}"
+
+
+def _meant_word(model: type[BaseModel], error: ErrorDetails) -> str:
+    """Word that is probably meant, where only some may stand."""
+    *path, key = error["loc"] or ("",)
+    parent = _model_at(model, tuple(path))
+    field = None if parent is None else parent.model_fields.get(str(key))
+    if field is None or not isinstance(error["input"], str):
+        return ""
+    words = [word for word in _literals(field.annotation) if isinstance(word, str)]
+    near = get_close_matches(error["input"].lower(), words, n=1, cutoff=0.6)
+    return f'; did you mean "{near[0]}"?' if near else ""
+
+
+def _literals(annotation: Any) -> tuple[Any, ...]:
+    """Values that a Literal names, be it one of several possibilities."""
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return tuple(value for inner in get_args(annotation) for value in _literals(inner))
 
 
 def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:

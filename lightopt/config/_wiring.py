@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 from lightopt.config._camera import CameraConfig
 from lightopt.config._fields import Complaint, complaint
+from lightopt.config._hardware import CameraDeviceConfig
 
 __all__ = ["misfits"]
 
 VIRTUAL = "virtual"
+_REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {VIRTUAL}
 _CHANNELS = 4
 _TOP_LEVEL = 255
 
@@ -43,7 +45,7 @@ def misfits(
         yield from _shared(channels)
     yield from _same_port(controllers or {}, _mapping(section.get("stage")))
     device = _mapping(section.get("camera"))
-    if camera is not None and camera.exposure_us is None and device.get("driver", VIRTUAL) != VIRTUAL:
+    if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
         yield (
             ("camera",),
             device,

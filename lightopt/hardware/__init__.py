@@ -13,6 +13,7 @@ from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import Event, SerialLog
 from lightopt.hardware._ports import Port, port_problem, serial_ports
 from lightopt.hardware._roles import Camera, Frame, Identity, LightController, Stage, StageState
+from lightopt.hardware._side_by_side import side_by_side
 from lightopt.hardware._stages import StageDriver, check_stage, open_stage, stage_drivers
 
 __all__ = [
@@ -45,5 +46,6 @@ __all__ = [
     "open_stage",
     "port_problem",
     "serial_ports",
+    "side_by_side",
     "stage_drivers",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lightopt.errors import HardwareError
 
-__all__ = ["LinkLostError", "RefusedError", "ReplyError", "printable"]
+__all__ = ["LinkLostError", "OvertakenError", "RefusedError", "ReplyError", "printable"]
 
 
 class ReplyError(HardwareError):
@@ -13,6 +13,10 @@ class ReplyError(HardwareError):
 
 class RefusedError(HardwareError):
     """The device heard the command and said no. Asking again cannot help."""
+
+
+class OvertakenError(HardwareError):
+    """A dialogue was broken off, because something that cannot wait needed the wire."""
 
 
 class LinkLostError(HardwareError):

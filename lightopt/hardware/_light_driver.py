@@ -84,6 +84,8 @@ class LightDriver(ABC):
     def set_level(self, channel: int, level: int) -> int | None:
         """Set the intensity, and read it back where that can be; returns what is held, None where nobody knows.
 
+        Darkening comes first: a dialogue under way on the wire is broken off for it, retries included.
+
         Raises
         ------
         lightopt.errors.InputError
@@ -93,7 +95,8 @@ class LightDriver(ABC):
             When the controller does not answer, or holds something else.
         """
         self._check(channel, level)
-        with self._link.lock:
+        lock = self._link.lock
+        with lock if level > 0 else lock.first():
             self._tell(channel, level)
             self._told_s = time.monotonic()
             if not self._reads:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from lightopt.errors import HardwareError, LightoptError
 from lightopt.hardware._roles import LightController
+from lightopt.hardware._side_by_side import side_by_side
 
 __all__ = ["LightSettings", "LightsStillOnError", "all_off"]
 
@@ -64,37 +65,54 @@ class LightSettings:
     max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
 
 
-def all_off(controllers: Mapping[str, LightController]) -> None:
-    """Darken every channel of every controller, each of them even if others fail.
+def all_off(
+    controllers: Mapping[str, LightController], *, burning: Mapping[str, Collection[int]] | None = None
+) -> None:
+    """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
 
     Parameters
     ----------
     controllers
         By their names in the rig file.
+    burning
+        Channels that are known to burn, by controller: they come first.
 
     Raises
     ------
     LightsStillOnError
         Once all were tried, with a message per controller and reason that names the channels that may still be lit.
     """
-    reasons: dict[tuple[str, str], list[int]] = {}
-    for name, controller in controllers.items():
-        for channel in range(1, controller.channels + 1):
-            reason = _darken(controller, channel)
-            if reason is not None:
-                reasons.setdefault((name, reason), []).append(channel)
-    if reasons:
-        lit: dict[str, list[int]] = {}
-        for (name, _), channels in reasons.items():
-            lit.setdefault(name, []).extend(channels)
+    first = burning or {}
+    reasons = side_by_side(
+        {
+            name: lambda name=name, controller=controller: _darken_all(controller, first.get(name, ()))
+            for name, controller in controllers.items()
+        }
+    )
+    if any(reasons.values()):
         raise LightsStillOnError(
             *(
                 f"controller {name}, channel{'s' if len(channels) > 1 else ''} {', '.join(map(str, channels))}: "
                 f"not switched off, may still be lit: {reason}"
-                for (name, reason), channels in reasons.items()
+                for name, found in reasons.items()
+                for reason, channels in _by_reason(found).items()
             ),
-            channels=lit,
+            channels={name: sorted(found) for name, found in reasons.items() if found},
         )
+
+
+def _darken_all(controller: LightController, first: Collection[int]) -> dict[int, str]:
+    """Switch every channel off, some of them first; why that failed, by channel."""
+    channels = sorted(range(1, controller.channels + 1), key=lambda channel: channel not in first)
+    reasons = {channel: _darken(controller, channel) for channel in channels}
+    return {channel: reason for channel, reason in reasons.items() if reason is not None}
+
+
+def _by_reason(found: Mapping[int, str]) -> dict[str, list[int]]:
+    channels: dict[str, list[int]] = {}
+    for channel in sorted(found):
+        channels.setdefault(found[channel], []).append(channel)
+    return channels
 
 
 def _darken(controller: LightController, channel: int) -> str | None:

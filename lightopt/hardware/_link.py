@@ -7,7 +7,6 @@ lets a device that dribbles hold up the caller for ever.
 from __future__ import annotations
 
 import re
-import threading
 import time
 from collections.abc import Callable
 from typing import TypeVar
@@ -15,9 +14,10 @@ from typing import TypeVar
 import serial
 
 from lightopt.errors import HardwareError
-from lightopt.hardware._errors import LinkLostError, ReplyError, printable
+from lightopt.hardware._errors import LinkLostError, OvertakenError, ReplyError, printable
 from lightopt.hardware._log import Event, LogEntry, SerialLog, now
 from lightopt.hardware._ports import cannot_open
+from lightopt.hardware._turns import Turns
 
 try:
     from termios import error as _termios_error  # not an OSError
@@ -29,6 +29,7 @@ __all__ = ["SerialLink"]
 _LOST = (serial.SerialException, OSError, _termios_error)
 _SLICE_S = 0.02  # longest single wait for a byte; a deadline is kept to within it
 _STALE_BYTES = 65536
+_USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 
 Value = TypeVar("Value")
 
@@ -58,14 +59,15 @@ class SerialLink:
     events
         What was out of the ordinary so far: retries, stale bytes thrown away, the device lost.
     lock
-        Held during each dialogue; a driver holds it over dialogues that belong together.
+        Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait
+        breaks them off by ``lock.first()``; whoever waits for a reply then gets an :class:`OvertakenError`.
 
     Raises
     ------
     lightopt.errors.InputError
         When the port is not there (the message lists those that are), is none, or may not be opened.
     lightopt.errors.HardwareError
-        When another program has it.
+        When another program has it, or nothing answers at its address.
     """
 
     def __init__(
@@ -83,7 +85,7 @@ class SerialLink:
         self.device = device
         self.timeout_s = timeout_s
         self.events: list[Event] = []
-        self.lock = threading.RLock()
+        self.lock = Turns()
         self._gap_s = gap_s
         self._log = log
         self._quiet_since = 0.0
@@ -102,6 +104,11 @@ class SerialLink:
             raise cannot_open(port, device, error) from None
         if log is not None:
             log.write(port, "note", f"opened at {baud} baud for {device}")
+        if "://" not in port and baud not in _USUAL_BAUD:
+            usual = ", ".join(map(str, _USUAL_BAUD))
+            self.note(
+                f"{device}: {baud} baud is unusual (usual are {usual}); garbage or silence may come of it"
+            )
 
     @property
     def retries(self) -> int:
@@ -178,6 +185,8 @@ class SerialLink:
         ------
         ReplyError
             When the deadline passes before the end; it says what had come.
+        OvertakenError
+            When something that cannot wait needs the wire.
         LinkLostError
             When the device is gone.
         """
@@ -201,6 +210,8 @@ class SerialLink:
                         entry.write()
                         if end is None and got and moment - heard >= quiet_s:
                             return bytes(got)
+                    if self.lock.overtaken:
+                        raise self._overtaken(after)
                     if moment >= until:
                         raise self._late(bytes(got), after, limit_s)
             finally:
@@ -208,20 +219,29 @@ class SerialLink:
                 self._quiet_since = time.monotonic()
 
     def drain(self, quiet_s: float = 0.1, deadline_s: float = 1.0) -> None:
-        """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command."""
+        """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command.
+
+        Raises
+        ------
+        OvertakenError
+            When something that cannot wait needs the wire; it is then still owed the silence.
+        """
         with self.lock:
             until = time.monotonic() + deadline_s
             heard = time.monotonic()
             entry = LogEntry(self._log, self.port)
             stale = 0
-            while (moment := time.monotonic()) < min(until, heard + quiet_s):
+            while not (overtaken := self.lock.overtaken) and time.monotonic() < min(until, heard + quiet_s):
                 data = self._guarded(lambda: self._serial.read(1), b"")
                 if data:
-                    heard = moment
+                    heard = time.monotonic()
                     stale += 1
                     entry.add(data)
             entry.write()
             self._told_stale(stale)
+            if overtaken:
+                self._owed = True
+                raise self._overtaken(b"")
 
     def discard(self) -> None:
         """Throw away what already lies in the input, without waiting; it is logged and told as an event."""
@@ -290,6 +310,11 @@ class SerialLink:
                     sent=sent,
                 )
             ) from None
+
+    def _overtaken(self, sent: bytes) -> OvertakenError:
+        return OvertakenError(
+            self.words("no longer waited for, because a light had to be switched off", sent=sent)
+        )
 
     def _late(self, got: bytes, after: bytes, limit_s: float) -> ReplyError:
         problem = "the reply is incomplete" if got else "no reply"

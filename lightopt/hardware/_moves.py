@@ -211,7 +211,7 @@ class MovingStage:
             off = axis.angle_of(targets[axis.name]) - angles[axis.name]
             if abs(off) > 1e-6:
                 self._link.note(
-                    f"{axis.name}: {angles[axis.name]:g}° lies between two steps, "
+                    f"{self._link.device}: {axis.name}: {angles[axis.name]:g}° lies between two steps, "
                     f"goes to {axis.angle_of(targets[axis.name]):.6g}°"
                 )
 

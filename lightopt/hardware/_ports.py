@@ -62,7 +62,10 @@ def port_problem(port: str) -> str | None:
 
 
 def cannot_open(port: str, device: str, error: BaseException) -> LightoptError:
-    """Why a port could not be opened, and what to do: a :class:`HardwareError` where another program has it."""
+    """Why a port could not be opened, and what to do.
+
+    A :class:`HardwareError` where another program has it, or nothing answers at an address of the network.
+    """
     reason = str(error)
     number = getattr(error, "errno", None)
     head = f"{device}: port {port}"
@@ -77,7 +80,7 @@ def cannot_open(port: str, device: str, error: BaseException) -> LightoptError:
             return InputError(
                 f"{head} names no host and number; expected {port.partition(':')[0]}://host:number"
             )
-        return InputError(
+        return HardwareError(
             f"{head} cannot be reached: {_short(reason)}; check address and network, that the device is on, "
             "and that no other program holds its one connection"
         )

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, BinaryIO
 
 from lightopt.errors import HardwareError, InputError
@@ -19,6 +20,11 @@ __all__ = ["BenchProcess"]
 _START_S = 120.0
 _REQUEST_S = 120.0
 _WRONG = 2  # exit status of the process where its description is at fault
+# What this process finds its modules by, instead of the current folder, which may hold a clone of lightopt.
+_START = (
+    "import sys; sys.path[:] = sys.argv.pop(1).split(chr(10)); "
+    "import runpy; runpy.run_module('lightopt.virtualbench', run_name='__main__', alter_sys=True)"
+)
 
 
 class BenchProcess:
@@ -55,7 +61,8 @@ class BenchProcess:
         self._control: socket.socket | None = None
         self._replies: BinaryIO | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
-        command = [sys.executable, "-m", "lightopt.virtualbench", json.dumps(spec)]
+        places = "\n".join(place or str(Path.cwd()) for place in sys.path)
+        command = [sys.executable, "-c", _START, places, json.dumps(spec)]
         # A group of its own: Ctrl-C is for the client, which still has lights to switch off.
         flags = 0x00000200 if os.name == "nt" else 0  # CREATE_NEW_PROCESS_GROUP
         self._process = subprocess.Popen(  # noqa: S603  (this interpreter, this package)
@@ -177,4 +184,6 @@ class BenchProcess:
         if not self._errors.closed:
             self._errors.seek(0)
             said = self._errors.read().decode("utf-8", "replace").strip()
+        if "Traceback (" in said:
+            said = said.splitlines()[-1]
         return HardwareError(f"virtual bench: {what}" + (f"; it said: {said[-2000:]}" if said else ""))

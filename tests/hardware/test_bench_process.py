@@ -188,7 +188,7 @@ def test_clients_come_and_go() -> None:
         for level in (1, 2, 3):
             controller = light_drivers()["ccs"](LightSettings("a", bench.ports["a"]), None)
             controller.set_level(2, level)
-            with pytest.raises(InputError, match="its one connection"):
+            with pytest.raises(HardwareError, match="its one connection"):
                 SerialLink(bench.ports["a"], device="b", baud=9600)
             controller.close()
 
@@ -240,3 +240,25 @@ def test_a_late_reply_does_not_hold_up_those_after_it() -> None:
         assert link.query(b"SA#", end=b"a0000") == b"a0000"
         assert link.read(end=b"b") == b"b"
         link.close()
+
+
+@pytest.mark.parametrize("module", [None, "raise SystemExit('the wrong lightopt')\n"])
+def test_a_folder_called_lightopt_where_the_bench_is_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str | None
+) -> None:
+    """As in the folder in which the repository was cloned."""
+    (tmp_path / "lightopt").mkdir()
+    if module is not None:
+        (tmp_path / "lightopt" / "__init__.py").write_text(module, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place not in ("", str(tmp_path))])
+    with BenchProcess({"a": CCS}) as bench:
+        assert bench.levels("a")[1] == 1
+
+
+def test_a_bench_that_crashes_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    program = "import sys\ndef deep(): raise RuntimeError('no more wires')\ndeep()"
+    monkeypatch.setattr("lightopt.virtualbench._process._START", program)
+    with pytest.raises(HardwareError) as raised:
+        BenchProcess({"a": CCS})
+    assert str(raised.value) == "virtual bench: did not start; it said: RuntimeError: no more wires"

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from lightopt.capture import connect_devices, switch_off, wiring_of
-from lightopt.config import RigConfig, load_rig
-from lightopt.errors import HardwareError
+from lightopt.config import RigConfig, load_lights, load_rig
+from lightopt.errors import HardwareError, InputError
 from lightopt.virtualbench import BenchProcess
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -57,14 +57,26 @@ def dark(bench, *names):
     return [not any(bench.levels(name).values()) for name in names]
 
 
+def edited(rig, *pairs):
+    """The rig's file after some words were replaced, each by the one after it."""
+    path = rig.source.path
+    text = path.read_text(encoding="utf-8")
+    for old, new in zip(pairs[::2], pairs[1::2], strict=True):
+        assert old in text
+        text = text.replace(old, new, 1)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
 def off(rig):
-    return switch_off(rig, wiring_of(rig))
+    return switch_off(load_lights(rig.source.path))
 
 
 def test_all_goes_dark_without_stage_and_camera(bench, rig_on):
     rig = rig_on({**bench.ports, "stage": "/dev/nowhere"})
     assert dark(bench, "left", "right") == [False, False]
-    assert off(rig) == ()
+    done = off(rig)
+    assert (done.controllers, done.told) == (("left", "right"), ())
     assert dark(bench, "left", "right") == [True, True]
 
 
@@ -96,7 +108,7 @@ def test_a_channel_that_does_not_obey_is_named_and_the_others_are_dark(bench, ri
 
 def test_what_cannot_be_read_back_was_only_told(bench, rig_on):
     blind = ', template: {set: "W{channel}{level:03d}\\r\\n"}'
-    assert off(rig_on(bench.ports, driver="template", template=blind)) == ("right",)
+    assert off(rig_on(bench.ports, driver="template", template=blind)).told == ("right",)
 
 
 def test_a_stage_that_does_not_answer_leaves_nothing_burning(bench, rig_on):
@@ -124,3 +136,87 @@ def test_a_mere_look_switches_nothing(bench, rig_on):
     with connect_devices(rig, wiring_of(rig), camera=False, touch_lights=False):
         pass
     assert dark(bench, "left", "right") == [False, False]
+
+
+def test_nothing_waits_for_a_mute_controller(bench, rig_on):
+    """Opening the mute one alone takes three times its timeout."""
+    bench.set_fault("left", "drop", count=None)
+    rig = rig_on(bench.ports)
+    slower = edited(rig, "channels: 2, timeout_s: 0.1", "channels: 2, timeout_s: 1.0")
+    started = bench.state()["time"]
+    with pytest.raises(HardwareError, match="lights that may still burn: light1") as raised:
+        switch_off(load_lights(slower))
+    assert raised.value.messages[-2] == "controllers that went dark: right"
+    dark_at = max(t for t, name, _, level in bench.trace() if name == "right" and level == 0)
+    assert dark_at - started < 1.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("points: ", "points: 6, zzz: ", "expected a square number"),
+        ("name:", "nmae:", "unknown key"),
+        ("camera:", "camera: [", "expected"),
+        ("level: 200", "level: bright", "lights.light1.level"),
+        ("driver: shot", "driver: shoot", "hardware.stage.driver"),
+        ("channels: 2", "channels: 2, chanels: 2", "unknown key"),
+    ],
+)
+def test_a_file_that_is_wrong_elsewhere_darkens_all_the_same(bench, rig_on, cli, old, new, told):
+    path = edited(rig_on(bench.ports), old, new)
+    ran = cli("bench", "off", path)
+    assert ran.status == 0, ran.err
+    assert dark(bench, "left", "right") == [True, True]
+    assert ran.out.endswith(" are off (left, right)\n")
+    assert all(line.startswith("warning: ") for line in ran.err.splitlines())
+    assert told in ran.err
+
+
+def test_a_controller_that_the_file_has_wrong_is_named_and_the_others_are_dark(bench, rig_on, cli):
+    path = edited(rig_on(bench.ports), "left: {driver: ccs", "left: {driver: css")
+    ran = cli("bench", "off", path)
+    assert (ran.status, ran.out) == (2, "")
+    assert dark(bench, "left", "right") == [False, True]
+    assert "not switched off, because the file is wrong there: controller left; mend it" in ran.err
+    assert "controllers that went dark: right" in ran.err
+    assert "lights that may still burn: light1" in ran.err
+    assert "warning: " in ran.err
+
+
+@pytest.mark.parametrize(
+    ("pairs", "burn"),
+    [
+        (("left: {driver: ccs", "left: {driver: css", "right: {driver: ccs", "right: {driver: css"), True),
+        (("hardware:", "hadware:"), False),
+    ],
+)
+def test_where_no_controller_can_be_read_it_says_what_to_do(bench, rig_on, pairs, burn):
+    with pytest.raises(InputError, match="switch the controllers off by hand") as raised:
+        load_lights(edited(rig_on(bench.ports), *pairs))
+    assert ("lights that may burn: light1, light3" in raised.value.messages[-1]) == burn
+
+
+def test_status_asks_every_device_although_some_are_silent(bench, rig_on, cli):
+    bench.set_fault("left", "drop", count=None)
+    bench.set_fault("stage", "drop", count=None)
+    ran = cli("bench", "status", rig_on(bench.ports).source.path)
+    assert ran.status == 3
+    rows = {line.split("  ")[0]: line for line in ran.out.splitlines()[1:]}
+    assert list(rows) == ["controller left", "controller right", "light light1", "light light3", "stage"]
+    assert "no reply" in rows["controller left"]
+    assert "status 00" in rows["controller right"] or "read_back yes" in rows["controller right"]
+    assert rows["light light1"].endswith("its controller does not answer")
+    assert rows["light light3"].endswith("right channel 2: burns at level 90")
+    assert "no reply" in rows["stage"]
+    failed = [
+        line.partition(":")[2].partition(":")[0].strip() for line in ran.err.splitlines() if "error" in line
+    ]
+    assert failed == ["controller left", "stage"]
+    assert dark(bench, "left", "right") == [False, False]
+
+
+@pytest.mark.parametrize("command", [("status",), ("light", "light1", "--seconds", "0.1"), ("off",)])
+def test_an_address_at_which_nothing_answers_is_a_device_that_failed(bench, rig_on, cli, command):
+    path = rig_on({**bench.ports, "left": "socket://127.0.0.1:1"}).source.path
+    ran = cli("bench", command[0], path, *command[1:])
+    assert (ran.status, "cannot be reached" in ran.err) == (3, True)

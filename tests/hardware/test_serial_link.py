@@ -351,7 +351,7 @@ def test_nobody_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
     with pytest.raises(
-        InputError, match=r"cannot be reached.*check address and network, that the device is on"
+        HardwareError, match=r"cannot be reached.*check address and network, that the device is on"
     ):
         SerialLink(f"socket://127.0.0.1:{number}", device="lamp", baud=9600)
 
@@ -448,3 +448,16 @@ def test_a_full_disk_ends_the_log_and_nothing_else(far: Far, tmp_path: Path) -> 
     assert "the serial log ends here, it can no longer be written: No space left" in said[0]
     link.close()
     log.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are those of POSIX")
+def test_an_unusual_baud_rate_is_told() -> None:
+    ours, theirs = os.openpty()
+    try:
+        link = SerialLink(os.ttyname(theirs), device="lamp", baud=38401)
+        link.close()
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    (event,) = link.events
+    assert event.what.startswith("lamp: 38401 baud is unusual (usual are 1200, 2400, 4800, 9600, ")

@@ -81,6 +81,14 @@ def test_what_could_not_be_closed_does_not_hide_what_failed(opened, world):
     assert raised.value.messages[-1] == "closing a device failed: No space left on device"
 
 
+def test_what_burns_goes_dark_first(opened, world):
+    with opened({"channel": 4}) as devices:
+        devices.light_on("light1")
+        before = len(world.log)
+    assert world.log[before] == ("level", "bench1", 4, 0)
+    assert len(world.did("level")) == 9
+
+
 # --- how long a light may burn
 
 

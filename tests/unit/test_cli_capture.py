@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from lightopt.images import read_png
@@ -47,7 +49,7 @@ def sealed(monkeypatch):
 
 
 BAD = [
-    ("driver: ccs", "driver: cs", [], 'controllers.main.driver: expected ccs, sa or template, found "cs"'),
+    ("driver: ccs", "driver: cs", [], 'makers, found "cs"; did you mean "ccs"?'),
     (
         "port: virtual, channels",
         "port: /dev/nowhere, channels",
@@ -186,7 +188,7 @@ def test_what_is_out_of_the_ordinary_on_the_wires_is_said(cli, wired, quiet):
     assert "rotation: 10.005° lies between two steps, goes to 10" in said
     moved = cli("bench", "move", wired.rig, "--rotation", "10.005")
     assert "warning: " in moved.err
-    assert "rotation: 10.005° lies between two steps" in moved.err
+    assert "stage (shot): rotation: 10.005° lies between two steps" in moved.err
 
 
 def test_an_interrupted_capture_says_how_to_go_on(cli, wired, monkeypatch):
@@ -253,7 +255,7 @@ def test_bench_refuses_before_anything_is_opened(cli, wired, sealed, arguments, 
 def test_home_move_and_off(cli, wired):
     assert cli("bench", "home", wired.rig).out == "the stage stands at (0°, 0°)\n"
     assert cli("bench", "move", wired.rig, "--rotation", "82").out == "the stage stands at (0°, 82°)\n"
-    assert cli("bench", "off", wired.rig).out == "all lights of small are off\n"
+    assert cli("bench", "off", wired.rig).out == "all lights of small are off (main)\n"
 
 
 def test_snap_takes_a_frame(cli, wired):
@@ -297,3 +299,27 @@ def test_devices_marks_ports_that_are_not_there(cli, wired, sealed):
     ran = cli("bench", "devices", wired.rig)
     assert ran.status == 0
     assert "NO: no port /dev/nowhere on this computer" in ran.out
+
+
+def test_an_exposure_that_no_camera_has_is_told_before_how_long_a_light_would_burn(cli, wired, sealed):
+    ran = cli(
+        "bench",
+        "snap",
+        wired.rig,
+        wired.folder / "f.png",
+        "--light",
+        "light1",
+        "--exposure",
+        "2000",
+        "--part",
+        wired.part,
+    )
+    assert ran.status == 2
+    assert "exposure 2000 is 1.6e+07 µs" in ran.err
+    assert "max_on_s" not in ran.err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the port is one of POSIX")
+def test_a_port_that_is_there_was_not_opened(cli, wired, sealed):
+    wired.edit("rig.yaml", "{driver: ccs, port: virtual,", "{driver: ccs, port: /dev/tty,")
+    assert "there, not opened" in cli("bench", "devices", wired.rig).out

@@ -11,10 +11,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lightopt.config import (
+    AxisConfig,
+    CameraDeviceConfig,
+    ChannelConfig,
     ControllerConfig,
     HardwareConfig,
     RigConfig,
     StageDeviceConfig,
+    TemplateConfig,
+    TimingConfig,
     load_rig,
     relocated,
     with_values,
@@ -146,7 +151,7 @@ BAD = [
         MAIN,
         "main: {driver: css, port: COM3}",
         "controllers.main.driver",
-        ["ccs, sa or template", 'found "css"'],
+        ["ccs, sa or template, which suits devices of other makers", 'found "css"; did you mean "ccs"?'],
     ),
     (MAIN, "main: {driver: ccs, prot: COM3}", "controllers.main", ['did you mean "port"?']),
     (MAIN, "main: {driver: ccs}", "controllers.main", ['missing key "port"', "/dev/serial/by-id"]),
@@ -385,7 +390,7 @@ def test_any_value_anywhere(tmp_path: Path, data: st.DataObject) -> None:
     document = yaml.safe_load(RIG)
     here = document["hardware"]
     while True:
-        key = data.draw(st.sampled_from(sorted(here)))
+        key = data.draw(st.sampled_from(sorted(here, key=str)))
         if not isinstance(here[key], dict) or data.draw(st.booleans()):
             break
         here = here[key]
@@ -396,3 +401,36 @@ def test_any_value_anywhere(tmp_path: Path, data: st.DataObject) -> None:
     except InputError as error:
         for message in error.messages:
             assert re.match(rf"{re.escape(str(path))}:\d+: hardware", message), message
+
+
+def test_a_camera_driver_that_is_none_says_nothing_of_exposure_times(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    text = RIG.replace("  exposure_us: 8000\n", "")
+    assert "driver: folder" in text
+    path.write_text(text.replace("driver: folder", "driver: floder"), encoding="utf-8")
+    with pytest.raises(InputError) as raised:
+        load_rig(path)
+    assert 'did you mean "folder"?' in str(raised.value)
+    assert "exposure_us" not in str(raised.value)
+
+
+def test_the_page_has_every_key_with_its_default() -> None:
+    sections = {
+        "`controllers.NAME`": ControllerConfig,
+        "`controllers.NAME.template`": TemplateConfig,
+        "`lights.NAME`": ChannelConfig,
+        "`stage`": StageDeviceConfig,
+        "`stage.elevation`, `stage.rotation`": AxisConfig,
+        "`camera`": CameraDeviceConfig,
+        "`timing`": TimingConfig,
+    }
+    expected: list[tuple[str, str, str]] = []
+    for section, model in sections.items():
+        for key, field in model.model_fields.items():
+            default = field.default
+            text = f"{default:g}" if isinstance(default, float) else str(default).lower()
+            expected.append((section, f"`{key}`", "required" if field.is_required() else text))
+    page = (CONFIGS.parent / "docs" / "hardware.md").read_text(encoding="utf-8")
+    _, _, table = page.partition("## All keys of `hardware`")
+    rows = [line.strip("| ").split(" | ")[:3] for line in table.splitlines() if line.startswith("| `")]
+    assert [tuple(row) for row in rows] == expected

@@ -1,0 +1,123 @@
+"""How long a light burns at most when replies are lost, and what goes dark first."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from lightopt.capture._burning import BurnWatch
+from lightopt.errors import HardwareError
+from lightopt.hardware import LightSettings, LightsStillOnError, all_off, light_drivers, side_by_side
+from lightopt.virtualbench import BenchProcess
+
+LONGEST_S = 0.3
+
+
+def burned_s(bench, device, channel):
+    """How long a channel burned, by the bench's clock."""
+    changes = [(t, share) for t, name, number, share in bench.trace() if (name, number) == (device, channel)]
+    lit = next(t for t, share in changes if share)
+    return next(t for t, share in changes if t > lit and not share) - lit
+
+
+@pytest.mark.parametrize(("kind", "tcp", "answered"), [("ccs", True, 1), ("sa", False, 0)])
+def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
+    """The controller falls silent as the light comes on: for ccs once it has acknowledged the intensity."""
+    with BenchProcess({"main": {"kind": kind}}, tcp=tcp) as bench:
+        settings = LightSettings("main", bench.ports["main"], timeout_s=1.0)
+        controller = light_drivers()[kind](settings, None)
+        bench.set_fault("main", "drop", count=None, after=answered)
+        watch = BurnWatch(lambda _light: controller.set_level(3, 0))
+        watch.begin("light", LONGEST_S)
+        with pytest.raises(HardwareError, match="because a light had to be switched off"):
+            controller.set_level(3, 200)
+        until = time.monotonic() + 3
+        while bench.levels("main")[3] and time.monotonic() < until:
+            time.sleep(0.02)
+        assert burned_s(bench, "main", 3) < LONGEST_S + 0.4
+        bench.set_fault("main", "clear")
+        watch.end_all()
+        controller.close()
+
+
+def test_a_reading_gives_way_to_darkening():
+    with BenchProcess({"main": {"kind": "ccs", "options": {"levels": {"1": 200}}}}) as bench:
+        controller = light_drivers()["ccs"](LightSettings("main", bench.ports["main"], timeout_s=5.0), None)
+        bench.set_fault("main", "drop")
+        watch = BurnWatch(lambda _light: controller.set_level(1, 0))
+        watch.begin("light", 0.1)
+        with pytest.raises(HardwareError, match="no longer waited for"):
+            controller.read_level(2)
+        watch.end_all()  # waits for the thread that darkens
+        assert not any(bench.levels("main").values())
+        assert controller.read_level(1) == 0
+        controller.close()
+
+
+class Controller:
+    """Notes down when which channel is darkened; a mute one takes long over it and fails."""
+
+    channels = 4
+
+    def __init__(self, *, mute=False):
+        self.mute, self.dark = mute, []
+
+    def set_level(self, channel, level):
+        assert level == 0
+        self.dark.append((channel, time.monotonic()))
+        if self.mute:
+            time.sleep(0.3)
+            raise HardwareError("no reply")
+
+
+def test_what_burns_goes_dark_first_whatever_the_other_controllers_do():
+    left, right = Controller(mute=True), Controller()
+    started = time.monotonic()
+    with pytest.raises(LightsStillOnError) as raised:
+        all_off({"left": left, "right": right}, burning={"right": [4], "left": [3]})
+    assert [channel for channel, _ in right.dark] == [4, 1, 2, 3]
+    assert [channel for channel, _ in left.dark] == [3, 1, 2, 4]
+    assert right.dark[-1][1] - started < 0.3
+    assert raised.value.channels == {"left": [1, 2, 3, 4]}
+    assert raised.value.messages == (
+        "controller left, channels 1, 2, 3, 4: not switched off, may still be lit: no reply",
+    )
+
+
+def test_the_report_does_not_depend_on_who_is_first_to_fail():
+    def slow(_channel, _level):
+        time.sleep(0.1)
+        raise HardwareError("slow")
+
+    left, right = Controller(), Controller()
+    left.set_level = slow
+    right.mute = True
+    with pytest.raises(LightsStillOnError) as raised:
+        all_off({"left": left, "right": right, "third": Controller()})
+    assert [message.partition(",")[0] for message in raised.value.messages] == [
+        "controller left",
+        "controller right",
+    ]
+
+
+def test_all_of_it_is_done_although_some_fails_and_no_thread_can_be_started(monkeypatch):
+    done = []
+
+    def fail():
+        raise KeyboardInterrupt("SIGINT")
+
+    work = {"a": fail, "b": lambda: done.append("b"), "c": lambda: done.append("c")}
+    with pytest.raises(KeyboardInterrupt, match="SIGINT"):
+        side_by_side(work)
+    assert sorted(done) == ["b", "c"]
+
+    def none_left(_self):
+        raise RuntimeError("can't create new thread at interpreter shutdown")
+
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    with pytest.raises(KeyboardInterrupt, match="SIGINT"):
+        side_by_side(work)
+    assert done[2:] == ["b", "c"]
+    assert side_by_side({}) == {}
