@@ -24,16 +24,19 @@ PARTS ?= configs/parts
 STEP  ?= 5
 VALUES = grep -E '^ +(R_d|R_s|sigma_rad):' $(1) | sed -E 's/\#.*//' | tr -s ' \n' ' '
 
-demo: $(BIN)/.installed  ## render the sample into out/demo, fit noisy renders, optimise its lights, capture the virtual bench
+demo: $(BIN)/.installed  ## the whole loop on the sample: render, fit, plan the lights for defects, capture, inspect; into out/demo…
 	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo --sheet
 	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo-noisy --noise 1 --exposure 1 --exposure 1/16 --posture 0,0
 	$(BIN)/lightopt fit-specular $(RIG) $(PART) $(OUT)/demo-noisy -o $(OUT)/demo-fit --joint
 	@echo "true:      $$($(call VALUES,$(PART)))"
 	@echo "recovered: $$($(call VALUES,$(OUT)/demo-fit/part.fitted.yaml))"
-	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/demo-best
+	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/demo-best --objective detectability --common-lights
 	$(BIN)/lightopt capture $(RIG) $(PART) -o $(OUT)/demo-captured --posture 0,82 --exposures 1,1/16 --resume
 	$(BIN)/lightopt fit-diffuse $(RIG) $(PART) $(OUT)/demo-captured -o $(OUT)/demo-captured-fit
-	@echo "the report of the optimisation: $(OUT)/demo-best/report.html"
+	$(BIN)/lightopt defects $(OUT)/demo-best/rig.optimized.yaml $(PART) -o $(OUT)/demo-defects.yaml --seed 4 --count 8
+	$(BIN)/lightopt render $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml -o $(OUT)/demo-part --noise 2 --posture 0,0
+	$(BIN)/lightopt inspect $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml $(OUT)/demo-part -o $(OUT)/demo-inspected --truth
+	@echo "what the optimisation found: $(OUT)/demo-best/report.html"
 
 batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
 	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch
