@@ -20,7 +20,7 @@ from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
 from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
-from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions
+from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions, check_options
 from lightopt.optimize._packed import count_bits
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
@@ -74,6 +74,7 @@ __all__ = [
     "blind_codes",
     "blind_spots",
     "blind_text",
+    "check_options",
     "count_bits",
     "degrees_text",
     "find_candidates",

@@ -31,7 +31,7 @@ from lightopt.optimize._packed import Words
 from lightopt.optimize._trials import Trial
 from lightopt.sensor import Sensor
 
-__all__ = ["DEFAULT_CONTRAST", "GRAZING_COSINE", "Contrast"]
+__all__ = ["DEFAULT_CONTRAST", "GRAZING_COSINE", "Contrast", "threshold_problem"]
 
 Float64 = NDArray[np.float64]
 
@@ -43,6 +43,13 @@ Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196)."""
 
 GRAZING_COSINE = math.cos(math.radians(80.0))
 """Of the angle between normal and view beyond which nothing is visible."""
+
+
+def threshold_problem(threshold: float) -> str | None:
+    """What is wrong with a multiple of the noise; None where nothing is."""
+    if math.isfinite(threshold) and threshold > 0.0:
+        return None
+    return f"--threshold: expected a number above 0, times the sensor's noise, found {threshold:g}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +76,8 @@ class Contrast:
     threshold: float = DEFAULT_CONTRAST
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.threshold) and self.threshold > 0.0):
-            raise InputError(
-                f"--threshold: expected a number above 0, times the sensor's noise, found {self.threshold:g}"
-            )
+        if problem := threshold_problem(self.threshold):
+            raise InputError(problem)
 
     def words(
         self,

@@ -27,10 +27,17 @@ from lightopt.optimize._trials import Trial
 from lightopt.optimize._visibility import Visibility
 from lightopt.optimize._work import Share
 
-__all__ = ["Detectability"]
+__all__ = ["Detectability", "seen_in_problem"]
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
+
+
+def seen_in_problem(seen_in: int) -> str | None:
+    """What is wrong with a number of images that must show a defect; None where nothing is."""
+    if seen_in >= 1:
+        return None
+    return f"--seen-in: expected the number of images that must show a defect, 1 or more, found {seen_in}"
 
 
 @dataclass(frozen=True)
@@ -51,10 +58,8 @@ class Detectability:
     unit: str = "µm² × weight of the defects"
 
     def __post_init__(self) -> None:
-        if self.seen_in < 1:
-            raise InputError(
-                f"--seen-in: expected the number of images that must show a defect, 1 or more, found {self.seen_in}"
-            )
+        if problem := seen_in_problem(self.seen_in):
+            raise InputError(problem)
 
     @property
     def total_weight(self) -> int:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from lightopt.errors import InputError
-from lightopt.optimize._contrast import DEFAULT_CONTRAST
+from lightopt.optimize._contrast import DEFAULT_CONTRAST, threshold_problem
+from lightopt.optimize._detectability import seen_in_problem
 from lightopt.optimize._search import DEFAULT_LIMIT
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 from lightopt.transforms import Posture
@@ -109,5 +110,7 @@ def check_options(options: OptimizeOptions) -> None:
             problems.append(f"{name}: expected at least 1, found {value}")
     if options.postures is not None and len(set(options.postures)) < len(options.postures):
         problems.append("posture: the same posture was given twice")
+    defects = (seen_in_problem(options.seen_in), threshold_problem(options.contrast))
+    problems += [problem for problem in defects if problem is not None]
     if problems:
         raise InputError(*problems)

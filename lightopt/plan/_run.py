@@ -16,6 +16,7 @@ from lightopt.optimize import (
     OptimizeOptions,
     Optimum,
     Outcome,
+    check_options,
     optimize,
     refuse_other_result,
 )
@@ -82,7 +83,9 @@ def plan(
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
+    check_options(options)
     check_plan(wanted)
+    _check_images(rig, part, options, wanted)
     options = replace(options, plan={**options.plan, **wanted.facts()})
     chosen: ChosenPostures | None = None
     survey: Survey | None = None
@@ -150,6 +153,25 @@ def _check_chooses(options: OptimizeOptions) -> None:
         )
     if problems:
         raise InputError(*problems)
+
+
+def _check_images(rig: RigConfig, part: PartConfig, options: OptimizeOptions, wanted: PlanOptions) -> None:
+    # no defect can be seen in more images than there are
+    if wanted.chooses:
+        images, what = len(rig.lights), "lights: scores and blind spots ask it of one posture's images"
+    elif wanted.exposures:
+        postures = options.postures or part.postures
+        exposures = len({1.0, *wanted.exposures})
+        images = len(rig.lights) * len(postures) * exposures
+        what = (
+            f"images of the plan: {len(rig.lights)} lights × {len(postures)} postures × {exposures} exposures"
+        )
+    else:
+        return
+    if options.seen_in > images:
+        raise InputError(
+            f"--seen-in: expected at most {images}, the number of {what}; found {options.seen_in}; lower it"
+        )
 
 
 def _early_provenance(rig: RigConfig, part: PartConfig, options: OptimizeOptions) -> dict[str, Any]:

@@ -247,14 +247,29 @@ def test_tolerances_of_another_objective(two, cli):
         ),
         (("--choose-postures", "1", "--posture", "0,0"), "leave --posture or --choose-postures out"),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
+        (("--choose-postures", "2", "--seen-in", "0"), "--seen-in: expected the number of images"),
+        (("--exposures", "1/4", "--seen-in", "0"), "--seen-in: expected the number of images"),
+        (("--choose-postures", "2", "--seen-in", "3"), "--seen-in: expected at most 2, the number of lights"),
+        (("--exposures", "1,1/4", "--seen-in", "9"), "2 lights × 2 postures × 2 exposures; found 9"),
+        (("--choose-postures", "1", "--threshold", "-1"), "--threshold: expected a number above 0"),
+        (("--exposures", "1/4", "--threshold", "nan"), "--threshold: expected a number above 0"),
+        (("--choose-postures", "1", "--rows", "0"), "ranking rows: expected at least 1, found 0"),
+        (("--choose-postures", "1", "--patches", "0"), "patch budget: expected at least 1, found 0"),
+        (("--choose-postures", "1", "--threads", "0"), "threads: expected at least 1, found 0"),
     ],
 )
-def test_bad_questions_are_refused_before_any_work(two, cli, arguments, expected):
+def test_bad_questions_are_refused_before_any_work(two, cli, arguments, expected, monkeypatch):
+    monkeypatch.setattr("lightopt.plan._postures.cast_rays_at", work)
+    monkeypatch.setattr("lightopt.optimize._run.cast_rays_at", work)
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *arguments)
     assert ran.status == 2
     assert expected in ran.err
     assert "Traceback" not in ran.err
     assert not two.out.exists()
+
+
+def work(*_arguments, **_options):
+    raise AssertionError("rays are cast")
 
 
 def test_a_part_whose_postures_cannot_be_replaced_is_refused_before_any_work(two, cli):
