@@ -25,6 +25,7 @@ from lightopt.plan._options import OBJECTIVE, PlanOptions, check_plan
 from lightopt.plan._postures import HOME, places_of, plan_postures
 from lightopt.plan._result import ChosenPostures, PlanResult, plan_dict
 from lightopt.plan._survey import Survey
+from lightopt.plan._trust import lights_problem
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
 from lightopt.rendering import Report
 
@@ -86,7 +87,9 @@ def plan(
     check_options(options)
     check_plan(wanted)
     _check_images(rig, part, options, wanted)
-    options = replace(options, plan={**options.plan, **wanted.facts()})
+    if wanted.tolerances is not None and (problem := lights_problem(len(rig.lights))):
+        raise InputError(problem)
+    options = replace(options, plan={**options.plan, **_facts(options, wanted)})
     chosen: ChosenPostures | None = None
     survey: Survey | None = None
     if wanted.chooses or wanted.exposures:
@@ -132,6 +135,13 @@ def plan(
         page=page,
     )
     return Planned(optimum=optimum, result=found[0])
+
+
+def _facts(options: OptimizeOptions, wanted: PlanOptions) -> dict[str, Any]:
+    # postures and exposures are planned for defects, whatever the objective
+    if not (wanted.chooses or wanted.exposures):
+        return wanted.facts()
+    return {"seen_in": options.seen_in, "threshold": options.contrast, **wanted.facts()}
 
 
 def _asked(wanted: PlanOptions) -> str:

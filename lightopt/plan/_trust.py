@@ -22,6 +22,7 @@ from lightopt.errors import InputError
 __all__ = [
     "DEFAULT_TOLERANCE_TARGET",
     "LARGEST_TOLERANCE",
+    "MOST_LIGHTS",
     "RESOLUTION",
     "RUNGS",
     "Assess",
@@ -29,6 +30,7 @@ __all__ = [
     "Tolerances",
     "Trust",
     "Widest",
+    "lights_problem",
     "trust_of",
 ]
 
@@ -45,6 +47,9 @@ DEFAULT_TOLERANCE_TARGET = 0.95
 
 LARGEST_TOLERANCE = 16.0
 """The widest tolerance that is looked for, and the largest that may be asked about [°]."""
+
+MOST_LIGHTS = 10
+"""Of which all corners are tried: 4 per light, some million in all. Two lights more would be sixteen times as many."""
 
 RUNGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Tolerances that are tried before the first that costs too much is bisected [°]."""
@@ -121,7 +126,8 @@ class Widest:
     angle
         ``elevation``, ``azimuth``, ``both``, ``tilt`` or ``rotation``.
     degrees
-        The widest tolerance that keeps the score, every angle but these being as it should [°].
+        The widest tolerance that keeps the score, every angle but these being as it should [°]; of those that were
+        tried: the rungs, and halves of the step between the last that keeps it and the first that does not.
     open_ended
         Whether that is the widest that was looked for.
     """
@@ -180,7 +186,14 @@ def trust_of(
         What may be off.
     progress
         Called with the share that is done.
+
+    Raises
+    ------
+    InputError
+        More lights than all corners can be tried of.
     """
+    if problem := lights_problem(len(names)):
+        raise InputError(problem)
     angles = list(_angles(names))
     pose_corners = list(_corners(tolerances.pose_deg))
     total, done = len(pose_corners) + tolerances.draws + len(angles), 0
@@ -220,6 +233,17 @@ def trust_of(
         quantile=sorted(drawn)[max(0, math.ceil(QUANTILE * len(drawn)) - 1)],
         least_drawn=min(drawn),
         widest=tuple(widest),
+    )
+
+
+def lights_problem(lights: int) -> str | None:
+    """What is wrong with a number of lights; None where nothing is."""
+    if lights <= MOST_LIGHTS:
+        return None
+    return (
+        f"--tolerance-deg, --pose-tolerance-deg: all corners of the lights' angles are tried, 4 per light: expected at "
+        f"most {MOST_LIGHTS} lights ({4**MOST_LIGHTS:,} corners), found {lights}; leave the tolerances out, or some "
+        "lights out of the rig"
     )
 
 

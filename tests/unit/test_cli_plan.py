@@ -145,6 +145,8 @@ def test_the_same_command_again_gives_the_same_bytes_and_another_is_refused(plan
 def test_what_is_planned_goes_with_the_plan(two, cli):
     assert cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--exposures", "1/16").status == 0
     assert (two.out / "part.planned.yaml").is_file()
+    options = result_of(two.out)["options"]
+    assert (options["seen_in"], options["threshold"]) == (1, 5.0)  # exposures are planned for defects
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--force")
     assert ran.status == 0, ran.err
     assert not (two.out / "part.planned.yaml").exists()
@@ -265,6 +267,19 @@ def test_bad_questions_are_refused_before_any_work(two, cli, arguments, expected
     assert ran.status == 2
     assert expected in ran.err
     assert "Traceback" not in ran.err
+    assert not two.out.exists()
+
+
+def test_tolerances_of_many_lights_are_refused_before_any_work(two, cli, monkeypatch):
+    monkeypatch.setattr("lightopt.optimize._run.cast_rays_at", work)
+    more = "".join(
+        f"  - {{name: more{i}, distance_mm: 330, elevation_deg: 30, azimuth_deg: {30 * i}}}\n"
+        for i in range(10)
+    )
+    two.edit("rig.yaml", LIGHTS, LIGHTS + more)
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, "--tolerance-deg", "2")
+    assert ran.status == 2
+    assert "expected at most 10 lights (1,048,576 corners), found 12" in ran.err
     assert not two.out.exists()
 
 
