@@ -45,9 +45,16 @@ def _show_postures(chosen: ChosenPostures) -> None:
         f"{number} of {chosen.offered} show {percent(cover.share)} of the surface × defects in {images} or more, all "
         "postures together"
     )
+    if cover.k > 1:
+        say(
+            f"adds: images new to a pair of patch and defect, up to {cover.k} of each; together: pairs with {cover.k} "
+            "images or more"
+        )
+    # the greedy choice is bounded in what it adds; in what it reaches only where one image is enough
+    greedy = f"; a greedy choice has at least {percent(cover.guarantee)} of the best" if cover.k == 1 else ""
     say(
         f"with these lights no {number} show more than {percent(cover.bound_share)}, and all {chosen.offered} show "
-        f"{percent(cover.all_reached / total)}; a greedy choice has at least {percent(cover.guarantee)} of the best"
+        f"{percent(cover.all_reached / total)}{greedy}"
     )
     if cover.least is not None and chosen.target is not None:
         say(f"{percent(chosen.target)} takes at least {counted(cover.least, 'posture')} with these lights")

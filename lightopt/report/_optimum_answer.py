@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from lightopt.errors import counted
 from lightopt.optimize import (
     Answer as Best,
@@ -17,13 +20,19 @@ from lightopt.optimize import (
 )
 from lightopt.report._page import Answer, Block, Note, Table, Warnings
 from lightopt.report._sheet_layout import degrees
+from lightopt.transforms import Posture
 
 __all__ = ["answer_blocks", "postures_text", "scores_table"]
 
 
 def answer_blocks(draft: Draft) -> list[Block]:
     """What was found, in a sentence and a table of angles, and what to know before relying on it."""
-    blocks: list[Block] = [_answer(result) for result in draft.results]
+    chosen = draft.document.get("chosen_postures")
+    blocks: list[Block] = (
+        [_answer(result) for result in draft.results]
+        if chosen is None
+        else [_plan_answer(chosen, draft.document.get("exposures"))]
+    )
     header = ["posture", *draft.candidates.names, "score"]
     rows = [_row(draft, result) for result in draft.results if result.answers[0].nothing is None]
     if rows:
@@ -34,7 +43,11 @@ def answer_blocks(draft: Draft) -> list[Block]:
                 caption="Of each light its elevation from the table plane and its azimuth from the world's X axis.",
             )
         )
-    blocks += [Note(text=_proof(result)) for result in draft.results if result.answers[0].nothing is None]
+    if chosen is None:
+        found = [result for result in draft.results if result.answers[0].nothing is None]
+        blocks += [Note(text=_proof(result)) for result in found]
+    else:
+        blocks.append(Note(text=_plan_proof(chosen)))
     rigs = ", ".join(rig["file"] for rig in draft.document["rigs"])
     if rigs:
         blocks.append(Note(text=f"Rig with these angles: {rigs}"))
@@ -80,6 +93,39 @@ def _answer(result: SetResult) -> Answer:
         figure=f"{100.0 * share:.1f} %",
         text=f"of the surface that the camera sees, by {best.objective.name}: {score}, {where}",
     )
+
+
+def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None) -> Answer:
+    images = counted(chosen["seen_in"], "image")
+    postures = ", ".join(str(_posture(one)) for one in chosen["postures"])
+    text = (
+        f"of the surface × defects is seen in {images} or more, all postures together: {postures}; the surface is what "
+        "the camera sees in any posture to choose from"
+    )
+    if exposures is not None and any(shot["planned"] for shot in exposures["shots"]):
+        text += f". With the planned exposures {100.0 * exposures['share']:.1f} %"
+    return Answer(figure=f"{100.0 * chosen['share']:.1f} %", text=text)
+
+
+def _plan_proof(chosen: Mapping[str, Any]) -> str:
+    number = counted(len(chosen["postures"]), "posture")
+    bound = (
+        f"Proven: with these lights no {number} of the {chosen['candidates']} show more than "
+        f"{100.0 * chosen['bound']:.1f} %."
+    )
+    if not chosen["turns"]:
+        return f"{bound} No light moves."
+    tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"
+    drawn, patches = chosen["patches"]["drawn"], chosen["patches"]["all"]
+    return (
+        f"{bound} Not proven: that no other postures with other lights show more; the lights were placed for the "
+        f"postures, and the postures chosen for the lights, in {counted(chosen['turns'], 'turn')} ({tried}) on "
+        f"{drawn:,} of {patches:,} patches."
+    )
+
+
+def _posture(facts: Mapping[str, Any]) -> Posture:
+    return Posture(facts["elevation_deg"], facts["rotation_deg"])
 
 
 def _row(draft: Draft, result: SetResult) -> list[str]:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from lightopt.optimize import Draft
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from lightopt.errors import counted
+from lightopt.optimize import DIRECTIONS, GRAZING_COSINE, Draft, unroll
 from lightopt.report._page import Block, Facts, Table
-from lightopt.scene import PanelLight
+from lightopt.scene import PanelLight, build_catalogue
 
 __all__ = ["fact_blocks"]
 
@@ -43,12 +48,18 @@ def _physics(draft: Draft) -> list[tuple[str, str]]:
     coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
-        ("sensor noise, not part of the score", f"read noise {sensor.read_noise_levels:g} levels, {shot}"),
+        ("sensor noise", f"read noise {sensor.read_noise_levels:g} levels, {shot}; {_use_of_noise(draft)}"),
         ("reflectance", f"{coefficients}, of full scale {reflectance.full_scale:g}; only direct light"),
         ("lights", "; ".join(dict.fromkeys(map(_light, draft.scene.lights)))),
         ("shadows", "cast by the part" if draft.document["options"]["shadows"] else "none (--no-shadows)"),
         ("patches", draft.table.message),
     ]
+
+
+def _use_of_noise(draft: Draft) -> str:
+    if "threshold" in draft.document["options"]:
+        return "what a defect has to be seen against, and no part of other scores"
+    return "not part of the score"
 
 
 def _light(light: PanelLight) -> str:
@@ -76,7 +87,39 @@ def _search(draft: Draft) -> list[tuple[str, str]]:
         ("positions", f"{positions}, step {options['step_deg']:g}°{''.join(f', {text}' for text in ties)}"),
         ("objectives", ", ".join(options["objectives"])),
         ("defects", "none on the part: scores are of a good part"),
+        *_looked_for(draft),
+        *_tolerances(options),
     ]
+
+
+def _looked_for(draft: Draft) -> list[tuple[str, str]]:
+    options = draft.document["options"]
+    if "threshold" not in options:
+        return []
+    entries = build_catalogue(draft.part)
+    trials = counted(len(unroll(entries)), "trial")
+    grazing = math.degrees(math.acos(GRAZING_COSINE))
+    images = counted(options["seen_in"], "image")
+    visible = (
+        f"where the level changes by {options['threshold']:g} times the noise or more (--threshold), in {images} or "
+        f"more (--seen-in); at more than {grazing:g}° between normal and view never"
+    )
+    return [
+        ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),
+        ("directions of walls", f"{DIRECTIONS}, evenly around"),
+        ("a defect is seen", visible),
+    ]
+
+
+def _tolerances(options: Mapping[str, Any]) -> list[tuple[str, str]]:
+    asked = options.get("tolerances")
+    if asked is None:
+        return []
+    text = (
+        f"lights {asked['light_deg']:g}°, part {asked['pose_deg']:g}°; {counted(asked['draws'], 'draw')} of seed "
+        f"{asked['seed']}; the widest keep {100.0 * asked['target']:g} % of the score"
+    )
+    return [("tolerances", text)]
 
 
 def _provenance(draft: Draft) -> list[tuple[str, str]]:

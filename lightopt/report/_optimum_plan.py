@@ -70,7 +70,6 @@ def posture_blocks(draft: Draft) -> list[Block]:
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
         ("the same number of others shows at most", _percent(chosen["bound"])),
         ("all candidates together show", _percent(chosen["all_candidates"])),
-        ("a greedy choice has at least", f"{_percent(chosen['greedy_guarantee'])} of the best"),
         ("with the lights as they stood", _percent(chosen["lights_as_they_stand"])),
         (
             "the camera sees, in some posture",
@@ -81,11 +80,19 @@ def posture_blocks(draft: Draft) -> list[Block]:
             f"{' → '.join(str(_posture(one)) for one in chosen['order_of_travel'])}, {chosen['travel_s']:.1f} s",
         ),
     ]
+    k = chosen["seen_in"]
+    if k == 1:
+        guarantee = f"{_percent(chosen['greedy_guarantee'])} of the best"
+        facts.append(("a greedy choice has at least", guarantee))
     if chosen["target"] is not None and chosen["fewest_possible"] is not None:
         needed = counted(chosen["fewest_possible"], "posture")
         facts.append((f"{_percent(chosen['target'])} takes at least", needed))
-    images = counted(chosen["seen_in"], "image")
-    caption = f"Shares of the surface × defects seen in {images} or more."
+    caption = (
+        "Of the surface × defects: what each posture shows that those before it do not, and what it shows with them."
+        if k == 1
+        else f"Of the surface × defects: adds, images new to a patch and defect, up to {k} of each; together, what "
+        f"is seen in {k} images or more."
+    )
     blocks: list[Block] = [
         Table(header=["posture", "adds", "together"], rows=rows, caption=caption),
         Facts(rows=facts),

@@ -12,7 +12,17 @@ import numpy as np
 import pytest
 
 from lightopt.optimize import Blind, Curve, OptimizeOptions, Thresholds, area_units, optimize
-from lightopt.report import Answer, Facts, Gallery, Picture, SurfaceView, Table, optimum_page, optimum_report
+from lightopt.report import (
+    Answer,
+    Facts,
+    Gallery,
+    Note,
+    Picture,
+    SurfaceView,
+    Table,
+    optimum_page,
+    optimum_report,
+)
 from lightopt.report._optimum_surface import SHOWN, shown_by_images
 
 LIGHTS = """\
@@ -154,7 +164,7 @@ def test_all_that_it_rests_on_is_told(done, blocks):
     bench, draft, _ = done
     rows = dict(row for block in blocks if isinstance(block, Facts) for row in block.rows)
     assert rows["levels"].startswith("8 bit, black level 0; shaded below 10, saturated from 255 on")
-    assert rows["sensor noise, not part of the score"] == "read noise 0.8 levels, 60 electrons per level"
+    assert rows["sensor noise"] == "read noise 0.8 levels, 60 electrons per level; not part of the score"
     assert rows["reflectance"].startswith("R_d 45, R_s 12500, σ 0.0475 rad")
     assert rows["patches"] == draft.table.message
     result = result_of(bench.out)
@@ -288,6 +298,32 @@ def test_defects_seen_are_those_of_the_result(inspected):
         assert shown["walls that lean to"] == f"{answer['worst_direction_deg']:g}°"
 
 
+def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done):
+    _, draft = inspected
+    tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
+    options = {**draft.document["options"], "tolerances": tolerances}
+    told = assumed(replace(draft, document={**draft.document, "options": options}))
+    names = ", ".join(result_of(draft.folder)["results"][0]["objectives"][0]["defects"])
+    assert told["defects looked for"].startswith(f"{names}: ")
+    assert told["directions of walls"] == "8, evenly around"
+    seen_in, threshold = options["seen_in"], options["threshold"]
+    assert (
+        f"by {threshold:g} times the noise or more (--threshold), in {seen_in} image"
+        in told["a defect is seen"]
+    )
+    assert "more than 80° between normal and view never" in told["a defect is seen"]
+    assert told["tolerances"].startswith("lights 2°, part 1°; 100 draws of seed 0")
+    assert "not part of the score" not in told["sensor noise"]
+    other = assumed(done[1])
+    assert other["sensor noise"].endswith("not part of the score")
+    assert not {"defects looked for", "a defect is seen", "tolerances"} & set(other)
+
+
+def assumed(draft):
+    section = next(s for s in optimum_page(draft).sections if s.heading == "What was assumed")
+    return {name: text for block in section.blocks if isinstance(block, Facts) for name, text in block.rows}
+
+
 def place(elevation: float, rotation: float) -> dict[str, float]:
     return {"elevation_deg": elevation, "rotation_deg": rotation}
 
@@ -359,6 +395,16 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
     assert told["90.0 % takes at least"] == "2 postures"
     assert left.rows == [["(45°, 0°)", "the part leaves the image"]]
     assert command.text == PLANNED["commands"][0]
+    assert "a greedy choice has at least" not in told  # its bound is not one of pairs seen in two images
+    assert "up to 2 of each; together, what is seen in 2 images" in table.caption
+    lead = optimum_page(draft).lead
+    (answer,) = (block for block in lead if isinstance(block, Answer))
+    assert answer.figure == "90.5 %"
+    assert "in 2 images or more, all postures together: (0°, 0°), (20°, 90°);" in answer.text
+    assert answer.text.endswith("With the planned exposures 94.0 %")
+    (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
+    assert "with these lights no 2 postures of the 12 show more than 93.1 %" in proof
+    assert "in 2 turns (every combination) on 100 of 800 patches" in proof
     note, shots = sections["Exposures"]
     assert "94.0 % of the surface × defects is seen, with exposure 1 alone 90.5 %" in note.text
     assert [list(row) for row in shots.rows] == [
@@ -372,6 +418,16 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
         ["95 % of draws keep", "95.3 %", "96.0 %"],
         ["widest: left elevation", "3.25°", "≥ 10.00°"],
     ]
+
+
+def test_where_one_image_is_enough_the_greedy_bound_is_told(done):
+    one = {**PLANNED["chosen_postures"], "seen_in": 1, "every_combination_tried": False}
+    draft = replace(done[1], document={**done[1].document, "chosen_postures": one})
+    page = optimum_page(draft)
+    table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
+    assert dict(facts.rows)["a greedy choice has at least"] == "75.0 % of the best"
+    assert "what each posture shows that those before it do not" in table.caption
+    assert any("one light moved at a time" in block.text for block in page.lead if isinstance(block, Note))
 
 
 def test_nothing_is_shown_of_what_was_not_planned(done):
