@@ -194,7 +194,7 @@ def optimize(
         limit=DEFAULT_LIMIT if max_combinations is None else max_combinations,
         threads=threads,
     )
-    total = len(chosen_postures or loaded_part.postures)
+    total = choose_postures or len(chosen_postures or loaded_part.postures)
     with (
         show_progress("casting rays", total, quiet=quiet) as report,
         show_time_left("searching", quiet=quiet) as searching,

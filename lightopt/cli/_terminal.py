@@ -63,7 +63,7 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_
 
 @contextmanager
 def show_progress(label: str, total: int, *, quiet: bool) -> Generator[Report | None]:
-    """A progress bar with rays per second while rendering `total` postures; None where nobody looks at it."""
+    """A progress bar with rays per second while rendering `total` postures, or more; None where nobody looks at it."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -90,6 +90,7 @@ def show_progress(label: str, total: int, *, quiet: bool) -> Generator[Report | 
             bar.update(
                 task,
                 completed=sum(finished.values()),
+                total=float(max(total, len(finished))),
                 description=f"{label} {posture}",
                 rays=f"{speed:.1f} Mray/s",
             )

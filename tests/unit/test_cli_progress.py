@@ -6,7 +6,8 @@ import sys
 
 import pytest
 
-from lightopt.cli._terminal import show_time_left
+from lightopt.cli._terminal import show_progress, show_time_left
+from lightopt.transforms import Posture
 
 
 def test_time_left_is_that_of_the_rest_at_the_pace_so_far(capsys, monkeypatch):
@@ -34,3 +35,14 @@ def test_time_left_is_that_of_the_rest_at_the_pace_so_far(capsys, monkeypatch):
 def test_nothing_is_said_where_nobody_looks(quiet):
     with show_time_left("searching", quiet=quiet) as report:
         assert report is None
+
+
+def test_the_bar_ends_at_100_percent_where_more_postures_come_than_were_known_of(monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    said = []
+    monkeypatch.setattr("rich.progress.Progress.update", lambda self, task, **facts: said.append(facts))
+    with show_progress("casting rays", 2, quiet=False) as report:
+        assert report is not None
+        for rotation in (0.0, 90.0, 180.0):
+            report(Posture(0.0, rotation), 1.0, 1000)
+    assert [(one["completed"], one["total"]) for one in said] == [(1.0, 2.0), (2.0, 2.0), (3.0, 3.0)]
