@@ -1,4 +1,8 @@
-"""What detectability predicts is what a plain contrast test counts on noisy renders: each kind within 5 points."""
+"""What detectability predicts is what a plain contrast test counts on noisy renders.
+
+The catalogue pixel by pixel, and each kind by nine pixels, within 5 points; pits of 4° within 6, those of 8° from 3
+below to 8 above.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +38,12 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, tmp_path):
     for p in whole:
         if p.kind == "all" or p.pixels > 1:
             assert abs(p.predicted - p.measured) < 0.05, p
+    # some 200 pixels lie on the walls of eight pits: 4.9 points off at most for 4°, −1.1 to 6.3 for 8°
+    strewn = [p for p in points if p.kind.startswith("pits")]
+    assert len(strewn) == 2 * 2 * 2
+    for p in strewn:
+        low, high = (-0.06, 0.06) if p.kind == "pits of 4°" else (-0.03, 0.08)
+        assert low < p.measured - p.predicted < high, p
     # something is seen and something is not
     assert min(p.measured for p in whole) < 0.1
     assert max(p.measured for p in whole) > 0.5
@@ -43,16 +53,16 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, tmp_path):
 
 
 def test_a_wrong_prediction_is_found_out(small_rig, monkeypatch):
-    """The comparison can fail: with half the noise assumed in the prediction only, shares are off."""
+    """The comparison can fail: with a quarter of the threshold in the prediction only, shares are off."""
     import benchmarks.truth as truth
 
-    def without_half(case, trials, own=truth._Case.predict):
+    def too_sure(case, trials, own=truth._Case.predict):
         from dataclasses import replace
 
-        half = replace(case.contrast, threshold=0.25 * case.contrast.threshold)
-        return own(replace(case, contrast=half), trials)
+        quarter = replace(case.contrast, threshold=0.25 * case.contrast.threshold)
+        return own(replace(case, contrast=quarter), trials)
 
-    monkeypatch.setattr(truth._Case, "predict", without_half)
+    monkeypatch.setattr(truth._Case, "predict", too_sure)
     monkeypatch.setattr(truth, "FINISHES", {"glossy": {}})
     monkeypatch.setattr(truth, "EVERY", 5)
     points = list(
