@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -131,9 +131,12 @@ class Predictions:
     by_posture: dict[tuple[Posture, tuple[str, ...]], Prediction] = field(default_factory=dict)
 
     def moved_to(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
-        """The scene and place to predict with: those of the part before, where this one lies in the same place."""
+        """The scene and place to predict with: the part lies where the one before lay, if that is the same place.
+
+        Postures and lights stay those of `scene`: sets of one batch may show different ones.
+        """
         if self.placement is not None and self.scene is not None and _same(self.placement, placement):
-            return self.scene, self.placement
+            return replace(self.scene, postures=scene.postures, lights=scene.lights), self.placement
         self.placement, self.scene = placement, scene
         self.by_posture.clear()
         return scene, placement
