@@ -132,8 +132,23 @@ class FoundDefect:
 
     @property
     def best(self) -> Sighting:
-        """The sighting of the highest score, which place and size are from."""
+        """The sighting of the highest score, which place and kind are from."""
         return self.sightings[0]
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Of the longest sighting, along its longer and its shorter axis [mm]."""
+        return max(s.size for s in self.sightings)
+
+    @property
+    def area(self) -> float:
+        """Of the largest sighting [mm²]."""
+        return max(s.area for s in self.sightings)
+
+    @property
+    def greatest_contrast(self) -> float:
+        """Of all sightings and lights, its magnitude."""
+        return max(s.greatest_contrast for s in self.sightings)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -143,10 +158,10 @@ class FoundDefect:
             "kind": best.kind,
             "position_mm": _rounded(best.position, 4),
             "normal": _rounded(best.normal, 4),
-            "size_mm": _rounded(best.size, 4),
-            "area_mm2": round(best.area, 5),
+            "size_mm": _rounded(self.size, 4),
+            "area_mm2": round(self.area, 5),
             "score": round(best.score, 2),
-            "greatest_contrast": round(best.greatest_contrast, 4),
+            "greatest_contrast": round(self.greatest_contrast, 4),
             "lights": sorted({light for s in self.sightings for light in s.contrast}),
             "sightings": [s.as_dict() for s in self.sightings],
         }

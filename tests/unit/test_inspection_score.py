@@ -7,12 +7,15 @@ import pytest
 from scipy import stats
 
 from lightopt.align import Placement
+from lightopt.config import InspectionConfig
 from lightopt.inspection import (
     SCALES_PX,
     Deviations,
+    Inspection,
     Sighting,
     find_regions,
     gather,
+    judge,
     rank_probability,
     score_deviations,
     templates,
@@ -140,6 +143,21 @@ def test_long_defects_side_by_side_are_as_many_as_there_are():
         assert abs(defect.sightings[0].position[1] - defect.sightings[1].position[1]) < 1.0
     assert len(gather([ours[0], theirs[1]])) == 2  # 4.2 mm between them
     assert len(gather([sighting((-5.0, 0.0, 3.0), length=8.0), theirs[0]])) == 1  # ends overlap
+
+
+def test_a_defect_is_as_large_and_as_strong_as_any_posture_shows_it():
+    surest = sighting((1.0, 2.0, 3.0), score=20.0, contrast=0.05)
+    longest = sighting((1.2, 2.0, 3.0), length=3.0, rotation=90.0, contrast=-0.1)
+    strongest = sighting((1.1, 2.0, 3.0), length=0.8, rotation=180.0, score=5.0, contrast=-0.4)
+    (defect,) = gather([surest, longest, strongest])
+    assert defect.best is surest
+    assert (defect.size, defect.area, defect.greatest_contrast) == ((3.0, 1.0), 3.0, 0.4)
+    told = defect.as_dict()
+    assert (told["size_mm"], told["area_mm2"], told["greatest_contrast"]) == ([3.0, 1.0], 3.0, 0.4)
+    result = Inspection(defects=(defect,), postures=(), placement=None, words=())
+    assert judge(result, InspectionConfig(least_size_mm=2.5, least_contrast=0.3)).counting == (1,)
+    assert judge(result, InspectionConfig(least_size_mm=3.5)).counting == ()
+    assert judge(result, InspectionConfig(least_contrast=0.5)).counting == ()
 
 
 def test_templates_answer_to_no_even_image_and_are_of_one_size():
