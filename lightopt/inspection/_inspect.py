@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt.align import Observation, Placement
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.images import ImageSet
 from lightopt.inspection._coverage import Coverage, measure_coverage
 from lightopt.inspection._deviation import deviations
@@ -35,6 +35,10 @@ SAME_PLACE_MM = 0.002
 SAME_TURN_RAD = 5e-5
 """A part that lies this near to the one before takes over its prediction: a fraction of the tenth of a pixel that the
 comparison allows for."""
+
+
+MOST_REGIONS = 1000
+"""A posture with more regions than this is not a part with so many defects: its model does not describe it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +200,7 @@ def inspect_set(
         mine = [o for o in observations if o.posture == posture]
         prediction = _prediction(scene, posture, mine, predictions, options)
         view = posture_view(scene, mine, prediction, where=str(image_set.folder))
-        inspected = _inspect_posture(view, options, nominal, placement)
+        inspected = _inspect_posture(view, options, nominal, placement, where=str(image_set.folder))
         postures.append(inspected)
         if done is not None:
             done(inspected)
@@ -224,7 +228,7 @@ def _prediction(
 
 
 def _inspect_posture(
-    view: PostureView, options: InspectOptions, nominal: Scene, placement: Placement
+    view: PostureView, options: InspectOptions, nominal: Scene, placement: Placement, *, where: str
 ) -> InspectedPosture:
     found = deviations(view)
     synthetic = None
@@ -238,6 +242,12 @@ def _inspect_posture(
         score, tests = score_deviations(found, seen_by=options.seen_by), len(SCALES_PX)
     high = threshold(options.false_alarms, int(view.clean.sum()), tests)
     labels, count = find_regions(score, high)
+    if count > MOST_REGIONS:
+        raise InputError(
+            f"{where}, posture {view.posture}: {counted(count, 'region')} that differ from a good part, expected at "
+            f"most {MOST_REGIONS:,}: the model does not describe the part; check the sensor's noise in the rig file "
+            "and that the images have it, give a STEP file, and fit the reflectance (lightopt fit-specular)"
+        )
     return InspectedPosture(
         view=view,
         synthetic=synthetic,

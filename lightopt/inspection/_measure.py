@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import KDTree
 
 from lightopt.align import Placement
@@ -223,8 +224,10 @@ def measure_regions(
         return ()
     sums = [smoothed_deviations(found, scale)[0] for scale in SCALES_PX]
     sightings: list[Sighting] = []
-    for number in range(1, count + 1):
-        row, column = _outline(labels == number, sums[0])
+    for number, box in enumerate(ndimage.find_objects(labels, count), start=1):
+        assert box is not None  # each has its peak
+        row, column = _outline(labels[box] == number, sums[0][(slice(None), *box)])
+        row, column = row + box[0].start, column + box[1].start
         world = view.prediction.images.geometry.points[row, column].astype(np.float64)
         points = to_file(world, scene, placement, view.posture)
         points.flags.writeable = False

@@ -210,6 +210,14 @@ def test_labels_are_asked_for_where_there_are_none(cli, bench, parts):
     assert "no labels of defects for posture" in ran.err
 
 
+def test_a_flood_of_regions_is_refused_as_another_part(cli, bench, parts, monkeypatch):
+    monkeypatch.setattr("lightopt.inspection._inspect.MOST_REGIONS", 1)
+    ran = inspect(cli, bench, parts["bad"], "--fusion", "none")
+    assert ran.status == 2
+    assert "posture (0°, 0°): 2 regions that differ from a good part, expected at most 1" in ran.err
+    assert "the model does not describe the part" in ran.err
+
+
 def test_mirrored_images_are_refused_with_what_would_fit(cli, bench, images):
     flip(images, 1)
     ran = inspect(cli, bench, images)
