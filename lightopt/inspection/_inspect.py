@@ -263,6 +263,12 @@ def _words(
     rig: RigConfig, part: PartConfig, postures: Sequence[InspectedPosture], options: InspectOptions
 ) -> list[str]:
     words: list[str] = []
+    sensor = rig.camera.sensor
+    if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
+        words.append(
+            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
+            "is all the noise there is; good parts may show regions; give what the sensor has"
+        )
     for p in postures:
         missing = [light.name for light in rig.lights if light.name not in p.view.lights]
         if missing:

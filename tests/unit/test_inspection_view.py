@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt import build_scene
+from lightopt import build_scene, load_part, load_rig
 from lightopt.align import Observation
-from lightopt.inspection import deviations, posture_view, predict
+from lightopt.inspection import InspectOptions, deviations, posture_view, predict
+from lightopt.inspection._inspect import _words
 from lightopt.rendering import cast_rays_at
 from lightopt.transforms import Posture
 
@@ -54,3 +55,18 @@ def test_a_good_part_is_not_darker_in_a_highlight_or_around_it(good, ambient):
 def test_a_lower_bound_is_never_darker_even_where_what_was_subtracted_is_not_known(good):
     found, full = taken(good, 20.0, told=False)
     assert found.z[0][full].min() >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("noise", "told"),
+    [
+        ("read_noise_levels: 0.8, electrons_per_level: 60", False),
+        ("read_noise_levels: 0.8", False),
+        ("electrons_per_level: 60", False),
+        ("read_noise_levels: 0", True),
+    ],
+)
+def test_a_sensor_without_noise_is_warned_of(bench, noise, told):
+    bench.edit("rig.yaml", "read_noise_levels: 0.8, electrons_per_level: 60", noise)
+    words = _words(load_rig(bench.rig), load_part(bench.part), [], InspectOptions())
+    assert any("read_noise_levels" in word for word in words) == told
