@@ -52,6 +52,9 @@ class Observation:
         The file.
     frames
         How many frames it is the mean of.
+    subtracted
+        What of the frames without light was taken off `levels` [sensor level], shape (height, width) or the same for
+        all pixels: so much below the sensor's saturation level they are saturated.
     """
 
     light: str
@@ -62,6 +65,7 @@ class Observation:
     half_width: float
     source: Path
     frames: int = 1
+    subtracted: NDArray[np.float32] | float = 0.0
 
     @property
     def name(self) -> str:
@@ -176,15 +180,17 @@ def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation
     image = image_set.load(entry)
     manifest = image_set.manifest
     if image.sensor is not None:
+        levels, subtracted = _above_dark(image_set, entry, image.sensor, sensor)
         return Observation(
             light=entry.light,
             posture=entry.posture,
             exposure=entry.exposure,
-            levels=_above_dark(image_set, entry, image.sensor, sensor),
+            levels=levels,
             saturated=image.saturated,
             half_width=PNG_HALF_WIDTH,
             source=image_set.path(entry.png or ""),
             frames=frames_of(entry),
+            subtracted=subtracted,
         )
     scale = manifest.max_level / manifest.full_scale
     levels = (image.levels * scale + manifest.black_level).astype(np.float32)
@@ -206,15 +212,17 @@ def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation
 
 def _above_dark(
     image_set: ImageSet, entry: ImageEntry, delivered: NDArray[Any], sensor: Sensor
-) -> NDArray[np.float32]:
-    """Sensor levels with what the panel did not light removed; saturated ones stay lower bounds, zeros upper ones."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | float]:
+    """Sensor levels less what the panel did not light, and that; saturated ones stay lower bounds, zeros upper ones."""
     dark = dark_levels(image_set, entry, sensor)
     if dark is None:
-        return delivered.astype(np.float32)
+        return delivered.astype(np.float32), 0.0
     if dark.shape != delivered.shape:
         raise InputError(
             f"{image_set.path(entry.png or '')}: {delivered.shape[1]} × {delivered.shape[0]} px, but its frame without "
             f"light has {dark.shape[1]} × {dark.shape[0]} px; capture both again"
         )
-    levels = np.minimum(delivered, math.ceil(sensor.saturated_from)) - dark + sensor.black_level
-    return np.where(delivered == 0, np.minimum(levels, 0.0), levels).astype(np.float32)
+    subtracted = dark - sensor.black_level
+    levels = np.minimum(delivered, math.ceil(sensor.saturated_from)) - subtracted
+    levels = np.where(delivered == 0, np.minimum(levels, 0.0), levels)
+    return levels.astype(np.float32), subtracted.astype(np.float32)

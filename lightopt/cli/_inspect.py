@@ -237,9 +237,9 @@ def _show(result: Inspection, verdict: Verdict) -> None:
             str(defect.number),
             defect.best.kind,
             ", ".join(f"{x:.2f}" for x in defect.best.position),
-            f"{defect.best.size[0]:.2f} × {defect.best.size[1]:.2f}",
-            f"{defect.best.area:.3g}",
-            f"{100.0 * defect.best.greatest_contrast:.0f} %",
+            f"{defect.size[0]:.2f} × {defect.size[1]:.2f}",
+            f"{defect.area:.3g}",
+            f"{100.0 * defect.greatest_contrast:.0f} %",
             f"{defect.best.score:.1f}",
             str(len(defect.sightings)),
         ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt.align import Observation, Placement
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.images import ImageSet
 from lightopt.inspection._coverage import Coverage, measure_coverage
 from lightopt.inspection._deviation import deviations
@@ -35,6 +35,10 @@ SAME_PLACE_MM = 0.002
 SAME_TURN_RAD = 5e-5
 """A part that lies this near to the one before takes over its prediction: a fraction of the tenth of a pixel that the
 comparison allows for."""
+
+
+MOST_REGIONS = 1000
+"""A posture with more regions than this is not a part with so many defects: its model does not describe it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,9 +135,12 @@ class Predictions:
     by_posture: dict[tuple[Posture, tuple[str, ...]], Prediction] = field(default_factory=dict)
 
     def moved_to(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
-        """The scene and place to predict with: those of the part before, where this one lies in the same place."""
+        """The scene and place to predict with: the part lies where the one before lay, if that is the same place.
+
+        Postures and lights stay those of `scene`: sets of one batch may show different ones.
+        """
         if self.placement is not None and self.scene is not None and _same(self.placement, placement):
-            return self.scene, self.placement
+            return replace(self.scene, postures=scene.postures, lights=scene.lights), self.placement
         self.placement, self.scene = placement, scene
         self.by_posture.clear()
         return scene, placement
@@ -193,7 +200,7 @@ def inspect_set(
         mine = [o for o in observations if o.posture == posture]
         prediction = _prediction(scene, posture, mine, predictions, options)
         view = posture_view(scene, mine, prediction, where=str(image_set.folder))
-        inspected = _inspect_posture(view, options, nominal, placement)
+        inspected = _inspect_posture(view, options, nominal, placement, where=str(image_set.folder))
         postures.append(inspected)
         if done is not None:
             done(inspected)
@@ -221,7 +228,7 @@ def _prediction(
 
 
 def _inspect_posture(
-    view: PostureView, options: InspectOptions, nominal: Scene, placement: Placement
+    view: PostureView, options: InspectOptions, nominal: Scene, placement: Placement, *, where: str
 ) -> InspectedPosture:
     found = deviations(view)
     synthetic = None
@@ -235,6 +242,12 @@ def _inspect_posture(
         score, tests = score_deviations(found, seen_by=options.seen_by), len(SCALES_PX)
     high = threshold(options.false_alarms, int(view.clean.sum()), tests)
     labels, count = find_regions(score, high)
+    if count > MOST_REGIONS:
+        raise InputError(
+            f"{where}, posture {view.posture}: {counted(count, 'region')} that differ from a good part, expected at "
+            f"most {MOST_REGIONS:,}: the model does not describe the part; check the sensor's noise in the rig file "
+            "and that the images have it, give a STEP file, and fit the reflectance (lightopt fit-specular)"
+        )
     return InspectedPosture(
         view=view,
         synthetic=synthetic,
@@ -250,6 +263,12 @@ def _words(
     rig: RigConfig, part: PartConfig, postures: Sequence[InspectedPosture], options: InspectOptions
 ) -> list[str]:
     words: list[str] = []
+    sensor = rig.camera.sensor
+    if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
+        words.append(
+            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
+            "is all the noise there is; good parts may show regions; give what the sensor has"
+        )
     for p in postures:
         missing = [light.name for light in rig.lights if light.name not in p.view.lights]
         if missing:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import KDTree
 
 from lightopt.align import Placement
 from lightopt.inspection._deviation import Deviations
@@ -38,7 +41,7 @@ OUTLINE_SHARE = 0.35
 
 NEAR_MM = 1.0
 FACING = 0.5
-"""Sightings in several postures are of one defect where their outlines are within this distance, on surfaces whose
+"""Sightings in several postures are of one defect where points of both are within this distance, on surfaces whose
 normals differ by less than 60°."""
 
 
@@ -69,6 +72,8 @@ class Sighting:
     kind
         ``shape`` where light and dark lie side by side or change with the light, ``stain`` where all lights lose (or
         gain) the same share, ``unknown`` else.
+    points
+        Of its surface, one per pixel, in the coordinates of the mesh file [mm], shape (pixels, 3).
     """
 
     posture: Posture
@@ -82,6 +87,12 @@ class Sighting:
     score: float
     contrast: dict[str, float]
     kind: Literal["shape", "stain", "unknown"]
+    points: Float64 = field(compare=False, repr=False)
+
+    @cached_property
+    def surface(self) -> KDTree:
+        """Its points, to measure distances from."""
+        return KDTree(self.points)
 
     @property
     def greatest_contrast(self) -> float:
@@ -122,8 +133,23 @@ class FoundDefect:
 
     @property
     def best(self) -> Sighting:
-        """The sighting of the highest score, which place and size are from."""
+        """The sighting of the highest score, which place and kind are from."""
         return self.sightings[0]
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Of the longest sighting, along its longer and its shorter axis [mm]."""
+        return max(s.size for s in self.sightings)
+
+    @property
+    def area(self) -> float:
+        """Of the largest sighting [mm²]."""
+        return max(s.area for s in self.sightings)
+
+    @property
+    def greatest_contrast(self) -> float:
+        """Of all sightings and lights, its magnitude."""
+        return max(s.greatest_contrast for s in self.sightings)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -133,10 +159,10 @@ class FoundDefect:
             "kind": best.kind,
             "position_mm": _rounded(best.position, 4),
             "normal": _rounded(best.normal, 4),
-            "size_mm": _rounded(best.size, 4),
-            "area_mm2": round(best.area, 5),
+            "size_mm": _rounded(self.size, 4),
+            "area_mm2": round(self.area, 5),
             "score": round(best.score, 2),
-            "greatest_contrast": round(best.greatest_contrast, 4),
+            "greatest_contrast": round(self.greatest_contrast, 4),
             "lights": sorted({light for s in self.sightings for light in s.contrast}),
             "sightings": [s.as_dict() for s in self.sightings],
         }
@@ -198,10 +224,13 @@ def measure_regions(
         return ()
     sums = [smoothed_deviations(found, scale)[0] for scale in SCALES_PX]
     sightings: list[Sighting] = []
-    for number in range(1, count + 1):
-        row, column = _outline(labels == number, sums[0])
+    for number, box in enumerate(ndimage.find_objects(labels, count), start=1):
+        assert box is not None  # each has its peak
+        row, column = _outline(labels[box] == number, sums[0][(slice(None), *box)])
+        row, column = row + box[0].start, column + box[1].start
         world = view.prediction.images.geometry.points[row, column].astype(np.float64)
         points = to_file(world, scene, placement, view.posture)
+        points.flags.writeable = False
         normals = to_file(
             view.prediction.images.geometry.normals[row, column].astype(np.float64),
             scene,
@@ -229,20 +258,30 @@ def measure_regions(
                 score=float(score[row, column].max()),
                 contrast=contrast,
                 kind=_kind(z, row, column, view, contrast),
+                points=points,
             )
         )
     return tuple(sightings)
 
 
 def gather(sightings: Sequence[Sighting]) -> tuple[FoundDefect, ...]:
-    """Sightings of the same place in several postures are one defect; the highest score first."""
+    """Sightings of the same place in several postures are one defect; the highest score first.
+
+    Regions of one posture are apart in its images and stay so: a defect has one sighting of a posture at most. Of
+    several in reach of a sighting the nearest outline is the same defect.
+    """
     order = sorted(sightings, key=lambda s: (-s.score, s.position))
     groups: list[list[Sighting]] = []
     for sighting in order:
-        for group in groups:
-            if any(_same_place(sighting, other) for other in group):
-                group.append(sighting)
-                break
+        near = [
+            (distance, i)
+            for i, group in enumerate(groups)
+            if all(other.posture != sighting.posture for other in group)
+            for distance in [min(_apart(sighting, other) for other in group)]
+            if distance <= NEAR_MM
+        ]
+        if near:
+            groups[min(near)[1]].append(sighting)
         else:
             groups.append([sighting])
     return tuple(FoundDefect(number=i + 1, sightings=tuple(group)) for i, group in enumerate(groups))
@@ -258,12 +297,11 @@ def _outline(
     return row[core], column[core]
 
 
-def _same_place(a: Sighting, b: Sighting) -> bool:
-    if a.posture == b.posture:
-        return False
-    apart = math.dist(a.position, b.position) - 0.5 * (a.size[0] + b.size[0])
-    facing = sum(x * y for x, y in zip(a.normal, b.normal, strict=True))
-    return apart <= NEAR_MM and facing >= FACING
+def _apart(a: Sighting, b: Sighting) -> float:
+    # least distance of two outlines [mm]; infinite on surfaces that face elsewhere
+    if sum(x * y for x, y in zip(a.normal, b.normal, strict=True)) < FACING:
+        return math.inf
+    return float(np.min(a.surface.query(b.points, distance_upper_bound=2.0 * NEAR_MM)[0]))
 
 
 def _extents(points: Float64, normal: Float64, pixel: float) -> tuple[float, float]:

@@ -144,7 +144,7 @@ def fit_photometry(
         noise = np.sqrt(
             (sensor.read_noise_levels**2 + per_electron * np.maximum(model, 0.0)) / o.frames + 1.0 / 12.0
         )
-        top = sensor.saturated_from - sensor.black_level
+        top = sensor.saturated_from - sensor.black_level - o.subtracted
         usable = mask & ~o.saturated & (model + 4.0 * noise < top) & (model > 4.0 * noise)
         index = np.flatnonzero(usable)
         index = index[:: max(1, len(index) // PIXELS_PER_IMAGE)]

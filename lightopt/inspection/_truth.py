@@ -23,6 +23,11 @@ Bool = NDArray[np.bool_]
 SLACK_PX = 2
 """A region that comes this near to a labelled pixel is that defect's."""
 
+MOST_TIMES = 10.0
+MOST_MORE_PX = 50
+"""A region finds a defect only if it has at most this many times the defect's pixels, and this many more: one all over
+the part finds nothing. Defects of few pixels look larger, since what tells them are sums over Gaussians."""
+
 _DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) <= SLACK_PX + 0.5
 
 
@@ -39,7 +44,7 @@ class KnownDefect:
     pixels
         Of it that can be judged, in the posture that shows most of them.
     found
-        Whether a region touches it in any posture.
+        Whether a region that is not far larger than it touches it in any posture.
     """
 
     name: str
@@ -70,7 +75,7 @@ class TrueSet:
     hidden
         Names of the others.
     false_alarms
-        Regions that touch no defect, over all postures.
+        Regions that touch no defect, or are far larger than those they touch, over all postures.
     postures
         Number of them.
     areas
@@ -134,11 +139,9 @@ def compare_with_truth(image_set: ImageSet, result: Inspection) -> TrueSet:
         clean = posture.view.clean
         mine = np.bincount(truth[clean & (truth >= 0)], minlength=len(listed))
         pixels = np.maximum(pixels, mine[: len(listed)])
-        for region in range(1, len(posture.sightings) + 1):
-            near = np.asarray(ndimage.binary_dilation(posture.labels == region, _DISC), np.bool_)
-            touched = np.unique(truth[near & (truth >= 0)])
-            found[touched] = True
-            false_alarms += not len(touched)
+        for hit in region_hits(posture.labels, truth):
+            found[hit] = True
+            false_alarms += not len(hit)
         if mine.any():
             areas.append(area_under_roc(posture.score[clean].astype(np.float64), truth[clean] >= 0))
     defects = [
@@ -158,6 +161,30 @@ def compare_with_truth(image_set: ImageSet, result: Inspection) -> TrueSet:
         postures=len(result.postures),
         areas=tuple(areas),
     )
+
+
+def region_hits(labels: NDArray[np.int32], truth: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+    """For each region the defects that it finds: those that it touches, unless it is far larger than all of them.
+
+    Parameters
+    ----------
+    labels
+        Number of the region of each pixel, from 1, 0 for none, shape (H, W).
+    truth
+        Index of the defect of each pixel, −1 for none, same shape.
+    """
+    hits: list[NDArray[np.int32]] = []
+    size = np.bincount(truth[truth >= 0], minlength=1)
+    for number, box in enumerate(ndimage.find_objects(labels), start=1):
+        if box is None:
+            continue
+        around = tuple(slice(max(0, side.start - SLACK_PX), side.stop + SLACK_PX) for side in box)
+        region = labels[around] == number
+        near = np.asarray(ndimage.binary_dilation(region, _DISC), np.bool_)
+        touched = np.unique(truth[around][near & (truth[around] >= 0)])
+        room = MOST_TIMES * float(size[touched].sum()) + MOST_MORE_PX
+        hits.append(touched if np.count_nonzero(region) <= room else touched[:0])
+    return hits
 
 
 def area_under_roc(score: Float64, positive: Bool) -> float:

@@ -61,8 +61,7 @@ def judge(result: Inspection, limits: InspectionConfig) -> Verdict:
     counting = [
         defect.number
         for defect in result.defects
-        if defect.best.size[0] >= limits.least_size_mm
-        and defect.best.greatest_contrast >= limits.least_contrast
+        if defect.size[0] >= limits.least_size_mm and defect.greatest_contrast >= limits.least_contrast
     ]
     seen = sum(p.coverage.seen for p in result.postures)
     inspected = sum(p.coverage.inspected for p in result.postures) / seen if seen > 0.0 else 0.0

@@ -59,7 +59,8 @@ class PostureView:
     deviation
         Standard deviation of the sensor's noise at the predicted level, same shape.
     limit
-        Level from which a pixel is saturated, same shape.
+        Level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
+        darker than the good part.
     saturated
         Where `level` is only a lower bound, same shape.
     prediction
@@ -212,16 +213,17 @@ def _merge(
     level, deviation, limit = (np.zeros(shape, np.float32) for _ in range(3))
     saturated = np.zeros(shape, np.bool_)
     open_ = np.ones(shape, np.bool_)
-    top = sensor.saturated_from - sensor.black_level
     for number, o in enumerate(exposures):
+        top = np.broadcast_to(np.float32(sensor.saturated_from - sensor.black_level) - o.subtracted, shape)
         scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
-        signal = np.minimum(predicted * np.float32(scale), np.float32(top))
+        signal = np.minimum(predicted * np.float32(scale), top)
         take = open_ if number + 1 == len(exposures) else open_ & ~o.saturated & (signal < top)
         noise = np.sqrt((sensor.read_noise_levels**2 + per_electron * signal) / o.frames + 1.0 / 12.0)
         values = (o.levels - np.float32(sensor.black_level + photometry.dark)) / np.float32(scale)
         level[take] = values[take]
         deviation[take] = (noise / np.float32(scale))[take]
-        limit[take] = (top - 0.5 - photometry.dark) / scale
+        limit[take] = ((top - 0.5 - photometry.dark) / scale)[take]
         saturated[take] = o.saturated[take]
         open_ = open_ & ~take
+    limit[saturated] = np.minimum(limit, level)[saturated]
     return level, deviation, limit, saturated

@@ -186,10 +186,10 @@ def _table(result: Inspection) -> str:
             [
                 defect.number,
                 best.kind,
-                *(f"{x:.4f}" for x in (*best.position, *best.size)),
-                f"{best.area:.5f}",
+                *(f"{x:.4f}" for x in (*best.position, *defect.size)),
+                f"{defect.area:.5f}",
                 f"{best.score:.2f}",
-                f"{best.greatest_contrast:.4f}",
+                f"{defect.greatest_contrast:.4f}",
                 " ".join(lights),
                 " ".join(f"{s.posture.elevation_deg:g}/{s.posture.rotation_deg:g}" for s in defect.sightings),
                 *(f"{x:.2f}" for x in best.centre_px),

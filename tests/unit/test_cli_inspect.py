@@ -160,6 +160,16 @@ def test_several_parts_get_a_folder_each(cli, bench, parts):
     assert "same folder name" in again.err
 
 
+def test_sets_of_a_batch_keep_their_own_postures_and_lights(cli, bench, parts, tmp_path):
+    few = rendered(bench, tmp_path / "few", "--light", "light1", *FIRST)
+    assert inspect(cli, bench, [few, parts["good"]], "--fusion", "none", out="up").status == 0
+    assert inspect(cli, bench, [parts["good"], few], "--fusion", "none", out="down").status == 0
+    for order in ("up", "down"):
+        postures = found(bench, f"{order}/good")["postures"]
+        assert [p["lights"] for p in postures] == [["light1", "light3"]] * 2
+        assert [p["lights"] for p in found(bench, f"{order}/few")["postures"]] == [["light1"]]
+
+
 def test_what_a_set_lacks_is_said(cli, bench, tmp_path):
     text = bench.part.read_text(encoding="utf-8")
     out = rendered(bench, tmp_path / "few", "--light", "light1", *FIRST)
@@ -198,6 +208,14 @@ def test_labels_are_asked_for_where_there_are_none(cli, bench, parts):
     ran = inspect(cli, bench, parts["good"], "--fusion", "none", "--truth")
     assert ran.status == 2
     assert "no labels of defects for posture" in ran.err
+
+
+def test_a_flood_of_regions_is_refused_as_another_part(cli, bench, parts, monkeypatch):
+    monkeypatch.setattr("lightopt.inspection._inspect.MOST_REGIONS", 1)
+    ran = inspect(cli, bench, parts["bad"], "--fusion", "none")
+    assert ran.status == 2
+    assert "posture (0°, 0°): 2 regions that differ from a good part, expected at most 1" in ran.err
+    assert "the model does not describe the part" in ran.err
 
 
 def test_mirrored_images_are_refused_with_what_would_fit(cli, bench, images):

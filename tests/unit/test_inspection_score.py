@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
 
 from lightopt.align import Placement
+from lightopt.config import InspectionConfig
 from lightopt.inspection import (
     SCALES_PX,
     Deviations,
+    Inspection,
     Sighting,
     find_regions,
     gather,
+    judge,
     rank_probability,
     score_deviations,
     templates,
@@ -93,19 +94,23 @@ def test_regions_reach_down_to_half_the_threshold_and_bridge_gaps():
     assert (labels[:, 18:20] == 0).all()
 
 
-def sighting(position, *, rotation=0.0, normal=(0.0, 0.0, 1.0), score=10.0):
+def sighting(position, *, length=1.0, rotation=0.0, normal=(0.0, 0.0, 1.0), score=10.0, contrast=-0.2):
+    """A region `length` mm long in x and 1 mm wide in y."""
+    x, y = np.meshgrid(np.arange(-length / 2, length / 2 + 0.05, 0.1), np.arange(-0.5, 0.55, 0.1))
+    points = np.array(position) + np.stack([x.ravel(), y.ravel(), 0.0 * x.ravel()], axis=1)
     return Sighting(
         posture=Posture(elevation_deg=0.0, rotation_deg=rotation),
-        pixels=9,
+        pixels=len(points),
         centre_px=(5.0, 5.0),
         box_px=(3, 3, 6, 6),
         position=position,
         normal=normal,
-        size=(1.0, 1.0),
-        area=0.8,
+        size=(max(length, 1.0), min(length, 1.0)),
+        area=length,
         score=score,
-        contrast={"light1": -0.2},
+        contrast={"light1": contrast},
         kind="unknown",
+        points=points,
     )
 
 
@@ -113,12 +118,46 @@ def test_the_same_place_in_several_postures_is_one_defect():
     first = sighting((1.0, 2.0, 3.0))
     again = sighting((1.3, 2.1, 3.0), rotation=90.0, score=20.0)
     other_side = sighting((1.0, 2.0, 2.6), rotation=180.0, normal=(0.0, 0.0, -1.0))
-    beside = replace(first, position=(2.0, 2.0, 3.0), score=5.0)
-    assert len(gather([first, beside])) == 2  # two regions of one posture stay two
-    defects = gather([first, again, other_side, replace(beside, position=(9.0, 2.0, 3.0))])
+    beside = sighting((9.0, 2.0, 3.0), score=5.0)
+    defects = gather([first, again, other_side, beside])
     assert [len(d.sightings) for d in defects] == [2, 1, 1]
     assert defects[0].best is again
     assert [d.number for d in defects] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("score", [5.0, 15.0])
+def test_two_regions_of_a_posture_stay_two_whatever_another_posture_shows_of_both(score):
+    first = sighting((1.0, 2.0, 3.0))
+    beside = sighting((2.6, 2.0, 3.0), score=score)
+    between = sighting((1.7, 2.0, 3.0), rotation=90.0, score=20.0)
+    assert len(gather([first, beside])) == 2
+    assert sorted(len(d.sightings) for d in gather([first, beside, between])) == [1, 2]
+
+
+def test_long_defects_side_by_side_are_as_many_as_there_are():
+    ours = [sighting((0.0, y, 3.0), length=8.0) for y in (0.0, 5.0)]
+    theirs = [sighting((0.3, y, 3.0), length=8.0, rotation=90.0, score=12.0) for y in (0.2, 5.2)]
+    pairs = gather([*ours, *theirs])
+    assert [{s.posture.rotation_deg for s in d.sightings} for d in pairs] == [{0.0, 90.0}] * 2
+    for defect in pairs:
+        assert abs(defect.sightings[0].position[1] - defect.sightings[1].position[1]) < 1.0
+    assert len(gather([ours[0], theirs[1]])) == 2  # 4.2 mm between them
+    assert len(gather([sighting((-5.0, 0.0, 3.0), length=8.0), theirs[0]])) == 1  # ends overlap
+
+
+def test_a_defect_is_as_large_and_as_strong_as_any_posture_shows_it():
+    surest = sighting((1.0, 2.0, 3.0), score=20.0, contrast=0.05)
+    longest = sighting((1.2, 2.0, 3.0), length=3.0, rotation=90.0, contrast=-0.1)
+    strongest = sighting((1.1, 2.0, 3.0), length=0.8, rotation=180.0, score=5.0, contrast=-0.4)
+    (defect,) = gather([surest, longest, strongest])
+    assert defect.best is surest
+    assert (defect.size, defect.area, defect.greatest_contrast) == ((3.0, 1.0), 3.0, 0.4)
+    told = defect.as_dict()
+    assert (told["size_mm"], told["area_mm2"], told["greatest_contrast"]) == ([3.0, 1.0], 3.0, 0.4)
+    result = Inspection(defects=(defect,), postures=(), placement=None, words=())
+    assert judge(result, InspectionConfig(least_size_mm=2.5, least_contrast=0.3)).counting == (1,)
+    assert judge(result, InspectionConfig(least_size_mm=3.5)).counting == ()
+    assert judge(result, InspectionConfig(least_contrast=0.5)).counting == ()
 
 
 def test_templates_answer_to_no_even_image_and_are_of_one_size():

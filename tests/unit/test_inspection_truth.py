@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lightopt.inspection import area_under_roc, fit_detection
+from lightopt.inspection._truth import region_hits
 
 
 def test_the_area_counts_pairs_and_ties_by_half():
@@ -14,6 +15,26 @@ def test_the_area_counts_pairs_and_ties_by_half():
     positive = rng.random(60) < 0.4
     pairs = [(p > n) + 0.5 * (p == n) for p in score[positive] for n in score[~positive]]
     assert area_under_roc(score, positive) == pytest.approx(np.mean(pairs))
+
+
+def test_a_region_finds_what_it_touches_unless_it_is_far_larger():
+    truth = np.full((80, 100), -1, np.int32)
+    truth[10:14, 10:14] = 0  # 16 px
+    truth[30:33, 60:63] = 1
+    truth[30:33, 66:69] = 2
+    labels = np.zeros((80, 100), np.int32)
+    labels[10:14, 15:19] = 1  # two pixels off the first
+    labels[29:34, 59:70] = 2  # over both others
+    labels[60:64, 20:24] = 3  # nothing there
+    labels[0:3, 0:100] = 4  # touches nothing, and is large
+    assert [hit.tolist() for hit in region_hits(labels, truth)] == [[0], [1, 2], [], []]
+    labels[10:14, 15:19] = 0
+    labels[10:31, 14:24] = 1  # 210 px: as many as 10 × 16 + 50
+    assert region_hits(labels, truth)[0].tolist() == [0]
+    labels[31, 14] = 1
+    assert region_hits(labels, truth)[0].tolist() == []
+    everywhere = np.ones_like(labels)
+    assert [hit.tolist() for hit in region_hits(everywhere, truth)] == [[]]
 
 
 def draw(n, seed, *, a50=0.5, steepness=5.0):
