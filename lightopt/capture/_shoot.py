@@ -252,9 +252,9 @@ class Shooter:
                 f"up to {frame.levels.max()}; expected {width} × {height} and at most {self._sensor.max_level}"
             )
         if self._held_us is not None and abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
+            name = "a frame" if frame.number is None else f"frame {frame.number}"
             raise HardwareError(
-                f"the camera took frame {frame.number} at {frame.exposure_us:g} µs, although it held "
-                f"{self._held_us:g} µs"
+                f"the camera took {name} at {frame.exposure_us:g} µs, although it held {self._held_us:g} µs"
             )
 
     def _may_burn_s(self) -> float | None:

@@ -202,7 +202,7 @@ class GenicamSdk:
 
     def _raw(self, buffer: Any) -> RawFrame:
         module = buffer.module
-        number = int(_known(lambda: module.frame_id, 0))
+        number = _known(lambda: int(module.frame_id), None)
         if not _known(lambda: bool(module.is_complete()), True):
             return RawFrame(
                 data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="parts of it were lost"
@@ -215,7 +215,7 @@ class GenicamSdk:
         part = payload.components[0]
         if padding := _known(lambda: int(module.padding_x), 0):
             raise HardwareError(
-                f"{self._where}: the lines of frame {number} end with {padding} bytes that are no pixels; choose a "
+                f"{self._where}: the lines of its frames end with {padding} bytes that are no pixels; choose a "
                 "width or a pixel format without"
             )
         # the library would expand packed pixels itself; the bytes are read by the tables of this package

@@ -196,7 +196,7 @@ class MachineCamera:
         except ReplyError as error:
             raise ReplyError(f"{self._settings.where}: {error}") from None
         if self._triggered and self._order.lost > lost:
-            self.note(f"frame {raw.number} came, and {self._order.lost - lost} before it never did")
+            self.note(f"{raw.name} came, and {self._order.lost - lost} before it never did")
         self._check_form(raw)
         return raw
 
@@ -205,19 +205,19 @@ class MachineCamera:
         while (raw := self._sdk.pop(0.0)) is not None:
             self._order.passed(raw)
             if self._triggered:
-                self.note(f"frame {raw.number} came without being asked for and was thrown away")
+                self.note(f"{raw.name} came without being asked for and was thrown away")
 
     def _check_form(self, raw: RawFrame) -> None:
         width, height = self._settings.resolution_px
         if (raw.width, raw.height) != (width, height):
             raise HardwareError(
-                f"{self._settings.where}: the camera was set to {width} × {height} pixels, and frame {raw.number} has "
+                f"{self._settings.where}: the camera was set to {width} × {height} pixels, and {raw.name} has "
                 f"{raw.width} × {raw.height}"
             )
         if raw.code is not None and raw.code != self._format.code:
             raise HardwareError(
                 f"{self._settings.where}: the camera was set to {self._format.name} ({self._format.code:#x}), and "
-                f"frame {raw.number} is in another pixel format ({raw.code:#x})"
+                f"{raw.name} is in another pixel format ({raw.code:#x})"
             )
 
     def _stop(self) -> None:

@@ -72,3 +72,23 @@ def test_a_feature_that_fails_on_a_camera_that_answers_is_no_lost_camera(error: 
     assert log == ["Gain", "Gain"]
     with pytest.raises(HardwareError, match="Gain: it failed"):
         sdk.has("Gain")
+
+
+def test_a_frame_of_a_producer_that_does_not_number_them_has_no_number() -> None:
+    class Module:
+        padding_x = 0
+        pixel_format = 0x01080001
+        timestamp_ns = 5
+        raw_buffer = bytes(4)
+
+        @property
+        def frame_id(self) -> int:
+            raise RuntimeError("not available")
+
+        def is_complete(self) -> bool:
+            return True
+
+    part = SimpleNamespace(width=2, height=2, data_offset=0)
+    sdk, _ = sdk_with(Port(None))
+    raw = sdk._raw(SimpleNamespace(module=Module(), payload=SimpleNamespace(components=[part])))
+    assert (raw.number, raw.timestamp_ns, raw.name) == (None, 5, "a frame without a number")

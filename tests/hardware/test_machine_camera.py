@@ -348,6 +348,18 @@ def test_the_count_may_wrap_and_begin_anew() -> None:
     order.check(frame(1))
 
 
+@pytest.mark.parametrize("none", [None, 0])
+def test_frames_of_a_camera_that_does_not_number_them_are_told_apart_by_their_time(none: int | None) -> None:
+    camera, sdk, told = opened()
+    sdk.script = [lambda n: [replace(frame(n), number=none)]] * 3
+    assert [camera.grab(timeout_s=1).number for _ in range(3)] == [none] * 3
+    assert told == []
+    stale = replace(frame(1), number=none)
+    sdk.script = [lambda n: [stale], lambda n: [replace(frame(n), number=none)]]
+    camera.grab(timeout_s=1)
+    assert ["is stale" in event.what for event in told] == [True]
+
+
 HERE = [
     CameraHere(driver="aravis", identifier="A-1", serial="1", address="10.0.0.1"),
     CameraHere(driver="aravis", identifier="B-2", serial="2"),
