@@ -14,7 +14,7 @@ from lightopt.capture._frames import Exposed, FrameMean
 from lightopt.capture._plan import Plan
 from lightopt.capture._timing import Timing, utc
 from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import Event, Frame
+from lightopt.hardware import Event, Frame, frame_limit_s
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
@@ -229,7 +229,7 @@ class Shooter:
         timing = self._plan.wiring.hardware.timing
         assert self._held_us is not None
         exposure_s = self._held_us / 1e6
-        limit_s = exposure_s + timing.frame_timeout_s
+        limit_s = frame_limit_s(self._held_us, timing.frame_timeout_s)
         if (left_s := self._may_burn_s()) is not None:
             if left_s <= exposure_s:
                 self._burns_too_long(left_s)

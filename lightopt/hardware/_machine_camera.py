@@ -137,6 +137,9 @@ class MachineCamera:
     def grab(self, *, timeout_s: float) -> Frame:
         """Take one frame, or the next that is completed where there is no trigger.
 
+        All attempts together take no longer than `timeout_s`, of which each has an equal part, and no less than the
+        exposure time: fewer attempts where there is no time for as many exposures.
+
         Raises
         ------
         HardwareError
@@ -145,8 +148,8 @@ class MachineCamera:
         if self._ready is not None:
             self._ready()
         end = time.monotonic() + timeout_s
-        exposure_s = self._held_us / 1e6
-        each_s = exposure_s + max(0.0, timeout_s - exposure_s) / ATTEMPTS
+        fit = int(timeout_s / max(1e-6, self._held_us / 1e6))
+        each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
         raw = self._persistence.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
         levels = levels_of(raw.data, self._format, width=raw.width, height=raw.height)
         held = self._held_us if self._exposure is None else self._sdk.number(self._exposure)
@@ -180,7 +183,7 @@ class MachineCamera:
             self._order.begin()
             self._sdk.start()
             self._running = True
-        self._pass_by()
+        self._pass_by(end)
         begun = time.monotonic()
         if self._triggered:
             self._sdk.do("TriggerSoftware")
@@ -200,12 +203,17 @@ class MachineCamera:
         self._check_form(raw)
         return raw
 
-    def _pass_by(self) -> None:
+    def _pass_by(self, end: float) -> None:
         """Frames that are there before one is asked for: a camera that runs freely makes them, a triggered one not."""
         while (raw := self._sdk.pop(0.0)) is not None:
             self._order.passed(raw)
             if self._triggered:
                 self.note(f"{raw.name} came without being asked for and was thrown away")
+            if time.monotonic() > end:
+                raise ReplyError(
+                    f"{self._settings.where}: frames come faster than they can be thrown away; lower the camera's "
+                    "frame rate"
+                )
 
     def _check_form(self, raw: RawFrame) -> None:
         width, height = self._settings.resolution_px

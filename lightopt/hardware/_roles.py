@@ -210,7 +210,10 @@ class Camera(Protocol):
         ...
 
     def grab(self, *, timeout_s: float) -> Frame:
-        """Take one frame; a camera without a trigger delivers the next that it completes."""
+        """Take one frame; a camera without a trigger delivers the next that it completes.
+
+        It takes `timeout_s` at most, all attempts of a camera that asks again together.
+        """
         ...
 
     def close(self) -> None:

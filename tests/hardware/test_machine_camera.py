@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
 import pytest
 
 from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import CameraHere, CameraSettings, Event, LinkLostError
+from lightopt.hardware import CameraHere, CameraSettings, Event, LinkLostError, frame_limit_s
 from lightopt.hardware._camera_settings import choose_camera
 from lightopt.hardware._frame_order import FrameOrder, RawFrame
 from lightopt.hardware._machine_camera import MachineCamera
@@ -271,6 +272,54 @@ def test_attempts_are_bounded_and_so_is_the_time(name: str) -> None:
     with pytest.raises(HardwareError):  # a camera that failed gets one attempt at a time until it delivers
         camera.grab(timeout_s=0.3)
     assert sdk.log.count("TriggerSoftware") == 5
+
+
+class Slow(Sdk):
+    """A camera of which frames come when they have been exposed; the first so many never."""
+
+    def __init__(self, lost: int) -> None:
+        super().__init__()
+        self.lost = lost
+        self.done = float("inf")
+
+    def do(self, feature: str) -> None:
+        self.log.append(feature)
+        self.count += 1
+        self.done = time.monotonic() + self.features["ExposureTime"] / 1e6
+        if self.count <= self.lost:
+            self.done = float("inf")
+
+    def pop(self, timeout_s: float) -> RawFrame | None:
+        late = self.done > time.monotonic() + timeout_s
+        time.sleep(timeout_s if late else max(0.0, self.done - time.monotonic()))
+        if late:
+            return None
+        self.done = float("inf")
+        return frame(self.count)
+
+
+def test_each_attempt_has_time_for_its_exposure() -> None:
+    camera, sdk, told = opened(Slow(2))
+    limit_s = frame_limit_s(camera.set_exposure(400_000.0), 0.6)
+    begun = time.monotonic()
+    assert camera.grab(timeout_s=limit_s).number == 3
+    assert [event.retry for event in told] == [True, True]
+    sdk.lost = 9
+    begun = time.monotonic()
+    with pytest.raises(HardwareError, match="taken 3 times"):
+        camera.grab(timeout_s=limit_s)
+    assert time.monotonic() - begun == pytest.approx(limit_s, abs=0.4)
+    sdk.lost = 0
+    assert camera.grab(timeout_s=0.5).number == 7  # there is time for one
+
+
+def test_frames_that_never_end_are_not_thrown_away_for_ever() -> None:
+    sdk = Sdk()
+    camera, _, _ = opened(sdk, trigger="none")
+    numbers = count(1)
+    sdk.pop = lambda timeout_s: frame(next(numbers))
+    with pytest.raises(HardwareError, match=r"frames come faster .* \(taken 3 times\)"):
+        camera.grab(timeout_s=0.3)
 
 
 def test_a_frame_that_nobody_asked_for_is_thrown_away_and_told() -> None:
