@@ -147,6 +147,10 @@ class GenicamSdk:
         """Entries of an enumeration."""
         return self._try(f"asking for the entries of {feature}", lambda: tuple(self._node(feature).symbolics))
 
+    def is_on(self, feature: str) -> bool:
+        """Read a truth value."""
+        return self._try(f"reading {feature}", lambda: bool(self._node(feature).value))
+
     def switch_off(self, feature: str) -> None:
         """Set a truth value to false."""
         self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", False))

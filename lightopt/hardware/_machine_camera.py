@@ -19,6 +19,9 @@ from lightopt.hardware._roles import Frame, Identity
 __all__ = ["MachineCamera"]
 
 _AUTOMATIC = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto", "TargetBrightnessAuto")
+_ENABLED = ("GammaEnable", "LUTEnable", "ReverseX", "ReverseY")
+_JOINED = ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical")
+_PATTERNS = ("TestPattern", "TestImageSelector")
 _EXPOSURE = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
 _GAIN = ("Gain", "GainAbs", "GainRaw")
 _TOLERANCE = 1e-6
@@ -27,7 +30,8 @@ _TOLERANCE = 1e-6
 class MachineCamera:
     """A camera of which the levels are to be a measure of light.
 
-    What would make them something else is switched off: automatic exposure, gain and black level, and gamma. Frames are
+    What would make them something else is switched off: automatic exposure, gain and black level, gamma and look-up
+    table, mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are
     checked for being whole, new and in order; what is not is taken again, a bounded number of times, each told.
 
     Parameters
@@ -75,8 +79,8 @@ class MachineCamera:
         self._persistence = Persistence(self, verb="taken")
         self._running = False
         try:
+            self._switch_off()
             self._format = self._set_image()
-            self._switch_automatic_off()
             self._gain = self._set_gain()
             self._exposure = first_of(sdk, *_EXPOSURE)
             self._held_us = self._first_exposure()
@@ -269,12 +273,25 @@ class MachineCamera:
             )
         return chosen
 
-    def _switch_automatic_off(self) -> None:
+    def _switch_off(self) -> None:
+        """What stands between light and level; before the size is set, which binned pixels would bound."""
+        sdk = self._sdk
         for name in _AUTOMATIC:
-            if self._sdk.has(name):
+            if sdk.has(name):
                 self._choose(name, "Off")
-        if self._sdk.has("GammaEnable"):
-            self._sdk.switch_off("GammaEnable")
+        for name in _PATTERNS:
+            if sdk.has(name) and "Off" in sdk.words(name):
+                self._choose(name, "Off")
+        if sdk.has("ExposureMode"):
+            self._choose("ExposureMode", "Timed")
+        for name in _ENABLED:
+            if sdk.has(name) and sdk.is_on(name):
+                sdk.switch_off(name)
+                self._verify(name, False, sdk.is_on(name))
+        for name in _JOINED:
+            if sdk.has(name) and sdk.number(name) != 1:
+                sdk.set_number(name, 1)
+                self._verify(name, 1, sdk.number(name))
         if self._sdk.has("Gamma"):
             if self._sdk.number("Gamma") != 1.0:
                 self._sdk.set_number("Gamma", 1.0)
@@ -321,7 +338,12 @@ class MachineCamera:
             raise InputError(
                 f"{self._settings.where}: this camera has no software trigger; write trigger: none"
             )
-        if sdk.has("TriggerSelector") and "FrameStart" in sdk.words("TriggerSelector"):
+        if sdk.has("TriggerSelector") and "FrameStart" in (kinds := sdk.words("TriggerSelector")):
+            for kind in kinds:
+                if kind != "FrameStart":  # a frame would wait for it
+                    self._choose("TriggerSelector", kind)
+                    if sdk.has("TriggerMode"):
+                        self._choose("TriggerMode", "Off")
             self._choose("TriggerSelector", "FrameStart")
         software = can and wanted != "none"
         if software:

@@ -85,6 +85,9 @@ class Sdk:
     def switch_off(self, feature: str) -> None:
         self.features[feature] = False
 
+    def is_on(self, feature: str) -> bool:
+        return bool(self.number(feature))
+
     def do(self, feature: str) -> None:
         self.log.append(feature)
         self.count += 1
@@ -146,6 +149,67 @@ def test_it_is_set_as_a_measuring_instrument() -> None:
     assert camera.identify().says["gain"] == "1.5"
     assert "start" not in sdk.log
     assert told == []
+
+
+ALTERED = {
+    "LUTEnable": (True, False),
+    "ReverseX": (True, False),
+    "ReverseY": (True, False),
+    "BinningHorizontal": (2, 1),
+    "BinningVertical": (2, 1),
+    "DecimationHorizontal": (4, 1),
+    "DecimationVertical": (4, 1),
+    "TestPattern": ("GreyDiagonalRamp", "Off"),
+    "TestImageSelector": ("TestImage1", "Off"),
+    "ExposureMode": ("TriggerWidth", "Timed"),
+}
+
+
+def altered() -> Sdk:
+    """As another program may have left it."""
+    sdk = Sdk(**{name: found for name, (found, _) in ALTERED.items()})
+    sdk.entries["TestPattern"] = sdk.entries["TestImageSelector"] = ("Off", "GreyDiagonalRamp", "TestImage1")
+    return sdk
+
+
+def test_what_alters_the_image_is_switched_off_before_its_size_is_set() -> None:
+    _, sdk, _ = opened(altered())
+    assert {name: sdk.features[name] for name in ALTERED} == {name: to for name, (_, to) in ALTERED.items()}
+    assert sdk.log.index("BinningHorizontal=1") < sdk.log.index("Width=4")
+
+
+@pytest.mark.parametrize("feature", ALTERED)
+def test_what_alters_the_image_and_cannot_be_switched_off_is_refused(feature: str) -> None:
+    sdk = altered()
+    sdk.stuck[feature] = ALTERED[feature][0]
+    with pytest.raises(HardwareError, match=f"{feature} was set to .*, and the camera holds"):
+        opened(sdk)
+    assert sdk.log[-1] == "close"
+
+
+def test_no_frame_waits_for_another_trigger_than_its_own() -> None:
+    class Selects(Sdk):
+        """A camera with a trigger mode for each kind of trigger."""
+
+        modes = {"AcquisitionStart": "On", "FrameStart": "Off", "FrameBurstStart": "On"}  # noqa: RUF012
+
+        def number(self, feature: str) -> Any:
+            chosen = self.features["TriggerSelector"]
+            return self.modes[chosen] if feature == "TriggerMode" else super().number(feature)
+
+        word = number
+
+        def set_word(self, feature: str, word: str) -> None:
+            super().set_word(feature, word)
+            if feature == "TriggerMode":
+                self.modes[self.features["TriggerSelector"]] = word
+
+    sdk = Selects()
+    sdk.entries["TriggerSelector"] = tuple(sdk.modes)
+    camera, _, _ = opened(sdk)
+    assert sdk.modes == {"AcquisitionStart": "Off", "FrameStart": "On", "FrameBurstStart": "Off"}
+    assert sdk.features["TriggerSelector"] == "FrameStart"
+    assert camera.triggered
 
 
 @pytest.mark.parametrize(
