@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -14,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from camera_worlds import needs
 
 from benchmarks import rig_faults
-from benchmarks._fault_runs import OPTIONS, differences
+from benchmarks._fault_runs import OPTIONS, alike, differences
 from benchmarks.rig_faults import RigCase, gige_rig, rig_cases, undergo
 from benchmarks.soak import soak
 from lightopt.capture import capture
@@ -138,6 +140,20 @@ def test_what_the_commands_capture_and_fit_holds_the_truth(bed, tmp_path, capsys
     for name in found["fitted"]:
         low, high = found["values"][name]["interval_95"]
         assert low <= getattr(truth, name) <= high, name
+
+
+def test_an_image_that_is_another_is_not_there(bed, tmp_path):
+    truth = bed[2]
+    copy = tmp_path / "copy"
+    shutil.copytree(truth, copy)
+    assert alike(copy, truth) == 8
+    images = read_image_set(copy)
+    first, second = (images.path(images.images[i].png or "") for i in (0, 1))
+    manifest = copy / "manifest.json"
+    sums = [hashlib.sha256(path.read_bytes()).hexdigest() for path in (second, first)]
+    manifest.write_text(manifest.read_text("utf-8").replace(*sums), encoding="utf-8", newline="\n")
+    shutil.copyfile(first, second)  # of the right shape, and listed so
+    assert alike(copy, truth) == 7
 
 
 @pytest.mark.slow
