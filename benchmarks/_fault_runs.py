@@ -15,10 +15,10 @@ from benchmarks._fault_cases import Case
 from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
 from lightopt.config import load_part, load_rig
 from lightopt.errors import HardwareError
-from lightopt.images import read_exr, read_image_set, read_png
+from lightopt.images import ImageEntry, ImageSet, read_exr, read_image_set, read_png
 from lightopt.virtualbench import BenchProcess
 
-__all__ = ["OPTIONS", "Outcome", "Steps", "differences", "kill_sometime", "suffer", "undisturbed"]
+__all__ = ["OPTIONS", "Outcome", "Steps", "alike", "differences", "kill_sometime", "suffer", "undisturbed"]
 
 STATES = ("dark", "lit", "deaf", "alarm")
 """Faults that hold from the moment when they are set."""
@@ -199,14 +199,27 @@ def differences(folder: Path, truth: Path) -> list[str]:
         return [f"the images are {[str(e.key) for e in new.images]}"]
     found: list[str] = []
     for a, b in zip(new.images, old.images, strict=True):
-        if not np.array_equal(read_png(new.path(a.png or "")), read_png(old.path(b.png or ""))):
-            found.append(f"{a.png} differs")
-        one, other = read_exr(new.path(a.exr or "")), read_exr(old.path(b.exr or ""))
-        if any(not np.array_equal(one[name], other[name]) for name in ("Y", "valid", "exposure")):
-            found.append(f"{a.exr} differs")
+        found += _differing(new, a, old, b)
     dark = (name for name in old.manifest.files if name.endswith(".png"))
     return found + [
         f"{name} differs"
         for name in dark
         if not np.array_equal(read_png(new.path(name)), read_png(old.path(name)))
     ]
+
+
+def alike(folder: Path, truth: Path) -> int:
+    """Count the images of a set that are the same in another."""
+    new, old = read_image_set(folder), read_image_set(truth)
+    known = {entry.key: entry for entry in old.images}
+    return sum(a.key in known and not _differing(new, a, old, known[a.key]) for a in new.images)
+
+
+def _differing(new: ImageSet, a: ImageEntry, old: ImageSet, b: ImageEntry) -> list[str]:
+    found: list[str] = []
+    if not np.array_equal(read_png(new.path(a.png or "")), read_png(old.path(b.png or ""))):
+        found.append(f"{a.png} differs")
+    one, other = read_exr(new.path(a.exr or "")), read_exr(old.path(b.exr or ""))
+    if any(not np.array_equal(one[name], other[name]) for name in ("Y", "valid", "exposure")):
+        found.append(f"{a.exr} differs")
+    return found

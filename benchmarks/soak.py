@@ -2,7 +2,8 @@
 
 Images are taken with the GigE camera of the virtual bench behind its real driver. At a stated rate each, frames do not
 come, come in part, or have an older time stamp, and replies of the light controller and the stage are lost or spoilt. A
-run that stops, because the same happened three times in a row, is resumed as a person would.
+run that stops, because the same happened three times in a row, is resumed as a person would. In the end every image has
+to be that of a run without faults.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks._fault_runs import alike
 from benchmarks.rig_faults import gige_rig
 from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
 from lightopt.config import load_part, load_rig
 from lightopt.errors import HardwareError
-from lightopt.images import read_image_set, read_png
 from lightopt.transforms import Posture
 from lightopt.virtualbench import BenchProcess
 
@@ -44,7 +45,7 @@ class Soaked:
     Attributes
     ----------
     asked, there
-        Images of the plan, and those in the manifest that can be read and are valid at the end.
+        Images of the plan, and those that are at the end what they are without faults, pixel for pixel.
     struck
         Faults that struck, as the bench counts them.
     retries
@@ -102,17 +103,17 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
             resume = (out / "manifest.json").exists()
             if counts["stops"] > most_stops:
                 raise
-    found = read_image_set(out)
-    there = sum(read_png(found.path(entry.png or "")).shape == (120, 160) for entry in found.images)
+    ended, seconds = _resident(), time.monotonic() - begun
+    capture(rig, part, folder / "truth", options=options)
     return Soaked(
         asked=4 * postures,
-        there=there,
+        there=alike(out, folder / "truth"),
         struck=counts["struck"],
         retries=counts["retries"],
         stops=counts["stops"],
         begun_bytes=memory[0],
-        ended_bytes=_resident(),
-        seconds=time.monotonic() - begun,
+        ended_bytes=ended,
+        seconds=seconds,
     )
 
 

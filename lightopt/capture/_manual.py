@@ -15,7 +15,7 @@ from lightopt.capture._virtual import STAGE
 from lightopt.capture._wiring import Wiring
 from lightopt.config import RigConfig
 from lightopt.errors import InputError, LightoptError
-from lightopt.hardware import Frame
+from lightopt.hardware import Frame, frame_limit_s
 from lightopt.images import write_png
 from lightopt.transforms import Posture
 
@@ -255,7 +255,7 @@ def snap(
 
 def _grab(devices: Devices, exposure_us: float, light: str | None) -> Frame:
     """Wait for a frame no longer than the light may burn."""
-    limit_s = exposure_us / 1e6 + devices.wiring.hardware.timing.frame_timeout_s
+    limit_s = frame_limit_s(exposure_us, devices.wiring.hardware.timing.frame_timeout_s)
     left_s = None if light is None else devices.may_burn_s(light)
     frame = devices.camera.grab(timeout_s=limit_s if left_s is None else max(0.0, min(limit_s, left_s)))
     if light is not None:

@@ -14,7 +14,7 @@ from lightopt.capture._frames import Exposed, FrameMean
 from lightopt.capture._plan import Plan
 from lightopt.capture._timing import Timing, utc
 from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import Event, Frame
+from lightopt.hardware import Event, Frame, frame_limit_s
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
@@ -60,7 +60,8 @@ class Shooter:
     Raises
     ------
     InputError
-        When the camera cannot expose as long or as short as the plan wants; nothing was lit or moved.
+        When the camera cannot expose as long or as short as the plan wants, or not in such steps, with the exposures
+        that it can hold instead; nothing was lit or moved.
     """
 
     def __init__(
@@ -73,6 +74,7 @@ class Shooter:
                     f"an exposure of {time_us:g} µs is outside the camera's {low:g} to {high:g} µs; choose others "
                     "(--exposures), or another camera.exposure_us in the rig"
                 )
+        _check_steps(devices, plan)
         self._devices = devices
         self._plan = plan
         self._sensor = sensor
@@ -144,10 +146,9 @@ class Shooter:
         asked = self._plan.exposure_us(exposure)
         self._devices.step = f"setting the exposure to {asked:g} µs"
         held = self._devices.camera.set_exposure(asked)
-        if abs(held - asked) > EXPOSURE_TOLERANCE * asked:
+        if not _holds(held, asked):
             raise HardwareError(
-                f"the camera holds an exposure of {held:g} µs instead of {asked:g} µs; choose exposures that it "
-                "can hold"
+                f"the camera holds an exposure of {held:g} µs instead of {asked:g} µs, which it held before"
             )
         self._changed = self._changed or held != self._held_us
         self._held_us = held
@@ -229,7 +230,7 @@ class Shooter:
         timing = self._plan.wiring.hardware.timing
         assert self._held_us is not None
         exposure_s = self._held_us / 1e6
-        limit_s = exposure_s + timing.frame_timeout_s
+        limit_s = frame_limit_s(self._held_us, timing.frame_timeout_s)
         if (left_s := self._may_burn_s()) is not None:
             if left_s <= exposure_s:
                 self._burns_too_long(left_s)
@@ -252,9 +253,9 @@ class Shooter:
                 f"up to {frame.levels.max()}; expected {width} × {height} and at most {self._sensor.max_level}"
             )
         if self._held_us is not None and abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
+            name = "a frame" if frame.number is None else f"frame {frame.number}"
             raise HardwareError(
-                f"the camera took frame {frame.number} at {frame.exposure_us:g} µs, although it held "
-                f"{self._held_us:g} µs"
+                f"the camera took {name} at {frame.exposure_us:g} µs, although it held {self._held_us:g} µs"
             )
 
     def _may_burn_s(self) -> float | None:
@@ -272,3 +273,24 @@ class Shooter:
         with self._timing.spent(counted):
             while (left := moment - time.monotonic()) > 0:
                 time.sleep(left)
+
+
+def _holds(held_us: float, asked_us: float) -> bool:
+    """Whether an exposure time is as good as the one that was asked for."""
+    return abs(held_us - asked_us) <= EXPOSURE_TOLERANCE * asked_us
+
+
+def _check_steps(devices: Devices, plan: Plan) -> None:
+    """Let the camera hold every exposure of a plan once, and refuse the plan when it holds others."""
+    problems: list[str] = []
+    for exposure in plan.exposures:
+        asked = plan.exposure_us(exposure)
+        held = devices.camera.set_exposure(asked)
+        if not _holds(held, asked):
+            problems.append(
+                f"exposure {exposure:g} ({asked:g} µs): the camera holds {held:g} µs instead, which is exposure "
+                f"{held / plan.wiring.exposure_us:.6g}; choose exposures that it can hold (--exposures), or another "
+                "camera.exposure_us in the rig"
+            )
+    if problems:
+        raise InputError(*problems)

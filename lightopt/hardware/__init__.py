@@ -12,6 +12,7 @@ from lightopt.hardware._lights import LightSettings, LightsStillOnError, all_off
 from lightopt.hardware._link import SerialLink
 from lightopt.hardware._log import Event, SerialLog
 from lightopt.hardware._ports import Port, port_problem, serial_ports
+from lightopt.hardware._retry import frame_limit_s
 from lightopt.hardware._roles import Camera, Frame, Identity, LightController, Stage, StageState
 from lightopt.hardware._side_by_side import side_by_side
 from lightopt.hardware._stages import StageDriver, check_stage, open_stage, stage_drivers
@@ -41,6 +42,7 @@ __all__ = [
     "cameras_here",
     "check_camera_driver",
     "check_stage",
+    "frame_limit_s",
     "light_drivers",
     "open_camera",
     "open_stage",

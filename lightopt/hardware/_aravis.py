@@ -150,6 +150,10 @@ class AravisSdk:
             lambda: tuple(self._camera.dup_available_enumerations_as_strings(feature)),
         )
 
+    def is_on(self, feature: str) -> bool:
+        """Read a truth value."""
+        return self._try(f"reading {feature}", lambda: bool(self._camera.get_boolean(feature)))
+
     def switch_off(self, feature: str) -> None:
         """Set a truth value to false."""
         self._try(f"setting {feature}", lambda: self._camera.set_boolean(feature, False))

@@ -49,6 +49,10 @@ class CameraSdk(Protocol):
         """Entries of an enumeration that can be chosen."""
         ...
 
+    def is_on(self, feature: str) -> bool:
+        """Read a truth value."""
+        ...
+
     def switch_off(self, feature: str) -> None:
         """Set a truth value to false."""
         ...

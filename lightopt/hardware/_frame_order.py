@@ -28,7 +28,7 @@ class RawFrame:
     code
         Its pixel format as a number of the naming convention; None where it does not say.
     number
-        The camera's own.
+        The camera's own; None where it has none.
     timestamp_ns
         The camera's own time [ns]; None where it has none.
     problem
@@ -38,10 +38,15 @@ class RawFrame:
     data: NDArray[np.uint8]
     width: int
     height: int
-    number: int
+    number: int | None
     code: int | None = None
     timestamp_ns: int | None = None
     problem: str | None = None
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return "a frame without a number" if self.number is None else f"frame {self.number}"
 
 
 class FrameOrder:
@@ -74,20 +79,28 @@ class FrameOrder:
             When it is incomplete, came before, or is older than the one before.
         """
         if frame.problem is not None:
-            raise ReplyError(f"frame {frame.number} is incomplete: {frame.problem}")
+            raise ReplyError(f"{frame.name} is incomplete: {frame.problem}")
         last = self._last
         if last is not None:
-            step = frame.number - last.number
-            if step < 0 and last.number > _LAST_ID - _NEAR and frame.number < _NEAR:
-                step = 1  # the count of GigE Vision 1 ends at 65535
+            step = _step(last.number, frame.number)
             if step == 0:
-                raise ReplyError(f"frame {frame.number} came a second time")
+                raise ReplyError(f"{frame.name} came a second time")
             if step < 0:
-                raise ReplyError(f"frame {frame.number} came after frame {last.number}")
+                raise ReplyError(f"{frame.name} came after {last.name}")
             if frame.timestamp_ns and last.timestamp_ns and frame.timestamp_ns <= last.timestamp_ns:
                 raise ReplyError(
-                    f"frame {frame.number} is stale: it was taken {(last.timestamp_ns - frame.timestamp_ns) / 1e6:.3g} "
-                    f"ms before frame {last.number}"
+                    f"{frame.name} is stale: it was taken {(last.timestamp_ns - frame.timestamp_ns) / 1e6:.3g} "
+                    f"ms before {last.name}"
                 )
             self.lost += step - 1
         self._last = frame
+
+
+def _step(last: int | None, number: int | None) -> int:
+    """Frames from one to the next as they are numbered; 1 where they are not."""
+    if last is None or number is None or last == number == 0:  # a count that stays at its beginning is none
+        return 1
+    step = number - last
+    if step < 0 and last > _LAST_ID - _NEAR and number < _NEAR:
+        return 1  # the count of GigE Vision 1 ends at 65535
+    return step

@@ -14,12 +14,16 @@ import numpy as np
 
 from lightopt.errors import HardwareError, InputError
 from lightopt.hardware._camera_settings import CameraHere, CameraSettings, choose_camera
+from lightopt.hardware._errors import LinkLostError
 from lightopt.hardware._frame_order import RawFrame
 
 __all__ = ["GenicamSdk", "genicam_cameras", "load_harvester", "producers_here"]
 
 _BUFFERS = 4
 _SLICE_S = 0.1  # signals are heard between two waits
+
+_GONE = ("IoException", "TimeoutException", "InvalidHandleException", "ClosedException")
+"""What reading a register fails with when nobody answers; others (no such address) are an answer."""
 
 Value = TypeVar("Value")
 
@@ -82,6 +86,7 @@ class GenicamSdk:
     def __init__(self, settings: CameraSettings) -> None:
         self._where = settings.where
         self._acquirer: Any = None
+        self._lost: str | None = None
         self._harvester = _harvester(settings.producer or "", settings.where)
         try:
             if settings.packet_size is not None or settings.packet_delay_ns is not None:
@@ -107,7 +112,7 @@ class GenicamSdk:
         """Whether the camera has a feature, and it can be used as things are."""
         if not self._nodes.has_node(feature):
             return False
-        mode = self._nodes.get_node(feature).get_access_mode()
+        mode = self._try(feature, lambda: self._nodes.get_node(feature).get_access_mode())
         modes: Any = import_module("genicam.genapi").EAccessMode
         return mode in (modes.RW, modes.RO, modes.WO)
 
@@ -141,6 +146,10 @@ class GenicamSdk:
     def words(self, feature: str) -> tuple[str, ...]:
         """Entries of an enumeration."""
         return self._try(f"asking for the entries of {feature}", lambda: tuple(self._node(feature).symbolics))
+
+    def is_on(self, feature: str) -> bool:
+        """Read a truth value."""
+        return self._try(f"reading {feature}", lambda: bool(self._node(feature).value))
 
     def switch_off(self, feature: str) -> None:
         """Set a truth value to false."""
@@ -197,7 +206,7 @@ class GenicamSdk:
 
     def _raw(self, buffer: Any) -> RawFrame:
         module = buffer.module
-        number = int(_known(lambda: module.frame_id, 0))
+        number = _known(lambda: int(module.frame_id), None)
         if not _known(lambda: bool(module.is_complete()), True):
             return RawFrame(
                 data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="parts of it were lost"
@@ -210,7 +219,7 @@ class GenicamSdk:
         part = payload.components[0]
         if padding := _known(lambda: int(module.padding_x), 0):
             raise HardwareError(
-                f"{self._where}: the lines of frame {number} end with {padding} bytes that are no pixels; choose a "
+                f"{self._where}: the lines of its frames end with {padding} bytes that are no pixels; choose a "
                 "width or a pixel format without"
             )
         # the library would expand packed pixels itself; the bytes are read by the tables of this package
@@ -226,10 +235,25 @@ class GenicamSdk:
         )
 
     def _try(self, what: str, action: Callable[[], Value]) -> Value:
+        if self._lost is not None:  # each question to a camera that is gone would take seconds
+            raise LinkLostError(self._lost)
         try:
             return action()
         except Exception as error:  # the libraries have some forty kinds of errors and no common one
+            if self._is_gone():
+                self._lost = f"{self._where}: {what}: the camera does not answer any more: {error}"
+                raise LinkLostError(self._lost) from error
             raise HardwareError(f"{self._where}: {what}: {error}") from error
+
+    def _is_gone(self) -> bool:
+        """Whether the camera leaves a plain question unanswered: errors of its features do not say why they failed."""
+        if self._acquirer is None:
+            return False
+        try:
+            self._acquirer.remote_device.port.read(0, 4)
+        except Exception as error:  # noqa: BLE001  (judged by its kind)
+            return type(error).__name__ in _GONE
+        return False
 
 
 def _known(ask: Callable[[], Value], otherwise: Value) -> Value:

@@ -19,6 +19,9 @@ from lightopt.hardware._roles import Frame, Identity
 __all__ = ["MachineCamera"]
 
 _AUTOMATIC = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto", "TargetBrightnessAuto")
+_ENABLED = ("GammaEnable", "LUTEnable", "ReverseX", "ReverseY")
+_JOINED = ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical")
+_PATTERNS = ("TestPattern", "TestImageSelector")
 _EXPOSURE = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
 _GAIN = ("Gain", "GainAbs", "GainRaw")
 _TOLERANCE = 1e-6
@@ -27,7 +30,8 @@ _TOLERANCE = 1e-6
 class MachineCamera:
     """A camera of which the levels are to be a measure of light.
 
-    What would make them something else is switched off: automatic exposure, gain and black level, and gamma. Frames are
+    What would make them something else is switched off: automatic exposure, gain and black level, gamma and look-up
+    table, mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are
     checked for being whole, new and in order; what is not is taken again, a bounded number of times, each told.
 
     Parameters
@@ -75,8 +79,8 @@ class MachineCamera:
         self._persistence = Persistence(self, verb="taken")
         self._running = False
         try:
+            self._switch_off()
             self._format = self._set_image()
-            self._switch_automatic_off()
             self._gain = self._set_gain()
             self._exposure = first_of(sdk, *_EXPOSURE)
             self._held_us = self._first_exposure()
@@ -137,6 +141,9 @@ class MachineCamera:
     def grab(self, *, timeout_s: float) -> Frame:
         """Take one frame, or the next that is completed where there is no trigger.
 
+        All attempts together take no longer than `timeout_s`, of which each has an equal part, and no less than the
+        exposure time: fewer attempts where there is no time for as many exposures.
+
         Raises
         ------
         HardwareError
@@ -145,8 +152,8 @@ class MachineCamera:
         if self._ready is not None:
             self._ready()
         end = time.monotonic() + timeout_s
-        exposure_s = self._held_us / 1e6
-        each_s = exposure_s + max(0.0, timeout_s - exposure_s) / ATTEMPTS
+        fit = int(timeout_s / max(1e-6, self._held_us / 1e6))
+        each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
         raw = self._persistence.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
         levels = levels_of(raw.data, self._format, width=raw.width, height=raw.height)
         held = self._held_us if self._exposure is None else self._sdk.number(self._exposure)
@@ -180,7 +187,7 @@ class MachineCamera:
             self._order.begin()
             self._sdk.start()
             self._running = True
-        self._pass_by()
+        self._pass_by(end)
         begun = time.monotonic()
         if self._triggered:
             self._sdk.do("TriggerSoftware")
@@ -196,28 +203,33 @@ class MachineCamera:
         except ReplyError as error:
             raise ReplyError(f"{self._settings.where}: {error}") from None
         if self._triggered and self._order.lost > lost:
-            self.note(f"frame {raw.number} came, and {self._order.lost - lost} before it never did")
+            self.note(f"{raw.name} came, and {self._order.lost - lost} before it never did")
         self._check_form(raw)
         return raw
 
-    def _pass_by(self) -> None:
+    def _pass_by(self, end: float) -> None:
         """Frames that are there before one is asked for: a camera that runs freely makes them, a triggered one not."""
         while (raw := self._sdk.pop(0.0)) is not None:
             self._order.passed(raw)
             if self._triggered:
-                self.note(f"frame {raw.number} came without being asked for and was thrown away")
+                self.note(f"{raw.name} came without being asked for and was thrown away")
+            if time.monotonic() > end:
+                raise ReplyError(
+                    f"{self._settings.where}: frames come faster than they can be thrown away; lower the camera's "
+                    "frame rate"
+                )
 
     def _check_form(self, raw: RawFrame) -> None:
         width, height = self._settings.resolution_px
         if (raw.width, raw.height) != (width, height):
             raise HardwareError(
-                f"{self._settings.where}: the camera was set to {width} × {height} pixels, and frame {raw.number} has "
+                f"{self._settings.where}: the camera was set to {width} × {height} pixels, and {raw.name} has "
                 f"{raw.width} × {raw.height}"
             )
         if raw.code is not None and raw.code != self._format.code:
             raise HardwareError(
                 f"{self._settings.where}: the camera was set to {self._format.name} ({self._format.code:#x}), and "
-                f"frame {raw.number} is in another pixel format ({raw.code:#x})"
+                f"{raw.name} is in another pixel format ({raw.code:#x})"
             )
 
     def _stop(self) -> None:
@@ -261,12 +273,25 @@ class MachineCamera:
             )
         return chosen
 
-    def _switch_automatic_off(self) -> None:
+    def _switch_off(self) -> None:
+        """What stands between light and level; before the size is set, which binned pixels would bound."""
+        sdk = self._sdk
         for name in _AUTOMATIC:
-            if self._sdk.has(name):
+            if sdk.has(name):
                 self._choose(name, "Off")
-        if self._sdk.has("GammaEnable"):
-            self._sdk.switch_off("GammaEnable")
+        for name in _PATTERNS:
+            if sdk.has(name) and "Off" in sdk.words(name):
+                self._choose(name, "Off")
+        if sdk.has("ExposureMode"):
+            self._choose("ExposureMode", "Timed")
+        for name in _ENABLED:
+            if sdk.has(name) and sdk.is_on(name):
+                sdk.switch_off(name)
+                self._verify(name, False, sdk.is_on(name))
+        for name in _JOINED:
+            if sdk.has(name) and sdk.number(name) != 1:
+                sdk.set_number(name, 1)
+                self._verify(name, 1, sdk.number(name))
         if self._sdk.has("Gamma"):
             if self._sdk.number("Gamma") != 1.0:
                 self._sdk.set_number("Gamma", 1.0)
@@ -313,7 +338,12 @@ class MachineCamera:
             raise InputError(
                 f"{self._settings.where}: this camera has no software trigger; write trigger: none"
             )
-        if sdk.has("TriggerSelector") and "FrameStart" in sdk.words("TriggerSelector"):
+        if sdk.has("TriggerSelector") and "FrameStart" in (kinds := sdk.words("TriggerSelector")):
+            for kind in kinds:
+                if kind != "FrameStart":  # a frame would wait for it
+                    self._choose("TriggerSelector", kind)
+                    if sdk.has("TriggerMode"):
+                        self._choose("TriggerMode", "Off")
             self._choose("TriggerSelector", "FrameStart")
         software = can and wanted != "none"
         if software:

@@ -7,7 +7,7 @@ from typing import Protocol, TypeVar
 
 from lightopt.hardware._errors import ReplyError
 
-__all__ = ["ATTEMPTS", "Persistence", "Repeatable"]
+__all__ = ["ATTEMPTS", "Persistence", "Repeatable", "frame_limit_s"]
 
 ATTEMPTS = 3
 
@@ -72,3 +72,21 @@ class Persistence:
 
     def _exhausted(self, error: ReplyError, attempts: int) -> ReplyError:
         return ReplyError(f"{error} ({self._verb} {attempts} times)") if attempts > 1 else error
+
+
+def frame_limit_s(exposure_us: float, wait_s: float) -> float:
+    """How long a camera may take for one frame [s]: every attempt exposes anew, and the waits share `wait_s`.
+
+    Parameters
+    ----------
+    exposure_us
+        Exposure time that the camera holds [µs].
+    wait_s
+        Longest wait beyond the exposures [s].
+
+    Examples
+    --------
+    >>> frame_limit_s(2e6, 5.0)
+    11.0
+    """
+    return ATTEMPTS * exposure_us / 1e6 + wait_s

@@ -155,7 +155,7 @@ class Frame:
     exposure_us
         Exposure time [µs] as read back for this frame.
     number
-        The camera's own number of the frame.
+        The camera's own number of the frame; None where it has none.
     timestamp_ns
         The camera's own time stamp [ns]; None where it has none.
     says
@@ -164,7 +164,7 @@ class Frame:
 
     levels: NDArray[np.uint8] | NDArray[np.uint16]
     exposure_us: float
-    number: int
+    number: int | None
     timestamp_ns: int | None = None
     says: dict[str, Any] = field(default_factory=dict[str, Any])
 
@@ -210,7 +210,10 @@ class Camera(Protocol):
         ...
 
     def grab(self, *, timeout_s: float) -> Frame:
-        """Take one frame; a camera without a trigger delivers the next that it completes."""
+        """Take one frame; a camera without a trigger delivers the next that it completes.
+
+        It takes `timeout_s` at most, all attempts of a camera that asks again together.
+        """
         ...
 
     def close(self) -> None:

@@ -147,21 +147,30 @@ class GigeCamera:
         device = self._device
         triggered = device is not None and not device.is_in_free_running_mode()
         levels = self._faults.seen(self._look(held_us, float(gain), triggered, self._faults.arrives))
-        data = packed(levels, code)
+        top, left, height, width = self._region()
+        data = packed(levels[top : top + height, left : left + width], code)
         size = ctypes.c_size_t()
         where = self._c.arv_buffer_get_data(buffer, ctypes.byref(size))
-        ctypes.memmove(where, data, min(len(data), self._payload(code)))
+        room = width * height * (code >> 16 & 0xFF) // 8  # what the buffer says of itself is 0 at this moment
+        ctypes.memmove(where, data, min(len(data), room))
         time.sleep(max(0.0, held_us / 1e6 - (time.monotonic() - begun)))
         self._faults.end(buffer, number, int(self._c.arv_buffer_get_timestamp(buffer)))
 
-    def _payload(self, code: int) -> int:
-        """Bytes that a frame has room for; what the buffer says of itself is 0 at this moment."""
-        device = self._device
+    def _region(self) -> tuple[int, int, int, int]:
+        """Top, left, height and width of the part of the sensor that a frame has [pixels]; nothing when unplugged."""
+        device, names = self._device, self._library
         if device is None:
-            return 0
-        width = device.read_register(self._library.FAKE_CAMERA_REGISTER_WIDTH)[1]
-        height = device.read_register(self._library.FAKE_CAMERA_REGISTER_HEIGHT)[1]
-        return int(width * height * (code >> 16 & 0xFF) // 8)
+            return 0, 0, 0, 0
+        top, left, height, width = (
+            int(device.read_register(register)[1])
+            for register in (
+                names.FAKE_CAMERA_REGISTER_Y_OFFSET,
+                names.FAKE_CAMERA_REGISTER_X_OFFSET,
+                names.FAKE_CAMERA_REGISTER_HEIGHT,
+                names.FAKE_CAMERA_REGISTER_WIDTH,
+            )
+        )
+        return top, left, height, width
 
     def _description(self, formats: list[str]) -> str:
         """The description that Aravis' camera has of itself, with our pixel formats and our longest exposure."""

@@ -200,6 +200,29 @@ def test_levels_of_every_packing_arrive_over_the_network(pixel_format: str) -> N
         server.close()
 
 
+@pytest.mark.parametrize("pixel_format", ["Mono12", "Mono12p"])
+def test_a_part_of_the_sensor_is_that_part_of_its_pixels(pixel_format: str) -> None:
+    needs("aravis")
+    from lightopt.virtualbench._gige import GigeCamera
+
+    image = np.random.default_rng(2).integers(0, 4096, (120, 160)).astype(np.uint16)
+    server = GigeCamera(lambda *_: image, resolution_px=(160, 120), bit_depth=12)
+    settings = CameraSettings(
+        where="rig",
+        resolution_px=(64, 32),
+        bit_depth=12,
+        port=server.serial,
+        pixel_format=pixel_format,
+        offset_px=(40, 24),
+    )
+    opened = open_camera("aravis", settings)
+    try:
+        assert np.array_equal(opened.grab(timeout_s=5).levels, image[24:56, 40:104])
+    finally:
+        opened.close()
+        server.close()
+
+
 def test_gain_and_exposure_act_on_the_image(beds: tuple[Path, Path]) -> None:
     """Light from everywhere: four times the exposure is four times the level, and 6 dB twice."""
     needs("aravis")

@@ -118,7 +118,7 @@ def test_packed_pixels_of_a_producer_are_read_by_our_tables() -> None:
     )
     part = SimpleNamespace(width=5, height=3, data_offset=4)
     sdk = GenicamSdk.__new__(GenicamSdk)
-    sdk._where = "rig"
+    sdk._where, sdk._lost = "rig", None
     buffer = SimpleNamespace(module=module, payload=SimpleNamespace(components=[part]))
     raw = sdk._raw(buffer)
     assert (raw.number, raw.code, raw.timestamp_ns, raw.problem) == (7, code, 9, None)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
 import pytest
 
 from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import CameraHere, CameraSettings, Event, LinkLostError
+from lightopt.hardware import CameraHere, CameraSettings, Event, LinkLostError, frame_limit_s
 from lightopt.hardware._camera_settings import choose_camera
 from lightopt.hardware._frame_order import FrameOrder, RawFrame
 from lightopt.hardware._machine_camera import MachineCamera
@@ -84,6 +85,9 @@ class Sdk:
     def switch_off(self, feature: str) -> None:
         self.features[feature] = False
 
+    def is_on(self, feature: str) -> bool:
+        return bool(self.number(feature))
+
     def do(self, feature: str) -> None:
         self.log.append(feature)
         self.count += 1
@@ -145,6 +149,67 @@ def test_it_is_set_as_a_measuring_instrument() -> None:
     assert camera.identify().says["gain"] == "1.5"
     assert "start" not in sdk.log
     assert told == []
+
+
+ALTERED = {
+    "LUTEnable": (True, False),
+    "ReverseX": (True, False),
+    "ReverseY": (True, False),
+    "BinningHorizontal": (2, 1),
+    "BinningVertical": (2, 1),
+    "DecimationHorizontal": (4, 1),
+    "DecimationVertical": (4, 1),
+    "TestPattern": ("GreyDiagonalRamp", "Off"),
+    "TestImageSelector": ("TestImage1", "Off"),
+    "ExposureMode": ("TriggerWidth", "Timed"),
+}
+
+
+def altered() -> Sdk:
+    """As another program may have left it."""
+    sdk = Sdk(**{name: found for name, (found, _) in ALTERED.items()})
+    sdk.entries["TestPattern"] = sdk.entries["TestImageSelector"] = ("Off", "GreyDiagonalRamp", "TestImage1")
+    return sdk
+
+
+def test_what_alters_the_image_is_switched_off_before_its_size_is_set() -> None:
+    _, sdk, _ = opened(altered())
+    assert {name: sdk.features[name] for name in ALTERED} == {name: to for name, (_, to) in ALTERED.items()}
+    assert sdk.log.index("BinningHorizontal=1") < sdk.log.index("Width=4")
+
+
+@pytest.mark.parametrize("feature", ALTERED)
+def test_what_alters_the_image_and_cannot_be_switched_off_is_refused(feature: str) -> None:
+    sdk = altered()
+    sdk.stuck[feature] = ALTERED[feature][0]
+    with pytest.raises(HardwareError, match=f"{feature} was set to .*, and the camera holds"):
+        opened(sdk)
+    assert sdk.log[-1] == "close"
+
+
+def test_no_frame_waits_for_another_trigger_than_its_own() -> None:
+    class Selects(Sdk):
+        """A camera with a trigger mode for each kind of trigger."""
+
+        modes = {"AcquisitionStart": "On", "FrameStart": "Off", "FrameBurstStart": "On"}  # noqa: RUF012
+
+        def number(self, feature: str) -> Any:
+            chosen = self.features["TriggerSelector"]
+            return self.modes[chosen] if feature == "TriggerMode" else super().number(feature)
+
+        word = number
+
+        def set_word(self, feature: str, word: str) -> None:
+            super().set_word(feature, word)
+            if feature == "TriggerMode":
+                self.modes[self.features["TriggerSelector"]] = word
+
+    sdk = Selects()
+    sdk.entries["TriggerSelector"] = tuple(sdk.modes)
+    camera, _, _ = opened(sdk)
+    assert sdk.modes == {"AcquisitionStart": "Off", "FrameStart": "On", "FrameBurstStart": "Off"}
+    assert sdk.features["TriggerSelector"] == "FrameStart"
+    assert camera.triggered
 
 
 @pytest.mark.parametrize(
@@ -273,6 +338,54 @@ def test_attempts_are_bounded_and_so_is_the_time(name: str) -> None:
     assert sdk.log.count("TriggerSoftware") == 5
 
 
+class Slow(Sdk):
+    """A camera of which frames come when they have been exposed; the first so many never."""
+
+    def __init__(self, lost: int) -> None:
+        super().__init__()
+        self.lost = lost
+        self.done = float("inf")
+
+    def do(self, feature: str) -> None:
+        self.log.append(feature)
+        self.count += 1
+        self.done = time.monotonic() + self.features["ExposureTime"] / 1e6
+        if self.count <= self.lost:
+            self.done = float("inf")
+
+    def pop(self, timeout_s: float) -> RawFrame | None:
+        late = self.done > time.monotonic() + timeout_s
+        time.sleep(timeout_s if late else max(0.0, self.done - time.monotonic()))
+        if late:
+            return None
+        self.done = float("inf")
+        return frame(self.count)
+
+
+def test_each_attempt_has_time_for_its_exposure() -> None:
+    camera, sdk, told = opened(Slow(2))
+    limit_s = frame_limit_s(camera.set_exposure(400_000.0), 0.6)
+    begun = time.monotonic()
+    assert camera.grab(timeout_s=limit_s).number == 3
+    assert [event.retry for event in told] == [True, True]
+    sdk.lost = 9
+    begun = time.monotonic()
+    with pytest.raises(HardwareError, match="taken 3 times"):
+        camera.grab(timeout_s=limit_s)
+    assert time.monotonic() - begun == pytest.approx(limit_s, abs=0.4)
+    sdk.lost = 0
+    assert camera.grab(timeout_s=0.5).number == 7  # there is time for one
+
+
+def test_frames_that_never_end_are_not_thrown_away_for_ever() -> None:
+    sdk = Sdk()
+    camera, _, _ = opened(sdk, trigger="none")
+    numbers = count(1)
+    sdk.pop = lambda timeout_s: frame(next(numbers))
+    with pytest.raises(HardwareError, match=r"frames come faster .* \(taken 3 times\)"):
+        camera.grab(timeout_s=0.3)
+
+
 def test_a_frame_that_nobody_asked_for_is_thrown_away_and_told() -> None:
     camera, sdk, told = opened()
     camera.grab(timeout_s=1)
@@ -346,6 +459,18 @@ def test_the_count_may_wrap_and_begin_anew() -> None:
     assert order.lost == 0
     order.begin()
     order.check(frame(1))
+
+
+@pytest.mark.parametrize("none", [None, 0])
+def test_frames_of_a_camera_that_does_not_number_them_are_told_apart_by_their_time(none: int | None) -> None:
+    camera, sdk, told = opened()
+    sdk.script = [lambda n: [replace(frame(n), number=none)]] * 3
+    assert [camera.grab(timeout_s=1).number for _ in range(3)] == [none] * 3
+    assert told == []
+    stale = replace(frame(1), number=none)
+    sdk.script = [lambda n: [stale], lambda n: [replace(frame(n), number=none)]]
+    camera.grab(timeout_s=1)
+    assert ["is stale" in event.what for event in told] == [True]
 
 
 HERE = [

@@ -9,7 +9,7 @@ import time
 import pytest
 from capture_doubles import Camera, Lights, Stage, World, broken
 
-from lightopt.capture import Devices, burn, make_plan, snap, wiring_of
+from lightopt.capture import CaptureOptions, Devices, burn, make_plan, snap, wiring_of
 from lightopt.config import load_part, load_rig
 from lightopt.errors import HardwareError, InputError
 from lightopt.scene import build_scene
@@ -255,3 +255,29 @@ def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
             InputError, match=r"an exposure of 10000 µs is outside the camera's 10 to 9000 µs"
         ):
             Shooter(devices, plan, sensor=sensor, identities={}, timing=Timing())
+
+
+def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opened, world, rig, bench):
+    from lightopt.capture._shoot import Shooter
+    from lightopt.capture._timing import Timing
+
+    part = load_part(bench.part)
+    sensor = build_scene(rig, part).sensor
+
+    def shooter(devices, *exposures):
+        plan = make_plan(rig, part, CaptureOptions(exposures=exposures))
+        Shooter(devices, plan, sensor=sensor, identities={}, timing=Timing()).close()
+
+    with opened() as devices:
+        devices.camera.set_exposure = lambda asked: 20.0 * round(asked / 20)
+        with pytest.raises(InputError) as raised:
+            shooter(devices, 1.0, 1 / 16, 1 / 64)
+        assert len(raised.value.messages) == 2
+        assert "exposure 0.0625 (625 µs): the camera holds 620 µs instead, which is exposure 0.062" in str(
+            raised.value
+        )
+        assert not world.burning
+        assert not any(
+            event[0] in ("grab", "move") or (event[0] == "level" and event[3]) for event in world.log
+        )
+        shooter(devices, 1.0, 0.062, 0.016)  # what the message names
