@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from lightopt.errors import InputError
+from lightopt.errors import HardwareError
 from lightopt.hardware import SerialLink
 from lightopt.virtualbench import BenchProcess
 
@@ -21,7 +21,7 @@ def reopened(bench: BenchProcess) -> SerialLink:
     for _ in range(100):
         try:
             return SerialLink(bench.ports["vlp"], device="vlp", baud=38400, gap_s=0.006)
-        except InputError:  # noqa: PERF203
+        except HardwareError:  # noqa: PERF203
             time.sleep(0.02)
     raise AssertionError("the firmware takes no other client")
 
