@@ -82,7 +82,10 @@ def errors_by_hand(samples, found):
 
 
 @pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS.keys())
-@pytest.mark.parametrize("exposures", [(1.0,), (1.0, 1 / 16)], ids=["one", "two"])
+@pytest.mark.parametrize(
+    "exposures",
+    [pytest.param((1.0,), id="one"), pytest.param((1.0, 1 / 16), id="two", marks=pytest.mark.slow)],
+)
 def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures):
     samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=3000)
     by_hand = errors_by_hand(samples, estimate(samples))

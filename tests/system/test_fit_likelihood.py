@@ -83,6 +83,7 @@ def test_one_exposure_recovers_the_reflectance(one_exposure):
     assert_recovers(one_exposure, TRUTH, R_d=0.01, R_s=0.05, sigma=0.02)
 
 
+@pytest.mark.slow
 def test_a_second_exposure_pins_r_s_down(world, one_exposure, two_exposures):
     """At least five times, whatever the draw of the noise."""
     assert_recovers(two_exposures, TRUTH, R_d=0.01, R_s=0.02, sigma=0.01)
@@ -96,6 +97,7 @@ def test_a_second_exposure_pins_r_s_down(world, one_exposure, two_exposures):
     assert min(ratios) >= 5.0
 
 
+@pytest.mark.slow
 def test_one_pixel_in_a_hundred_may_be_garbage(world):
     found = world.fit(exposures=(1.0, 1 / 16), garbage=0.01)
     assert_recovers(found, TRUTH, R_d=0.01, R_s=0.02, sigma=0.01)
