@@ -158,7 +158,6 @@ def _one(
     from lightopt.inspection import (
         InspectionFolder,
         compare_with_truth,
-        good_part,
         inspect_set,
         judge,
         provenance,
@@ -175,8 +174,7 @@ def _one(
         folder.write_posture(posture)
         _overlay(folder, result, posture)
     verdict = judge(result, part.inspection)
-    nominal, _ = good_part(rig, part, image_set)
-    written = folder.write(result, nominal, verdict.as_dict())
+    written = folder.write(result, verdict.as_dict())
     for text in result.words:
         say_warning(text)
     if not quiet:

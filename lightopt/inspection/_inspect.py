@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -99,12 +99,15 @@ class Inspection:
         Where the part lies from where its file has it; None where it was not looked for.
     words
         What a person should know: missing lights and postures, and so on.
+    nominal
+        The scene with the part where its file has it.
     """
 
     defects: tuple[FoundDefect, ...]
     postures: tuple[InspectedPosture, ...]
     placement: Placement | None
     words: tuple[str, ...]
+    nominal: Scene = field(repr=False, compare=False)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -159,7 +162,6 @@ def inspect_set(
     options: InspectOptions | None = None,
     predictions: Predictions | None = None,
     progress: Progress | None = None,
-    done: Callable[[InspectedPosture], None] | None = None,
 ) -> Inspection:
     """Find the defects of the part that a set of images shows.
 
@@ -175,8 +177,6 @@ def inspect_set(
         Kept from part to part of a batch.
     progress
         Called as the inspection goes on.
-    done
-        Called with each posture once it is inspected.
 
     Raises
     ------
@@ -200,15 +200,13 @@ def inspect_set(
         mine = [o for o in observations if o.posture == posture]
         prediction = _prediction(scene, posture, mine, predictions, options)
         view = posture_view(scene, mine, prediction, where=str(image_set.folder))
-        inspected = _inspect_posture(view, options, nominal, placement, where=str(image_set.folder))
-        postures.append(inspected)
-        if done is not None:
-            done(inspected)
+        postures.append(_inspect_posture(view, options, nominal, placement, where=str(image_set.folder)))
     return Inspection(
         defects=gather([s for p in postures for s in p.sightings]),
         postures=tuple(postures),
         placement=placement if options.shift else None,
         words=tuple(_words(rig, part, postures, options)),
+        nominal=nominal,
     )
 
 

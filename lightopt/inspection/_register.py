@@ -79,7 +79,6 @@ def lay_over(
     scene: Scene,
     observations: Sequence[Observation],
     *,
-    start: Placement | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, Placement]:
@@ -89,8 +88,6 @@ def lay_over(
     ----------
     scene, observations
         From :func:`good_part`.
-    start
-        Where the part before lay, if parts come in a fixture: this one is looked for there.
     threads
         Number of threads; the result does not depend on it.
     progress
@@ -101,10 +98,9 @@ def lay_over(
         return None if progress is None else partial(progress, name)
 
     caster = cast_rays_at(scene)
-    if start is None:
-        start = find_placement(
-            scene, observations, caster=caster, threads=threads, progress=stage("finding the part")
-        )
+    start = find_placement(
+        scene, observations, caster=caster, threads=threads, progress=stage("finding the part")
+    )
     found = refine_placement(
         scene,
         observations,

@@ -20,6 +20,7 @@ from lightopt.errors import InputError
 from lightopt.images import (
     ImageSet,
     file_sha256,
+    make_folder,
     posture_folder,
     write_exr,
     write_png,
@@ -28,7 +29,6 @@ from lightopt.images import (
 from lightopt.inspection._inspect import InspectedPosture, Inspection
 from lightopt.inspection._measure import to_file
 from lightopt.inspection._options import InspectOptions
-from lightopt.scene import Scene
 
 __all__ = ["DEFECTS_NAME", "InspectionFolder", "provenance"]
 
@@ -99,12 +99,7 @@ class InspectionFolder:
         if name not in self._files:
             self._files.append(name)
         path = self.folder / name
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{path.parent}: cannot be made: {error.strerror or error}; choose a folder that can be written"
-            ) from error
+        make_folder(path.parent)
         return path
 
     def write_posture(self, posture: InspectedPosture) -> None:
@@ -130,20 +125,18 @@ class InspectionFolder:
         levels = np.floor(grey + 0.5).astype(np.uint8)
         write_png(self.place(f"{folder}/synthetic.png"), levels, metadata={**facts, "white_level": white})
 
-    def write(self, result: Inspection, scene: Scene, more: Mapping[str, Any]) -> list[Path]:
+    def write(self, result: Inspection, more: Mapping[str, Any]) -> list[Path]:
         """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
 
         Parameters
         ----------
         result
             Of the inspection.
-        scene
-            With the part where its file has it.
         more
             Further keys of ``defects.json``.
         """
         write_text_atomic(self.place("defects.csv"), _table(result))
-        write_text_atomic(self.place("defects.ply"), _points(result, scene))
+        write_text_atomic(self.place("defects.ply"), _points(result))
         content = {
             "format": FORMAT,
             **result.as_dict(),
@@ -198,7 +191,7 @@ def _table(result: Inspection) -> str:
     return text.getvalue()
 
 
-def _points(result: Inspection, scene: Scene) -> str:
+def _points(result: Inspection) -> str:
     # surface points of all sightings in the mesh file's coordinates, coloured by kind
     colours = {"shape": SHAPE_RGB, "stain": STAIN_RGB, "unknown": UNKNOWN_RGB}
     placement = result.placement or Placement()
@@ -210,7 +203,7 @@ def _points(result: Inspection, scene: Scene) -> str:
             region = posture.sightings.index(sighting) + 1
             row, column = np.nonzero(posture.labels == region)
             world = posture.view.prediction.images.geometry.points[row, column].astype(np.float64)
-            for x, y, z in to_file(world, scene, placement, sighting.posture):
+            for x, y, z in to_file(world, result.nominal, placement, sighting.posture):
                 lines.append(f"{x:.4f} {y:.4f} {z:.4f} {red} {green} {blue} {defect.number}")
     head = [
         "ply",
