@@ -21,7 +21,7 @@ from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Th
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions, check_options
-from lightopt.optimize._packed import count_bits
+from lightopt.optimize._packed import word_weight
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
 from lightopt.optimize._rig_text import degrees_text
@@ -75,7 +75,6 @@ __all__ = [
     "blind_spots",
     "blind_text",
     "check_options",
-    "count_bits",
     "degrees_text",
     "find_candidates",
     "flags_of",
@@ -92,4 +91,5 @@ __all__ = [
     "ties_text",
     "trial_planes",
     "unroll",
+    "word_weight",
 ]

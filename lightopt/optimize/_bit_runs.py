@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from lightopt.kernels import kernel
 from lightopt.optimize._bits import bit_scores
 from lightopt.optimize._matrix import Thresholds
-from lightopt.optimize._packed import Words, count_bits
+from lightopt.optimize._packed import Words, word_weight
 from lightopt.optimize._runs import MOST_DIFFERENCES
 from lightopt.optimize._work import Share, Work, part_of, pieces
 from lightopt.rendering import run_all
@@ -202,7 +202,7 @@ def _scatter(
     shown: Words,
     weights: Int64,
     masks: Words,
-    bits: Int64,
+    factors: Int64,
     least: int,
     coefficients: Int64,
     most: int,
@@ -231,7 +231,7 @@ def _scatter(
                         continue
                     if j == least:
                         if turn == passes - 1:
-                            differences[0] += weights[p] * _weight(start, masks, bits, w)
+                            differences[0] += weights[p] * word_weight(start, w, masks, factors)
                         continue
                     size = _products(start, least - j, places, changed, signs, ends, at, trials, sign, order)
                     if size < 0:
@@ -241,7 +241,7 @@ def _scatter(
                         for node in range(size):
                             c = coefficients[least - j, order[node]]
                             if c != 0:
-                                value = weights[p] * _weight(trials[node], masks, bits, w)
+                                value = weights[p] * word_weight(trials[node], w, masks, factors)
                                 differences[at[node]] += sign[node] * c * value
                 if left[p]:
                     break
@@ -306,11 +306,3 @@ def _products(
                 more += 1
         size = more
     return size
-
-
-@kernel
-def _weight(word: np.uint64, masks: Words, bits: Int64, w: int) -> int:
-    total = 0
-    for k in range(len(bits)):
-        total += np.int64(count_bits(word & masks[k, w])) << bits[k]
-    return total

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 
-__all__ = ["Words", "common_bits", "count_bits", "packed"]
+__all__ = ["Words", "common_bits", "packed", "word_weight"]
 
 Words = NDArray[np.uint64]
 
@@ -21,7 +21,7 @@ def packed(rows: NDArray[np.bool_]) -> Words:
 
 
 @kernel
-def count_bits(word: np.uint64) -> np.uint64:
+def _count_bits(word: np.uint64) -> np.uint64:
     """Number of flags that are set in a word: bits of pairs, of fours, of bytes, then the sum of the bytes."""
     x = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
@@ -30,9 +30,30 @@ def count_bits(word: np.uint64) -> np.uint64:
 
 
 @kernel
+def word_weight(flags: np.uint64, word: int, masks: Words, factors: NDArray[np.int64]) -> np.int64:
+    """Sum of the factors of the flags that are set in word number `word`.
+
+    Parameters
+    ----------
+    flags
+        The word.
+    word
+        Its number.
+    masks
+        The flags that share a factor, shape (groups, words); a flag in several counts with their sum.
+    factors
+        Shape (groups,).
+    """
+    total = np.int64(0)
+    for g in range(len(factors)):
+        total += factors[g] * np.int64(_count_bits(flags & masks[g, word]))
+    return total
+
+
+@kernel
 def common_bits(left: Words, right: Words) -> np.int64:
     """Number of flags that are set in both of two rows of words."""
     total = np.uint64(0)
     for w in range(len(left)):
-        total += count_bits(left[w] & right[w])
+        total += _count_bits(left[w] & right[w])
     return np.int64(total)

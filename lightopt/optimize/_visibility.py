@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
-from lightopt.optimize._packed import Words, count_bits
+from lightopt.optimize._packed import Words, word_weight
 from lightopt.optimize._trials import Trial
 
 __all__ = ["Visibility", "add_image", "taken_rows", "trial_planes", "weighted_bits"]
@@ -143,15 +143,15 @@ def add_image(counters: Words, image: Words) -> None:
 
 
 def trial_planes(trials: Sequence[Trial]) -> tuple[Words, Int64]:
-    """The trials' weights in binary: masks of the trials that have a bit of it, and which bit that is.
+    """The trials' weights in binary: masks of the trials that have a bit of it, and what that bit is worth.
 
     Returns
     -------
-    masks, bits
-        Shapes (planes, ⌈t / 64⌉) and (planes,); bits that no weight has are left out.
+    masks, factors
+        Shapes (planes, ⌈t / 64⌉) and (planes,), powers of two; bits that no weight has are left out.
     """
     masks: list[Words] = []
-    bits: list[int] = []
+    factors: list[int] = []
     for bit in range(max(trial.weight for trial in trials).bit_length()):
         mask = np.zeros(-(-len(trials) // 64), np.uint64)
         for index, trial in enumerate(trials):
@@ -159,19 +159,16 @@ def trial_planes(trials: Sequence[Trial]) -> tuple[Words, Int64]:
                 mask[index // 64] |= np.uint64(1 << index % 64)
         if mask.any():
             masks.append(mask)
-            bits.append(bit)
-    return np.stack(masks), np.array(bits, np.int64)
+            factors.append(1 << bit)
+    return np.stack(masks), np.array(factors, np.int64)
 
 
 @kernel
-def weighted_bits(words: Words, masks: Words, bits: Int64) -> Int64:
+def weighted_bits(words: Words, masks: Words, factors: Int64) -> Int64:
     """Sum of the weights of the trials whose bits are set, of each row of words, shape (p,)."""
     sums = np.zeros(len(words), np.int64)
     for p in range(len(words)):
         for w in range(words.shape[1]):
-            word = words[p, w]
-            if word == 0:
-                continue
-            for k in range(len(bits)):
-                sums[p] += np.int64(count_bits(word & masks[k, w])) << bits[k]
+            if words[p, w]:
+                sums[p] += word_weight(words[p, w], w, masks, factors)
     return sums

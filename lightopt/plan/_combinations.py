@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
-from lightopt.optimize import Space
-from lightopt.plan._counts import Counts, PairWeights, Words, added, no_counts, word_weight
+from lightopt.optimize import Space, word_weight
+from lightopt.plan._counts import Counts, PairWeights, Words, added, no_counts
 from lightopt.rendering import in_threads
 
 __all__ = ["MOST_WORDS", "Places", "combination_sums", "place_lights"]

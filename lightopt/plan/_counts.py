@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
-from lightopt.optimize import Trial, add_image, count_bits, trial_planes
+from lightopt.optimize import Trial, add_image, trial_planes, word_weight
 
 __all__ = ["Counts", "PairWeights", "added", "counts_of_images", "gain_of", "no_counts", "reached", "worth"]
 
@@ -61,8 +61,8 @@ class PairWeights:
     @staticmethod
     def of_trials(trials: Sequence[Trial], areas: Int64) -> PairWeights:
         """Each patch by its area [µm²], each trial by its own weight."""
-        masks, bits = trial_planes(trials)
-        return PairWeights(areas=areas, masks=masks, factors=np.int64(1) << bits)
+        masks, factors = trial_planes(trials)
+        return PairWeights(areas=areas, masks=masks, factors=factors)
 
     @property
     def total(self) -> int:
@@ -117,15 +117,6 @@ def reached(counts: Counts, weights: PairWeights) -> int:
 def gain_of(counts: Counts, more: Counts, weights: PairWeights) -> int:
     """By how much :func:`worth` grows when `more` is added to `counts`."""
     return int(_gain(counts, more, weights.areas, weights.masks, weights.factors))
-
-
-@kernel
-def word_weight(flags: np.uint64, word: int, masks: Words, factors: Int64) -> np.int64:
-    """Σ factor over the trials whose flags are set in word number `word`."""
-    total = np.int64(0)
-    for g in range(len(factors)):
-        total += factors[g] * np.int64(count_bits(flags & masks[g, word]))
-    return total
 
 
 @kernel
