@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import argparse
 import random
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import zip_longest
+from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks._fault_cases import BEDS, Case, driver_cases, line_cases, make_rig, other_cases, pulled_cases
@@ -83,11 +86,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=1, help="hit every so many-th message only")
     parser.add_argument("--most", type=int, help="so many faults at most, of every kind about as many")
     parser.add_argument("--kills", type=int, default=50, help="runs that are killed")
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="so many captures at a time: most of one is waiting"
+    )
     parser.add_argument("--page", type=Path, default=PAGE, help="Markdown page whose table is renewed")
     options = parser.parse_args(arguments)
     begun = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
-        outcomes = list(_campaign(Path(name), options.every, options.most))
+        outcomes = list(_campaign(Path(name), options.every, options.most, options.jobs))
         rows = rows_of(outcomes)
         rows[KILLED] = _kills(Path(name), options.kills)
     for outcome in outcomes:
@@ -97,7 +103,8 @@ def main(arguments: list[str] | None = None) -> int:
     print(text)
     minutes = (time.monotonic() - begun) / 60
     most = "" if options.most is None else f" --most {options.most}"
-    command = f"python -m benchmarks.faults --every {options.every}{most} --kills {options.kills}"
+    jobs = "" if options.jobs == 1 else f" --jobs {options.jobs}"
+    command = f"python -m benchmarks.faults --every {options.every}{most} --kills {options.kills}{jobs}"
     about = f"`{command}`, {minutes:.0f} minutes."
     page = options.page.read_text(encoding="utf-8")
     before, _, rest = page.partition(BEGIN)
@@ -118,7 +125,7 @@ def _spread(cases: list[Case], most: int) -> list[Case]:
     return sorted(chosen, key=lambda case: list(kinds).index(case.kind))
 
 
-def _campaign(folder: Path, every: int, most: int | None) -> Iterator[Outcome]:
+def _campaign(folder: Path, every: int, most: int | None, jobs: int) -> Iterator[Outcome]:
     rigs = {stage: make_rig(folder / stage, stage) for stage in BEDS}
     counts = {stage: undisturbed(*rig, folder / f"truth-{stage}") for stage, rig in rigs.items()}
     deliveries, steps = counts["shot"]
@@ -131,14 +138,25 @@ def _campaign(folder: Path, every: int, most: int | None) -> Iterator[Outcome]:
     random.Random(2026).shuffle(cases)  # so that few of a kind are not all early ones
     if most is not None:
         cases = _spread(cases, most)
-    for number, case in enumerate(cases):
-        print(f"\r{number + 1} of {len(cases)}", end="", file=sys.stderr, flush=True)
-        out, truth = folder / str(number), folder / f"truth-{case.stage}"
-        try:
-            yield suffer(case, *rigs[case.stage], out, truth)
-        except LightoptError as error:
-            yield Outcome(case, True, False, 0, str(error), "", (f"{type(error).__name__}: {error}",))
-    print(file=sys.stderr)
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        runs = [
+            pool.submit(_one, case, *rigs[case.stage], folder / str(number), folder / f"truth-{case.stage}")
+            for number, case in enumerate(cases)
+        ]
+        for number, _ in enumerate(as_completed(runs)):
+            print(f"\r{number + 1} of {len(cases)}", end="", file=sys.stderr, flush=True)
+        print(file=sys.stderr)
+        yield from (run.result() for run in runs)
+
+
+def _one(case: Case, rig: Path, part: Path, out: Path, truth: Path) -> Outcome:
+    """One run, whose images are removed once they are compared."""
+    try:
+        outcome = suffer(case, rig, part, out, truth)
+    except LightoptError as error:
+        return Outcome(case, True, False, 0, str(error), "", (f"{type(error).__name__}: {error}",))
+    shutil.rmtree(out, ignore_errors=True)
+    return outcome
 
 
 def _kills(folder: Path, count: int) -> Row:

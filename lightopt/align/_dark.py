@@ -78,10 +78,7 @@ def smoothed(levels: Float64, *, sensor: Sensor, frames: int) -> Float64:
     """
     mean = _window_mean(levels)
     variance = np.maximum(_window_mean(levels * levels) - mean * mean, 0.0)
-    electrons = sensor.electrons_per_level
-    noise = sensor.read_noise_levels**2 + 1.0 / 12.0
-    if electrons:
-        noise = noise + np.maximum(mean - sensor.black_level, 0.0) / electrons
+    noise = sensor.noise_variance(mean - sensor.black_level)
     # a window's variance scatters: only what clearly exceeds that of noise is a pattern
     own = np.clip(1.0 - 2.0 * (noise / frames) / np.maximum(variance, 1e-12), 0.0, 1.0)
     return _unclipped(mean, sensor) + own * (levels - mean)

@@ -183,10 +183,9 @@ def refine_placement(
 
     errors = (0.0, 0.0, 0.0)
     sensor = scene.sensor
-    per_electron = 1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0
     for done in range(REFINE_STEPS):
         here = predict(p)
-        noise = np.sqrt(sensor.read_noise_levels**2 + per_electron * np.maximum(here, 0.0) + 1.0 / 12.0)
+        noise = np.sqrt(sensor.noise_variance(here))
         slopes = np.stack(
             [(predict(p + h) - predict(p - h)) / (2.0 * h[i]) for i, h in enumerate(np.diag(steps))], axis=1
         )

@@ -74,8 +74,7 @@ def exposures_disagree(
             continue
         should, found = (float(a[where].mean(dtype=np.float64)) for a in (expected, seen))
         off = found - should
-        electrons = sensor.electrons_per_level
-        noise = sensor.read_noise_levels**2 + (should / electrons if electrons else 0.0) + 1.0 / 12.0
+        noise = sensor.noise_variance(should)
         allowed = TOLERANCE * should + TOLERANCE_LEVELS + 6.0 * float(np.sqrt(2.0 * noise / count))
         if off < -allowed or (off > allowed and not least):
             return (

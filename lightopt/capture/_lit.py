@@ -280,9 +280,7 @@ def _shows(expected: Float64, sensor: Sensor, cell: int) -> float:
     pattern = float(np.std(expected))
     if pattern < FLAT * float(expected.mean()):
         return 0.0
-    electrons = sensor.electrons_per_level
-    shot = float(expected.mean()) / electrons if electrons else 0.0
-    noise = (sensor.read_noise_levels**2 + shot + 1.0 / 12.0) / cell**2
+    noise = sensor.noise_variance(float(expected.mean())) / cell**2
     return pattern / float(np.sqrt(pattern**2 + noise))
 
 

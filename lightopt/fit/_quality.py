@@ -79,10 +79,8 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
     level = samples.level.astype(np.float64)
     seen = ~samples.saturated & (mean < sensor.saturated_from)
     residual = (level - np.maximum(mean, 0.0))[seen]
-    signal = np.maximum(mean[seen] - sensor.black_level, 0.0)
-    electrons = sensor.electrons_per_level
-    single = sensor.read_noise_levels**2 + (signal / electrons if electrons else 0.0)
-    variance = single / samples.facts.frames[samples.image[seen]] + 1.0 / 12.0
+    frames = samples.facts.frames[samples.image[seen]]
+    variance = sensor.noise_variance(mean[seen] - sensor.black_level, frames=frames)
     noise = math.sqrt(float(np.median(variance))) if seen.any() else 0.0
     shown = _image_noise(samples)
     spread = float(np.var(level[seen])) - max(noise, shown) ** 2 if seen.any() else 0.0

@@ -134,12 +134,9 @@ def fit_photometry(
     sensor = scene.sensor
     names = [light.name for light in scene.lights]
     n = len(names)
-    per_electron = 1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0
     rows: list[tuple[int, Float64, Float64, Float64]] = []
     for o, model, mask in zip(observations, predicted, clean, strict=True):
-        noise = np.sqrt(
-            (sensor.read_noise_levels**2 + per_electron * np.maximum(model, 0.0)) / o.frames + 1.0 / 12.0
-        )
+        noise = np.sqrt(sensor.noise_variance(model, frames=o.frames))
         top = sensor.saturated_from - sensor.black_level - o.subtracted
         usable = mask & ~o.saturated & (model + 4.0 * noise < top) & (model > 4.0 * noise)
         index = np.flatnonzero(usable)

@@ -208,7 +208,6 @@ def _merge(
     # level, deviation, limit and saturation of one light from its exposures, the longest first
     sensor = scene.sensor
     gain = photometry.gains[exposures[0].light]
-    per_electron = 1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0
     shape = predicted.shape
     level, deviation, limit = (np.zeros(shape, np.float32) for _ in range(3))
     saturated = np.zeros(shape, np.bool_)
@@ -218,7 +217,7 @@ def _merge(
         scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
         signal = np.minimum(predicted * np.float32(scale), top)
         take = open_ if number + 1 == len(exposures) else open_ & ~o.saturated & (signal < top)
-        noise = np.sqrt((sensor.read_noise_levels**2 + per_electron * signal) / o.frames + 1.0 / 12.0)
+        noise = np.sqrt(sensor.noise_variance(signal, frames=o.frames))
         values = (o.levels - np.float32(sensor.black_level + photometry.dark)) / np.float32(scale)
         level[take] = values[take]
         deviation[take] = (noise / np.float32(scale))[take]

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 
 __all__ = ["Sensor"]
+
+Level = TypeVar("Level", bound=np.floating[Any])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,3 +75,30 @@ class Sensor:
     def saturated_from(self) -> float:
         """Delivered level from which a pixel counts as saturated."""
         return float(self.max_level) if self.saturation_level is None else float(self.saturation_level)
+
+    @overload
+    def noise_variance(self, signal: float, *, frames: int = 1) -> float: ...
+
+    @overload
+    def noise_variance(
+        self, signal: NDArray[Level], *, frames: int | NDArray[np.float64] = 1
+    ) -> NDArray[Level]: ...
+
+    def noise_variance(self, signal: Any, *, frames: Any = 1) -> Any:
+        """Variance of a delivered level: read noise and shot noise, of which averaging leaves less, and rounding.
+
+        Parameters
+        ----------
+        signal
+            Level above the black level [sensor level], of any shape; below 0 there is no shot noise.
+        frames
+            Of how many frames the level is the rounded mean.
+
+        Returns
+        -------
+        float or ndarray
+            [sensor level²], of the signal's shape and kind.
+        """
+        levels_per_electron = 1.0 / self.electrons_per_level if self.electrons_per_level else 0.0
+        lit = max(signal, 0.0) if isinstance(signal, float) else np.maximum(signal, 0)
+        return (self.read_noise_levels**2 + levels_per_electron * lit) / frames + 1.0 / 12.0

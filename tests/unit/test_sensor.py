@@ -49,6 +49,37 @@ def test_saturated_is_full_scale_unless_told():
     assert saturated(np.array([[253, 254, 255]], np.uint8), EIGHT_BIT).tolist() == [[False, False, True]]
 
 
+def test_noise_variance_is_that_of_exposed_levels_single_and_averaged():
+    sensor = Sensor(bit_depth=12, black_level=100, read_noise_levels=3.0, electrons_per_level=4.0)
+    signal = 60.0 * 4095 / 255
+    frames = np.stack(
+        [
+            expose(
+                np.full((200, 500), 60.0),
+                sensor=sensor,
+                exposure=1,
+                full_scale=255,
+                rng=np.random.default_rng(n),
+            )
+            for n in range(4)
+        ]
+    ).astype(float)
+    assert np.var(frames[0]) == pytest.approx(sensor.noise_variance(signal), rel=0.02)
+    mean = np.floor(frames.mean(axis=0) + 0.5)
+    assert np.var(mean) == pytest.approx(sensor.noise_variance(signal, frames=4), rel=0.02)
+
+
+def test_noise_variance_keeps_shape_and_kind_and_knows_no_shot_noise_below_black():
+    quiet = Sensor(bit_depth=8, read_noise_levels=2.0)
+    signals = np.array([[-3.0, 0.0, 50.0]], np.float32)
+    assert quiet.noise_variance(signals).tolist() == [[np.float32(4.0 + 1 / 12)] * 3]
+    noisy = Sensor(bit_depth=8, read_noise_levels=2.0, electrons_per_level=10.0)
+    variance = noisy.noise_variance(signals, frames=2)
+    assert variance.dtype == np.float32
+    assert variance == pytest.approx(np.array([[2.0, 2.0, 4.5]]) + 1 / 12)
+    assert noisy.noise_variance(-3.0) == pytest.approx(4.0 + 1 / 12)
+
+
 def test_shot_and_read_noise_have_the_mean_and_variance_of_the_model():
     sensor = Sensor(bit_depth=12, black_level=100, read_noise_levels=3.0, electrons_per_level=4.0)
     levels = np.full((600, 500), 60.0)
