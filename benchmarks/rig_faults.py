@@ -98,6 +98,7 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
         ("camera: a frame has a lower number than the one before", "order", {}),
         ("camera: a frame has an older time stamp", "stale", {}),
         ("camera: a frame has the image of the one before, and a new stamp", "old_image", {}),
+        ("camera: hangs, and answers nothing", "hang", {}),
         ("camera: unplugged", "vanish", {}),
         ("camera: exposure halves by itself", "exposure", {"count": None}),
         ("camera: another pixel format, as after a power cycle", "format", {}),
