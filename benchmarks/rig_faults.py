@@ -98,6 +98,7 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
         ("camera: a frame has a lower number than the one before", "order", {}),
         ("camera: a frame has an older time stamp", "stale", {}),
         ("camera: a frame has the image of the one before, and a new stamp", "old_image", {}),
+        ("camera: hangs, and answers nothing", "hang", {}),
         ("camera: unplugged", "vanish", {}),
         ("camera: exposure halves by itself", "exposure", {"count": None}),
         ("camera: another pixel format, as after a power cycle", "format", {}),
@@ -116,14 +117,14 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
             truth=BenchTruth(ambient_level=level),
             dark=False,
         )
-    for step in (14, 24):  # before and after the second move
+    for step in (3, 39):  # at the first move and at the second
         yield RigCase(
             "stage tilted by 1° more than it says", "stage", "lost_step", {"axis": "1", "steps": 100}, step
         )
         yield RigCase(
             "stage turned by 1° more than it says", "stage", "lost_step", {"axis": "2", "steps": 100}, step
         )
-    for step in (round((i + 0.5) * 40 / moments) for i in range(moments)):
+    for step in (round((i + 0.5) * 76 / moments) for i in range(moments)):  # of 76 of a run
         yield RigCase("power cycle of the light controller", "lights", "power_cycle", {}, step=step)
         yield RigCase("power cycle of the stage", "stage", "power_cycle", {}, step=step)
     for files in frames:

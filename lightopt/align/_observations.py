@@ -184,7 +184,7 @@ def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation
         return Observation(
             light=entry.light,
             posture=entry.posture,
-            exposure=entry.exposure,
+            exposure=entry.held_exposure,
             levels=levels,
             saturated=image.saturated,
             half_width=PNG_HALF_WIDTH,
@@ -197,7 +197,7 @@ def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation
     if manifest.kind != "captured":
         # whether a foreign file was clipped is not known: saturated levels only say that they are at least that
         scale_at_exposure = manifest.saturated_from - manifest.black_level
-        ceiling = manifest.black_level + scale_at_exposure / entry.exposure
+        ceiling = manifest.black_level + scale_at_exposure / entry.held_exposure
         levels = np.where(image.saturated, np.minimum(levels, np.float32(ceiling)), levels)
     return Observation(
         light=entry.light,

@@ -237,6 +237,11 @@ class Devices:
         with self._moving():
             return self.stage.move_to(posture)
 
+    def confirm_stage(self) -> None:
+        """Refuse a stage that does not stand where it was left; moves nothing."""
+        if self.stage is not None:
+            self.stage.confirm()
+
     @contextmanager
     def _moving(self) -> Generator[None]:
         """Remember that the stage may move; a driver that fails has stopped it and says so."""

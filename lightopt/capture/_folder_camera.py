@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -87,9 +88,16 @@ class FolderCamera:
         return Identity(driver="folder", port=str(self._set.folder), says={"kind": self._set.manifest.kind})
 
     def set_exposure(self, exposure_us: float) -> float:
-        """Hold any exposure; whether the set has it is known when a frame is asked for."""
-        self._held_us = exposure_us
-        return exposure_us
+        """Hold what the set's camera held of it, or any other; whether the set has it is known at the frame."""
+        self._held_us = next(
+            (
+                entry.held_exposure * self._exposure_us
+                for entry in self._entries.values()
+                if math.isclose(entry.exposure * self._exposure_us, exposure_us)
+            ),
+            exposure_us,
+        )
+        return self._held_us
 
     def grab(self, *, timeout_s: float) -> Frame:
         """Read the image.

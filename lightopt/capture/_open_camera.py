@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 
 from lightopt.capture._folder_camera import FolderCamera
@@ -88,7 +87,7 @@ def opened_camera(
         config.driver,
         settings,
         tell=None if log is None else log.note,
-        ready=partial(bench.request, "prepare") if bench is not None and wiring.camera_is_gige else None,
+        ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
     )
 
 

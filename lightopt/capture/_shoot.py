@@ -110,6 +110,12 @@ class Shooter:
         self._stage = {"asked": posture.as_dict(), "read": state.posture.as_dict()}
         self._changed = True
 
+    def confirm_stage(self) -> None:
+        """See that the stage still stands where it was left."""
+        self._devices.step = "asking whether the stage still stands where it was left"
+        with self._timing.spent("moving_s"):
+            self._devices.confirm_stage()
+
     def light_on(self, name: str) -> None:
         """Light a panel, once the stage needs no longer to settle than the light; it settles while it is read back."""
         self._devices.step = f"lighting {name}"

@@ -212,10 +212,24 @@ class Taking:
         dark = self._dark(devices, shooter, task)
         for light, missing in todo.items():
             self._light(devices, shooter, task, light, missing, dark)
+        if anew:
+            self._confirm_stage(shooter, task.posture, anew)
         if self._plan.options.check and anew:
             exposure = self._plan.exposures[0]
             shot = self._expose(devices, shooter, task, exposure)
             self._disk.image(self._end_dark, task.posture, anew, exposure, shot)
+
+    def _confirm_stage(self, shooter: Shooter, posture: Posture, lights: Sequence[str]) -> None:
+        """See that the stage stood still for the images of a posture; without that they do not count."""
+        try:
+            shooter.confirm_stage()
+        except HardwareError as error:
+            self._in_doubt = (posture, lights)
+            raise HardwareError(
+                *error.messages,
+                f"it may have stood elsewhere for images of {posture}: those taken in this run were not kept; "
+                "--resume takes them anew",
+            ) from error
 
     def _refer_to_darks(self) -> None:
         """Let frames without light be compared with those that an earlier run kept."""

@@ -135,6 +135,11 @@ class AravisSdk:
         low, high, step = self._try(f"asking for the bounds of {feature}", ask)
         return low, high, step if 0 < step < high else 0.0
 
+    def unit(self, feature: str) -> str:
+        """What a number counts."""
+        ask = self._device.get_feature(feature).get_unit
+        return str(self._try(f"asking for the unit of {feature}", ask) or "").strip()
+
     def word(self, feature: str) -> str:
         """Read the entry of an enumeration."""
         return self._try(f"reading {feature}", lambda: str(self._camera.get_string(feature)))

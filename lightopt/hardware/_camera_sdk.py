@@ -37,6 +37,10 @@ class CameraSdk(Protocol):
         """Lowest and highest number, and the step between them (0: any)."""
         ...
 
+    def unit(self, feature: str) -> str:
+        """What the camera says that a number counts (us, dB); empty where it says nothing."""
+        ...
+
     def word(self, feature: str) -> str:
         """Read the entry of an enumeration."""
         ...

@@ -135,6 +135,11 @@ class GenicamSdk:
             lambda: (float(node.min), float(node.max), float(node.inc) if whole else 0.0),
         )
 
+    def unit(self, feature: str) -> str:
+        """What a number counts."""
+        node = self._node(feature)
+        return _known(lambda: str(node.unit or "").strip(), "")
+
     def word(self, feature: str) -> str:
         """Read the entry of an enumeration."""
         return self._try(f"reading {feature}", lambda: str(self._node(feature).value))

@@ -6,25 +6,19 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
-from lightopt.errors import HardwareError, InputError, LightoptError
-from lightopt.hardware._camera_sdk import CameraSdk, first_of
-from lightopt.hardware._camera_settings import CameraSettings, offset_of
+from lightopt.errors import HardwareError, LightoptError
+from lightopt.hardware._camera_features import set_gain, set_image, set_trigger, switch_off_corrections
+from lightopt.hardware._camera_sdk import CameraSdk
+from lightopt.hardware._camera_settings import CameraSettings
 from lightopt.hardware._errors import ReplyError
+from lightopt.hardware._exposure_time import ExposureTime
 from lightopt.hardware._frame_order import FrameOrder, RawFrame
 from lightopt.hardware._log import Event, now
-from lightopt.hardware._pixels import PixelFormat, choose_format, levels_of
+from lightopt.hardware._pixels import levels_of
 from lightopt.hardware._retry import ATTEMPTS, Persistence
 from lightopt.hardware._roles import Frame, Identity
 
 __all__ = ["MachineCamera"]
-
-_AUTOMATIC = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto", "TargetBrightnessAuto")
-_ENABLED = ("GammaEnable", "LUTEnable", "ReverseX", "ReverseY")
-_JOINED = ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical")
-_PATTERNS = ("TestPattern", "TestImageSelector")
-_EXPOSURE = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
-_GAIN = ("Gain", "GainAbs", "GainRaw")
-_TOLERANCE = 1e-6
 
 
 class MachineCamera:
@@ -79,12 +73,11 @@ class MachineCamera:
         self._persistence = Persistence(self, verb="taken")
         self._running = False
         try:
-            self._switch_off()
-            self._format = self._set_image()
-            self._gain = self._set_gain()
-            self._exposure = first_of(sdk, *_EXPOSURE)
-            self._held_us = self._first_exposure()
-            self._triggered = self._set_trigger()
+            switch_off_corrections(sdk, settings)
+            self._format = set_image(sdk, settings)
+            self._gain = set_gain(sdk, settings)
+            self._exposure = ExposureTime(sdk, settings)
+            self._triggered = set_trigger(sdk, settings)
         except BaseException:
             sdk.close()
             raise
@@ -107,10 +100,7 @@ class MachineCamera:
     @property
     def exposure_range_us(self) -> tuple[float, float]:
         """Shortest and longest exposure time [µs]."""
-        if self._exposure is None:
-            return self._held_us, self._held_us
-        low, high, _ = self._sdk.bounds(self._exposure)
-        return low, high
+        return self._exposure.range_us
 
     def identify(self) -> Identity:
         """What the camera said of itself when it was opened, and how it was set."""
@@ -128,15 +118,7 @@ class MachineCamera:
         InputError
             When it lies outside the camera's range.
         """
-        low, high = self.exposure_range_us
-        if not low * (1 - _TOLERANCE) <= exposure_us <= high * (1 + _TOLERANCE):
-            raise InputError(
-                f"{self._settings.where}: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs"
-            )
-        if self._exposure is not None:
-            self._sdk.set_number(self._exposure, min(max(exposure_us, low), high))
-            self._held_us = self._sdk.number(self._exposure)
-        return self._held_us
+        return self._exposure.tell_us(exposure_us)
 
     def grab(self, *, timeout_s: float) -> Frame:
         """Take one frame, or the next that is completed where there is no trigger.
@@ -152,14 +134,13 @@ class MachineCamera:
         if self._ready is not None:
             self._ready()
         end = time.monotonic() + timeout_s
-        fit = int(timeout_s / max(1e-6, self._held_us / 1e6))
+        fit = int(timeout_s / max(1e-6, self._exposure.held_us / 1e6))
         each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
         raw = self._persistence.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
         levels = levels_of(raw.data, self._format, width=raw.width, height=raw.height)
-        held = self._held_us if self._exposure is None else self._sdk.number(self._exposure)
         return Frame(
             levels=levels,
-            exposure_us=held,
+            exposure_us=self._exposure.read_us(),
             number=raw.number,
             timestamp_ns=raw.timestamp_ns,
             says={"pixel_format": self._format.name, "frames_lost": self._order.lost},
@@ -195,7 +176,7 @@ class MachineCamera:
         if raw is None:
             raise ReplyError(
                 f"{self._settings.where}: no frame came within {time.monotonic() - begun:.3g} s at an exposure of "
-                f"{self._held_us:g} µs"
+                f"{self._exposure.held_us:g} µs"
             )
         lost = self._order.lost
         try:
@@ -236,131 +217,3 @@ class MachineCamera:
         if self._running:
             self._running = False
             self._sdk.stop()
-
-    def _set_image(self) -> PixelFormat:
-        """Pixel format, and where the image lies on the sensor."""
-        sdk, settings = self._sdk, self._settings
-        chosen = choose_format(
-            sdk.words("PixelFormat"),
-            bit_depth=settings.bit_depth,
-            wanted=settings.pixel_format,
-            where=settings.where,
-        )
-        self._choose("PixelFormat", chosen.name)
-        moves = sdk.has("OffsetX") and sdk.has("OffsetY")
-        if moves:  # the image could not be as large as the sensor otherwise
-            sdk.set_number("OffsetX", 0)
-            sdk.set_number("OffsetY", 0)
-        sensor = int(sdk.bounds("Width")[1]), int(sdk.bounds("Height")[1])
-        x, y = (max(1, int(sdk.bounds(name)[2])) if moves else 1 for name in ("OffsetX", "OffsetY"))
-        offset = offset_of(settings, sensor_px=sensor, steps_px=(x, y))
-        for name, size in zip(("Width", "Height"), settings.resolution_px, strict=True):
-            low, _, step = sdk.bounds(name)
-            if size < low or (step > 1 and (size - low) % step):
-                raise InputError(
-                    f"{settings.where}: the rig's image is {size} pixels in {name}, and this camera can do {low:g} "
-                    f"and more in steps of {max(1, step):g}; change camera.resolution_px"
-                )
-            sdk.set_number(name, size)
-            self._verify(name, size, sdk.number(name))
-        if moves:
-            for name, at in zip(("OffsetX", "OffsetY"), offset, strict=True):
-                sdk.set_number(name, at)
-                self._verify(name, at, sdk.number(name))
-        elif settings.offset_px is not None:
-            raise InputError(
-                f"{settings.where}: this camera cannot move its image on the sensor; leave out offset_px"
-            )
-        return chosen
-
-    def _switch_off(self) -> None:
-        """What stands between light and level; before the size is set, which binned pixels would bound."""
-        sdk = self._sdk
-        for name in _AUTOMATIC:
-            if sdk.has(name):
-                self._choose(name, "Off")
-        for name in _PATTERNS:
-            if sdk.has(name) and "Off" in sdk.words(name):
-                self._choose(name, "Off")
-        if sdk.has("ExposureMode"):
-            self._choose("ExposureMode", "Timed")
-        for name in _ENABLED:
-            if sdk.has(name) and sdk.is_on(name):
-                sdk.switch_off(name)
-                self._verify(name, False, sdk.is_on(name))
-        for name in _JOINED:
-            if sdk.has(name) and sdk.number(name) != 1:
-                sdk.set_number(name, 1)
-                self._verify(name, 1, sdk.number(name))
-        if self._sdk.has("Gamma"):
-            if self._sdk.number("Gamma") != 1.0:
-                self._sdk.set_number("Gamma", 1.0)
-            self._verify("Gamma", 1.0, self._sdk.number("Gamma"))
-
-    def _set_gain(self) -> str | None:
-        feature, gain = first_of(self._sdk, *_GAIN), self._settings.gain
-        if gain is None:
-            return feature
-        if feature is None:
-            raise InputError(f"{self._settings.where}: this camera has no gain to be set; leave out gain")
-        low, high, step = self._sdk.bounds(feature)
-        if not low <= gain <= high:
-            raise InputError(
-                f"{self._settings.where}: expected a gain of {low:g} to {high:g} ({feature}), found {gain:g}"
-            )
-        self._sdk.set_number(feature, gain)
-        held = self._sdk.number(feature)
-        if abs(held - gain) > max(step, 0.01 * abs(gain), 0.1):
-            self._verify(feature, gain, held)
-        return feature
-
-    def _first_exposure(self) -> float:
-        fixed, where = self._settings.fixed_exposure_us, self._settings.where
-        if self._exposure is None:
-            if fixed is None:
-                raise InputError(
-                    f"{where}: this camera cannot be told an exposure time; write fixed_exposure_us, the time that it "
-                    "is set to otherwise"
-                )
-            return fixed
-        if fixed is not None:
-            raise InputError(
-                f"{where}: this camera is told its exposure time ({self._exposure}); leave out fixed_exposure_us"
-            )
-        return self._sdk.number(self._exposure)
-
-    def _set_trigger(self) -> bool:
-        sdk, wanted = self._sdk, self._settings.trigger
-        if sdk.has("AcquisitionMode"):
-            self._choose("AcquisitionMode", "Continuous")
-        can = sdk.has("TriggerMode") and sdk.has("TriggerSource") and "Software" in sdk.words("TriggerSource")
-        if wanted == "software" and not can:
-            raise InputError(
-                f"{self._settings.where}: this camera has no software trigger; write trigger: none"
-            )
-        if sdk.has("TriggerSelector") and "FrameStart" in (kinds := sdk.words("TriggerSelector")):
-            for kind in kinds:
-                if kind != "FrameStart":  # a frame would wait for it
-                    self._choose("TriggerSelector", kind)
-                    if sdk.has("TriggerMode"):
-                        self._choose("TriggerMode", "Off")
-            self._choose("TriggerSelector", "FrameStart")
-        software = can and wanted != "none"
-        if software:
-            self._choose("TriggerSource", "Software")
-        if sdk.has("TriggerMode"):
-            self._choose("TriggerMode", "On" if software else "Off")
-        return software
-
-    def _choose(self, feature: str, word: str) -> None:
-        """Choose an entry and verify; what is there already is not written: it may be fixed."""
-        if self._sdk.word(feature) == word:
-            return
-        self._sdk.set_word(feature, word)
-        self._verify(feature, word, self._sdk.word(feature))
-
-    def _verify(self, feature: str, told: object, held: object) -> None:
-        if told != held:
-            raise HardwareError(
-                f"{self._settings.where}: {feature} was set to {told}, and the camera holds {held}"
-            )

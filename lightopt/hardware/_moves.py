@@ -130,6 +130,7 @@ class MovingStage:
                 if abs(reading.units[axis.device] - targets[axis.name]) > self._dialogue.step(axis) / 2
             }
             if not far:
+                self._left_at = dict(reading.units)
                 return self._state(reading)
             self._tell_rounding(posture, targets)
             longest_s = max(
@@ -150,6 +151,20 @@ class MovingStage:
                 self._link.note(self._stop_after())
                 raise
             self._left_at = dict(reading.units)
+            return self._state(reading)
+
+    def confirm(self) -> StageState:
+        """Ask whether it still stands where the last move left it; moves nothing.
+
+        Raises
+        ------
+        lightopt.errors.HardwareError
+            When it does not: moved by hand, or switched off and on, after which most devices count from elsewhere.
+        """
+        with self._link.lock:
+            reading = self._dialogue.read()
+            if (trouble := self._trouble(reading)) is not None:
+                raise self._link.failure(trouble)
             return self._state(reading)
 
     def home(self) -> None:
@@ -216,23 +231,28 @@ class MovingStage:
                 )
 
     def _may_move(self, reading: Reading) -> None:
+        if (trouble := self._trouble(reading)) is not None:
+            raise self._link.failure(f"was not moved: {trouble}")
+
+    def _trouble(self, reading: Reading) -> str | None:
+        """Why it is not where it was left, or not to be moved, in words; None where nothing is the matter."""
         if reading.alarm is not None:
-            raise self._link.failure(f"alarm, so it was not moved: {reading.alarm}")
+            return f"alarm: {reading.alarm}"
         if reading.moving:
-            raise self._link.failure("is moving already, so no move was sent")
+            return "it moves, and nobody told it to"
         if self._lost is not None:
-            raise self._link.failure(f"was not moved because {self._lost}; {HOME_FIRST}")
+            return f"{self._lost}; {HOME_FIRST}"
         if reading.referenced is False:
-            raise self._link.failure(f"does not know where its origin is, so it was not moved; {HOME_FIRST}")
-        if self._left_at is not None:
-            for axis in self._axes:
-                left, stands = self._left_at[axis.device], reading.units[axis.device]
-                if abs(left - stands) > self._dialogue.step(axis):
-                    self._lost = (
-                        f"{axis.name} was left at {axis.angle_of(left):.6g}° and stands at "
-                        f"{axis.angle_of(stands):.6g}° now: moved by hand, by another program, or switched off between"
-                    )
-                    raise self._link.failure(f"was not moved because {self._lost}; {HOME_FIRST}")
+            return f"it does not know where its origin is; {HOME_FIRST}"
+        for axis in self._axes if self._left_at is not None else ():
+            left, stands = (self._left_at or {})[axis.device], reading.units[axis.device]
+            if abs(left - stands) > self._dialogue.step(axis):
+                self._lost = (
+                    f"{axis.name} was left at {axis.angle_of(left):.6g}° and stands at "
+                    f"{axis.angle_of(stands):.6g}° now: moved by hand, by another program, or switched off between"
+                )
+                return f"{self._lost}; {HOME_FIRST}"
+        return None
 
     def _prepare(self) -> None:
         if not self._prepared:

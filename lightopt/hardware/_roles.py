@@ -135,6 +135,16 @@ class Stage(Protocol):
         """
         ...
 
+    def confirm(self) -> StageState:
+        """Ask whether it still stands where it was left; moves nothing.
+
+        Raises
+        ------
+        HardwareError
+            When it stands elsewhere, moves, or has an alarm or lost its origin.
+        """
+        ...
+
     def stop(self) -> None:
         """Stop all axes at once."""
         ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -55,7 +56,7 @@ class ImageEntry:
     posture
         The stage's posture.
     exposure
-        Exposure relative to that of the reflectance's levels.
+        Exposure relative to that of the reflectance's levels, as it was asked for.
     png, exr
         Files of the image, relative to the set's folder, POSIX style; at least one in a valid set.
     sha256
@@ -78,6 +79,21 @@ class ImageEntry:
     def key(self) -> tuple[str, Posture, float]:
         """Light, posture and exposure, which tell the images of a set apart."""
         return self.light, self.posture, self.exposure
+
+    @property
+    def held_exposure(self) -> float:
+        """The exposure that the levels were taken at: what the camera held where the set says so, else `exposure`."""
+        try:
+            times = self.extra["capture"]["exposure_us"]
+            share = float(times["read"]) / float(times["asked"])
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            ZeroDivisionError,
+        ):  # a set of others, which has its own words
+            return self.exposure
+        return self.exposure * share if 0.0 < share < math.inf else self.exposure
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""

@@ -98,7 +98,7 @@ class ImageSet:
                 f"{manifest.max_level}), found {sensor.dtype} up to {highest}; correct bit_depth in the "
                 "manifest or deliver the levels unscaled"
             )
-        scale = manifest.full_scale / (manifest.max_level * entry.exposure)
+        scale = manifest.full_scale / (manifest.max_level * entry.held_exposure)
         levels = ((sensor.astype(np.float64) - manifest.black_level) * scale).astype(np.float32)
         return LoadedImage(
             levels=levels, saturated=sensor >= manifest.saturated_from, sensor=sensor, source="png"
@@ -114,7 +114,7 @@ class ImageSet:
         if "valid" in channels:
             saturated = channels["valid"] == 0
         else:
-            scale = entry.exposure * manifest.max_level / manifest.full_scale
+            scale = entry.held_exposure * manifest.max_level / manifest.full_scale
             sensor = np.floor(levels.astype(np.float64) * scale + manifest.black_level + 0.5)
             saturated = np.minimum(sensor, manifest.max_level) >= manifest.saturated_from
         return LoadedImage(levels=levels, saturated=saturated, sensor=None, source="exr")

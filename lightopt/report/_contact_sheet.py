@@ -156,7 +156,7 @@ def _exposure(image_set: ImageSet, asked: float | None) -> float:
 def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
     """An image of a set as the camera delivered it, made small; neither side longer than `limit` [px]."""
     image = image_set.load(entry)
-    share = image.levels * np.float32(entry.exposure / image_set.manifest.full_scale)
+    share = image.levels * np.float32(entry.held_exposure / image_set.manifest.full_scale)
     return thumbnail(share, image.saturated, limit=limit)
 
 

@@ -134,6 +134,10 @@ class BenchCamera:
         self._seen: tuple[dict[str, float], Posture] | None = None
         self._optics: BenchOptics | None = None
         self._building = threading.Lock()
+        self._preparing = threading.Lock()
+        self._prepared: Posture | None = None
+        self._unprepared: str | None = None
+        self._renderer: threading.Thread | None = None
         # the mesh is loaded while the client is still opening its ports
         threading.Thread(target=self._build, name="scene", daemon=True).start()
 
@@ -191,12 +195,30 @@ class BenchCamera:
         return pixels
 
     def _prepare(self, _: Mapping[str, Any]) -> Answer:
-        """Render what will be seen where the stage stands.
+        """Say whether what will be seen where the stage stands is rendered, and see to it that it will be.
 
-        A camera on a network does not answer while a frame is made; one that is silent for seconds counts as gone.
+        A camera on a network does not answer while a frame is made, and one that is silent for seconds counts as gone;
+        so rendering is waited for before a frame is asked for, and by asking again, which a process that hangs does not
+        answer.
         """
-        self._build().prepare(self._state()[1])
-        return {}, b""
+        posture = self._state()[1]
+        with self._preparing:
+            if self._unprepared is not None:
+                raise ValueError(self._unprepared)
+            ready = self._prepared == posture
+            if not ready and (self._renderer is None or not self._renderer.is_alive()):
+                self._renderer = threading.Thread(
+                    target=self._render, args=(posture,), name="render", daemon=True
+                )
+                self._renderer.start()
+        return {"ready": ready}, b""
+
+    def _render(self, posture: Posture) -> None:
+        try:
+            self._build().prepare(posture)
+            self._prepared = posture
+        except Exception as error:  # noqa: BLE001  (told to whoever asks next)
+            self._unprepared = str(error) or type(error).__name__
 
     def sensor(self) -> tuple[tuple[int, int], int]:
         """Width and height [pixels], and bits of a level."""

@@ -78,17 +78,16 @@ class VirtualCamera:
     def grab(self, *, timeout_s: float) -> Frame:
         """Take a frame.
 
-        `timeout_s` is not kept: what the bench renders for the first time takes longer than any camera, and a bench
-        that is gone is noticed at once.
+        What has yet to be rendered is waited for first, as long as the bench answers: that is not the camera's time.
 
         Raises
         ------
         HardwareError
-            When the bench does not deliver.
+            When the bench does not deliver in time, or hangs.
         """
-        del timeout_s
         try:
-            head, data = self._bench.request("frame", exposure_us=self._exposure_us)
+            self._bench.prepare()
+            head, data = self._bench.request("frame", timeout_s=timeout_s, exposure_us=self._exposure_us)
         except ValueError as error:
             raise HardwareError(f"virtual camera: {error}") from error
         return Frame(

@@ -135,6 +135,7 @@ class GigeCamera:
 
     def close(self) -> None:
         """End it."""
+        self._faults.wake()
         self.unplug()
         self._taken.close()
         self._folder.cleanup()

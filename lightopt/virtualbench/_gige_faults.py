@@ -15,12 +15,23 @@ __all__ = ["FAULTS", "GigeFaults"]
 
 Image = NDArray[np.integer[Any]]
 
-FAULTS = ("lost", "incomplete", "duplicate", "order", "stale", "old_image", "exposure", "format", "vanish")
+FAULTS = (
+    "lost",
+    "incomplete",
+    "duplicate",
+    "order",
+    "stale",
+    "old_image",
+    "exposure",
+    "format",
+    "hang",
+    "vanish",
+)
 """No packet of a frame arrives; some do not; its number is that of the frame before; it is lower; its time is before
 that of the frame before; its image is that of the frame before; it is exposed half as long; the camera holds another
-pixel format from here on, as after a power cycle; its cable is pulled."""
+pixel format from here on, as after a power cycle; it neither sends nor answers any more; its cable is pulled."""
 
-_UNSOUND = {"lost", "incomplete", "duplicate", "order", "stale", "vanish"}
+_UNSOUND = {"lost", "incomplete", "duplicate", "order", "stale", "hang", "vanish"}
 _BACK = 3
 _BACK_NS = 10**9
 _INCOMPLETE = 0.5
@@ -50,6 +61,7 @@ class GigeFaults:
         self._image: Image | None = None
         self._stamp_ns = 0
         self._losing = False
+        self._awake = threading.Event()
 
     def inject(self, fault: str, options: dict[str, Any]) -> None:
         """Let a fault strike as its options say; ``clear`` ends all.
@@ -84,11 +96,17 @@ class GigeFaults:
             self._camera.write("EXPOSURE_TIME_US", exposure_us)
         if "format" in self._now:
             self._camera.write("PIXEL_FORMAT", _OTHER_FORMAT)
+        if "hang" in self._now:
+            self._awake.wait()  # the camera's one thread, which also answers questions
         if "vanish" in self._now:
             self._lose(1.0)
             # the camera's own thread is here and cannot end itself
             threading.Thread(target=self._camera.unplug, daemon=True).start()
         return float(exposure_us)
+
+    def wake(self) -> None:
+        """Let a camera that hangs go on, so that it can end."""
+        self._awake.set()
 
     @property
     def arrives(self) -> bool:

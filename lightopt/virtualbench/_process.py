@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,6 +20,8 @@ __all__ = ["BenchProcess"]
 
 _START_S = 120.0
 _REQUEST_S = 120.0
+_ANSWER_S = 10.0  # a process that has nothing to compute for an answer and takes longer hangs
+_LOOK_S = 0.01
 _WRONG = 2  # exit status of the process where its description is at fault
 # What this process finds its modules by, instead of the current folder, which may hold a clone of lightopt.
 _START = (
@@ -89,24 +92,41 @@ class BenchProcess:
         """Process id of the bench."""
         return self._process.pid
 
-    def request(self, do: str, **arguments: Any) -> tuple[dict[str, Any], bytes]:
+    def request(
+        self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any
+    ) -> tuple[dict[str, Any], bytes]:
         """Ask the bench; returns the answer and the bytes that came with it.
+
+        Parameters
+        ----------
+        do
+            What is asked.
+        timeout_s
+            Longest wait for the answer [s]. A bench that leaves a question unanswered is asked nothing more.
+        **arguments
+            Of the question.
 
         Raises
         ------
         ValueError
             When the bench says that the request is wrong.
         lightopt.errors.HardwareError
-            When the bench is gone.
+            When the bench is gone, or did not answer in time.
         """
         with self._lock:
             try:
                 if self._control is None or self._replies is None:
                     raise OSError("closed")
+                self._control.settimeout(max(1e-3, timeout_s))
                 self._control.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
                 line = self._replies.readline()
                 answer: dict[str, Any] = json.loads(line) if line else {}
                 data = self._replies.read(answer["bytes"]) if answer.get("bytes") else b""
+            except TimeoutError:
+                self._hang_up()  # what comes later would be taken for the answer to the next question
+                raise self._gone(
+                    f"did not answer within {timeout_s:.3g} s when asked for {do}: its process hangs"
+                ) from None
             except (OSError, ValueError) as error:
                 raise self._gone(f"cannot be asked for {do} ({error})") from None
         if not answer:
@@ -114,6 +134,20 @@ class BenchProcess:
         if not answer.pop("ok"):
             raise ValueError(answer["error"])
         return answer, data
+
+    def prepare(self) -> None:
+        """Wait until what the camera will see is rendered, however long that takes; meanwhile the bench has to answer.
+
+        Raises
+        ------
+        lightopt.errors.HardwareError
+            When it cannot be rendered, or the bench is gone or hangs.
+        """
+        try:
+            while not self.request("prepare", timeout_s=_ANSWER_S)[0]["ready"]:
+                time.sleep(_LOOK_S)
+        except ValueError as error:
+            raise self._gone(f"cannot render what its camera sees ({error})") from None
 
     def state(self) -> dict[str, Any]:
         """World now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
@@ -146,10 +180,7 @@ class BenchProcess:
 
     def close(self) -> None:
         """End the process; never raises."""
-        for end in (self._replies, self._control):
-            if end is not None:
-                end.close()
-        self._control = self._replies = None
+        self._hang_up()
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
@@ -164,6 +195,12 @@ class BenchProcess:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+    def _hang_up(self) -> None:
+        for end in (self._replies, self._control):
+            if end is not None:
+                end.close()
+        self._control = self._replies = None
 
     def _hello(self) -> dict[str, Any]:
         watchdog = threading.Timer(_START_S, self._process.kill)

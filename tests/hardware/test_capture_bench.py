@@ -14,8 +14,9 @@ import pytest
 
 from lightopt.capture import CaptureOptions, Plan, capture, connect_devices, make_plan, start_bench, wiring_of
 from lightopt.config import load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.errors import HardwareError, InputError
 from lightopt.images import read_image_set, read_png
+from lightopt.transforms import Posture
 from lightopt.virtualbench import BenchProcess, BenchTruth
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -304,3 +305,33 @@ def _children_of_the_dead(mark):
         if b"lightopt.virtualbench" in text and mark.encode() in text:
             found.append(entry.name)
     return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", ["shot", "grbl", "gsc", "zaber"])
+def test_a_stage_switched_off_and_on_away_from_its_origin_is_noticed_before_its_images_count(tmp_path, stage):
+    rig_file, part_file = make_rig(tmp_path, stage)
+    rig, part = load_rig(rig_file), load_part(part_file)
+    options = CaptureOptions(exposures=(1.0,), postures=(Posture(-10.0, 170.0),), lights=("light1",))
+
+    def connect(plan):
+        bench = start_bench(rig, plan.wiring, part=part)
+        devices = connect_devices(rig, plan.wiring, part=part, plan=plan, bench=bench)
+        light_off = devices.light_off
+
+        def light_off_and_power_cycle(name):
+            light_off(name)
+            bench.set_fault("stage", "power_cycle")
+
+        devices.light_off = light_off_and_power_cycle
+        devices._closing = (bench.close,)
+        return devices
+
+    with pytest.raises(HardwareError) as raised:
+        capture(rig, part, tmp_path / "set", options=options, connect=connect)
+    said = str(raised.value)
+    assert "while asking whether the stage still stands where it was left" in said
+    assert "those taken in this run were not kept" in said
+    assert "all lights are off" in said
+    assert not read_image_set(tmp_path / "set").images
+    assert capture(rig, part, tmp_path / "set", options=options, resume=True).taken == 1

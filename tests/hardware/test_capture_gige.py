@@ -80,6 +80,14 @@ def test_a_camera_that_is_unplugged_stops_the_run_in_the_dark(bed, tmp_path):
     assert "all lights are off" in found.message
 
 
+@pytest.mark.slow
+def test_a_camera_that_hangs_stops_the_run_in_the_dark(bed, tmp_path):
+    found = seen(bed, tmp_path, "camera", "hang", {"after": 5})
+    assert (found.how, found.wrong) == ("stopped, by reply", ())
+    assert "while exposing" in found.message
+    assert "all lights are off" in found.message
+
+
 def test_an_old_image_under_a_new_stamp_is_found_in_the_image(bed, tmp_path):
     # the sixth frame is the first of a light: the frame before was dark
     found = seen(bed, tmp_path, "camera", "old_image", {"after": 4})

@@ -53,6 +53,7 @@ class Sdk:
             "ExposureTime": (20.0, 1e6, 0.0),
             "Gain": (0.0, 24.0, 0.0),
         }
+        self.units: dict[str, str] = {}
         self.stuck: dict[str, Any] = {}
         self.script: list[Callable[[int], list[RawFrame]]] = []
         self.queue: list[RawFrame] = []
@@ -72,6 +73,9 @@ class Sdk:
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
         return self.limits[feature]
+
+    def unit(self, feature: str) -> str:
+        return self.units.get(feature, "")
 
     word = number
 
@@ -270,6 +274,52 @@ def test_an_exposure_beyond_the_bounds_is_not_sent() -> None:
     assert sdk.log == []
     sdk.stuck["ExposureTime"] = 100.0
     assert camera.set_exposure(200.0) == 100.0  # the run refuses what does not take
+
+
+def exposing(feature: str, bounds: tuple[float, float], unit: str = "", **features: Any) -> Sdk:
+    sdk = Sdk(**{feature: bounds[0]}, **features)
+    if feature != "ExposureTime":
+        del sdk.features["ExposureTime"]
+    sdk.limits[feature] = (*bounds, 1.0)
+    sdk.units[feature] = unit
+    return sdk
+
+
+@pytest.mark.parametrize(
+    ("sdk", "written", "range_us"),
+    [
+        (exposing("ExposureTime", (20.0, 1e6)), "ExposureTime=800", (20.0, 1e6)),
+        (exposing("ExposureTime", (0.02, 1e3), "ms"), "ExposureTime=0.8", (20.0, 1e6)),
+        (exposing("ExposureTime", (20.0, 1e6), "\u03bcs"), "ExposureTime=800", (20.0, 1e6)),
+        (exposing("ExposureTimeAbs", (20.0, 1e6)), "ExposureTimeAbs=800", (20.0, 1e6)),
+        (exposing("ExposureTimeRaw", (20.0, 1e6), "us"), "ExposureTimeRaw=800", (20.0, 1e6)),
+        (
+            exposing("ExposureTimeRaw", (1.0, 4095.0), ExposureTimeBaseAbs=20.0),
+            "ExposureTimeRaw=40",
+            (20.0, 81_900.0),
+        ),
+    ],
+)
+def test_an_exposure_is_microseconds_whatever_the_camera_counts(sdk, written, range_us) -> None:
+    camera, _, _ = opened(sdk)
+    assert camera.exposure_range_us == pytest.approx(range_us)
+    sdk.log.clear()
+    assert camera.set_exposure(800.0) == pytest.approx(800.0)
+    assert sdk.log == [written]
+    assert camera.grab(timeout_s=1).exposure_us == pytest.approx(800.0)
+
+
+@pytest.mark.parametrize(
+    "sdk",
+    [exposing("ExposureTimeRaw", (1.0, 4095.0)), exposing("ExposureTime", (1.0, 4095.0), "lines")],
+)
+def test_an_exposure_in_units_that_nobody_knows_is_not_told(sdk) -> None:
+    with pytest.raises(InputError, match="in units of which it does not say how long they are; write fixed"):
+        opened(sdk)
+    camera, _, _ = opened(sdk, fixed_exposure_us=500.0)
+    assert camera.set_exposure(500.0) == 500.0
+    assert camera.grab(timeout_s=1).exposure_us == 500.0
+    assert not any(line.startswith("ExposureTime") for line in sdk.log)
 
 
 def test_a_frame_is_asked_for_once_there_can_be_one() -> None:

@@ -174,9 +174,12 @@ def test_stop_when_it_stands_still(homed: World) -> None:
 
 def test_switched_off_between_two_moves(homed: World) -> None:
     homed.stage.move_to(Posture(-30.0, 90.0))
+    assert homed.stage.confirm().posture == homed.stage.state().posture
     homed.fault("power_cycle")
     before = homed.real()
     with pytest.raises(HardwareError, match="lightopt bench home RIG"):
+        homed.stage.confirm()
+    with pytest.raises(HardwareError, match=r"was not moved: .*lightopt bench home RIG"):
         homed.stage.move_to(Posture(0.0, 0.0))
     assert homed.real() == before
     assert homed.stage.state().referenced is False

@@ -271,7 +271,7 @@ def test_grbl_asks_no_more_after_a_soft_limit_alarm(monkeypatch: pytest.MonkeyPa
     state = grbl.state()
     assert state.referenced is False
     assert "answers nothing until it is reset" in (state.alarm or "")
-    with pytest.raises(HardwareError, match="alarm, so it was not moved"):
+    with pytest.raises(HardwareError, match="was not moved: alarm: "):
         grbl.move_to(Posture(0.0, 0.0))
     with pytest.raises(HardwareError, match="must be reset before it can be homed"):
         grbl.home()

@@ -78,6 +78,10 @@ class Stage:
         self.world.posture = posture
         return self.state()
 
+    def confirm(self):
+        self.world.note("confirm")
+        return self.state()
+
     def stop(self):
         self.world.note("stop")
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from capture_doubles import broken, changing_at
 
+from lightopt.align import read_observations
 from lightopt.capture import Plan
 from lightopt.capture._shoot import Shooter
 from lightopt.capture._timing import Timing
@@ -93,6 +94,27 @@ def test_the_linear_image_says_where_each_pixel_came_from(take, bench):
     assert np.array_equal(channels["Y"], expected.astype(np.float32))
     assert np.array_equal(channels["exposure"], np.where(long < 255, 1.0, 1 / 16).astype(np.float32))
     assert np.array_equal(channels["valid"], ((long < 255) | (short < 255)).astype(np.float32))
+
+
+def test_levels_count_at_the_exposure_that_the_camera_held(take, bench):
+    """A camera holds 667 µs for 666.7: 0.05 % of every level, in the EXR and in what the fits read."""
+    take(exposures=(1.0, 1 / 15))
+    image_set = read_image_set(bench.out)
+    rig, part = load_rig(bench.rig), load_part(bench.part)
+    asked = [entry.exposure for entry in image_set.images[:2]]
+    facts = [entry.extra["capture"]["exposure_us"] for entry in image_set.images[:2]]
+    assert facts[1]["asked"] != facts[1]["read"]
+    held = [one["read"] / 10_000.0 for one in facts]
+    assert asked == [1.0, 1 / 15]
+    assert [entry.held_exposure for entry in image_set.images[:2]] == pytest.approx(held, rel=1e-12)
+    seen = read_observations(image_set, rig, part)
+    assert [one.exposure for one in seen[:2]] == pytest.approx(held, rel=1e-12)
+    channels = read_exr(bench.out / image_set.images[0].exr)
+    assert set(np.unique(channels["exposure"])) <= {np.float32(e) for e in held}
+    short = channels["exposure"] == np.float32(held[1])
+    assert short.any()
+    loaded = image_set.load(image_set.images[1]).levels
+    assert loaded[short] == pytest.approx(channels["Y"][short], rel=1e-6)
 
 
 def test_dark_frames_are_subtracted_in_the_exr_only(take, bench):

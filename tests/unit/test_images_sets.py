@@ -54,6 +54,24 @@ def entry_of(light: str, posture: Posture, exposure: float) -> ImageEntry:
     return ImageEntry(light, 60.0, 45.0 + 90 * LIGHTS.index(light), posture, exposure)
 
 
+@pytest.mark.parametrize(
+    ("capture", "held"),
+    [
+        ({"exposure_us": {"asked": 500.0, "read": 501.0}}, 0.0625 * 501 / 500),
+        ({"exposure_us": {"asked": 500.0, "read": 500.0}}, 0.0625),
+        ({"exposure_us": {"asked": 0, "read": 501.0}}, 0.0625),
+        ({"exposure_us": {"asked": 500.0}}, 0.0625),
+        ({"exposure_us": "long"}, 0.0625),
+        ("of others", 0.0625),
+        (None, 0.0625),
+    ],
+)
+def test_the_exposure_that_was_held(capture: Any, held: float) -> None:
+    entry = replace(entry_of("light1", POSTURES[0], 0.0625), extra={"capture": capture})
+    assert entry.held_exposure == held
+    assert entry.key[2] == entry.exposure == 0.0625
+
+
 def linear_of(light: str, posture: Posture) -> np.ndarray:
     seed = [LIGHTS.index(light), POSTURES.index(posture)]
     return np.random.default_rng(seed).uniform(0, 4000, (6, 5)).astype(np.float32)
