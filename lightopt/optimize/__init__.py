@@ -21,7 +21,7 @@ from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Th
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions, check_options
-from lightopt.optimize._packed import word_weight
+from lightopt.optimize._packed import add_image, word_weight
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
 from lightopt.optimize._rig_text import degrees_text
@@ -29,7 +29,7 @@ from lightopt.optimize._run import Optimum, optimize
 from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
 from lightopt.optimize._space import Space
 from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
-from lightopt.optimize._visibility import Visibility, add_image, trial_planes
+from lightopt.optimize._visibility import Visibility, trial_planes
 from lightopt.optimize._words import gap_text, looked_text, score_text, ties_text
 
 __all__ = [
