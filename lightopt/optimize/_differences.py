@@ -7,7 +7,7 @@ corners and 0 elsewhere. So whatever fills boxes costs a few numbers, however ma
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 
@@ -51,7 +51,7 @@ class Differences:
         self._made: list[Int64] = []
 
     @contextmanager
-    def borrowed(self) -> Iterator[Int64]:
+    def borrowed(self) -> Generator[Int64, None, None]:
         """An array to add differences to that no other thread has, shape (tables, cells)."""
         try:
             array = self._free.get_nowait()
