@@ -1,9 +1,12 @@
-"""A hundred candidate postures planned with the lights, and what tolerances cost: seconds, memory, and the bound."""
+"""A hundred candidate postures planned with the lights, lights alone at fine steps, tolerances: seconds and memory."""
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from benchmarks._case import CONFIGS, RIG, Size, resized
 from benchmarks._report import Report, Table
@@ -20,7 +23,9 @@ from lightopt.plan import (
     Tolerances,
     Wanted,
     choose_postures,
+    counts_of_images,
     drawn_patches,
+    place_lights,
     trust_of,
 )
 from lightopt.rendering import build_patches, cast_rays_at
@@ -35,18 +40,19 @@ TARGET_S, TARGET_BYTES = 600.0, 3e9
 
 @dataclass(frozen=True)
 class Scale:
-    """Rotations of the grid, patches, those that are drawn, postures to choose."""
+    """Rotations of the grid, patches, those that are drawn, postures to choose, and a fine step of the lights [°]."""
 
     rotations: int
     patches: int
     drawn: int
     chosen: int
+    fine: float
 
 
 SCALES = {
-    "full": Scale(20, 200_000, DRAWN_PATCHES, 8),
-    "quick": Scale(4, 20_000, 5_000, 4),
-    "toy": Scale(1, 600, 200, 2),
+    "full": Scale(20, 200_000, DRAWN_PATCHES, 8, 1.0),
+    "quick": Scale(4, 20_000, 5_000, 4, 1.0),
+    "toy": Scale(1, 600, 200, 2, 15.0),
 }
 
 
@@ -55,6 +61,7 @@ def run(size: Size) -> Report:
     scale = SCALES[size.name]
     rows: list[tuple[str, ...]] = []
     trust_rows: list[tuple[str, ...]] = []
+    place_rows: list[tuple[str, ...]] = []
     numbers: dict[str, object] = {}
     rig = load_rig(RIG)
     candidates = find_candidates(rig, step_deg=5.0)
@@ -99,6 +106,11 @@ def run(size: Size) -> Report:
                 f"{cover.all_reached / cover.total:.1%}",
             )
         )
+        placed = placing(whole, choice, scale.fine)
+        place_rows += [
+            (name, str(k), f"{combinations:,}", f"{len(whole.patches):,}", f"{took:.2f}", f"{used:.2f}")
+            for k, (combinations, took, used) in placed.items()
+        ]
         start = time.perf_counter()
         keeps, patches = tolerances(drawn, choice)
         trust_seconds = time.perf_counter() - start
@@ -112,6 +124,8 @@ def run(size: Size) -> Report:
             "share": cover.share,
             "bound": cover.bound_share,
             "turns": choice.turns,
+            "lights_best_for_postures": choice.exact and choice.settled,
+            "placing_seconds": {k: took for k, (_, took, _) in placed.items()},
         }
     return Report(
         "plan",
@@ -133,6 +147,11 @@ def run(size: Size) -> Report:
                 rows,
             ),
             Table(
+                f"lights placed for two of the postures at {scale.fine:g}°, every combination, images counted before",
+                ("part", "seen in", "combinations", "patches", "s", "processor s"),
+                place_rows,
+            ),
+            Table(
                 "tolerances of the first posture, 2° for lights and 1° for the part",
                 ("part", "patches", "s", "worst corner keeps"),
                 trust_rows,
@@ -144,6 +163,27 @@ def run(size: Size) -> Report:
             "memory is the most that the process has had so far",
         ],
     )
+
+
+def placing(whole: Survey, choice: Choice, step_deg: float) -> dict[int, tuple[int, float, float]]:
+    """Combinations, seconds and processor seconds of placing the lights, by the images that must show a pair."""
+    candidates = find_candidates(load_rig(RIG), step_deg=step_deg)
+    images = [whole.flags(posture, candidates.panels) for posture in choice.postures[:2]]
+    took: dict[int, tuple[int, float, float]] = {}
+    for k in (1, 2):
+        lights = [
+            np.stack([counts_of_images(list(places), k) for places in zip(*postures, strict=True)])
+            for postures in zip(*images, strict=True)
+        ]
+        start, work = time.perf_counter(), time.process_time()
+        found = place_lights(lights, whole.weights, candidates.space, threads=THREADS)
+        assert found.exact
+        took[k] = (
+            math.prod(candidates.space.sizes),
+            time.perf_counter() - start,
+            time.process_time() - work,
+        )
+    return took
 
 
 def tolerances(drawn: Survey, choice: Choice) -> tuple[float, int]:

@@ -60,11 +60,14 @@ def _show_postures(chosen: ChosenPostures) -> None:
         say(f"{percent(chosen.target)} takes at least {counted(cover.least, 'posture')} with these lights")
     if chosen.choice.lights is not None:
         tried = "every combination" if chosen.choice.exact else "one light moved at a time"
+        proven = "; in these postures no other positions show more" * (
+            chosen.choice.exact and chosen.choice.settled
+        )
         say(
             f"lights: the same for all postures, placed together with them in {counted(chosen.choice.turns, 'turn')} "
-            f"({tried}) on {chosen.drawn:,} of {chosen.patches:,} patches; as they stood, "
-            f"{percent(chosen.choice.before)}"
+            f"({tried}), at first on {chosen.drawn:,} patches, then on all {chosen.patches:,}{proven}"
         )
+        say(f"the lights as they stood show {percent(chosen.choice.before)} of the {chosen.drawn:,} patches")
     say(
         f"the surface is what the camera sees in any of these postures, {percent(chosen.visible_share)} of the part's"
     )

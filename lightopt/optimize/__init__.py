@@ -11,6 +11,7 @@ from lightopt.optimize._blind_files import patch_colours
 from lightopt.optimize._blind_report import BlindReport
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, GRAZING_COSINE, Contrast
+from lightopt.optimize._count_runs import at_least, count_run_sums, up_to
 from lightopt.optimize._curves import Curve
 from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._draft import Draft
@@ -21,15 +22,15 @@ from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Th
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions, check_options
-from lightopt.optimize._packed import word_weight
+from lightopt.optimize._packed import add_image, word_weight
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
 from lightopt.optimize._rig_text import degrees_text
 from lightopt.optimize._run import Optimum, optimize
-from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
-from lightopt.optimize._space import Space
+from lightopt.optimize._search import DEFAULT_LIMIT, TABLE_CELLS, Found, search
+from lightopt.optimize._space import Space, allowed_mask
 from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
-from lightopt.optimize._visibility import Visibility, add_image, trial_planes
+from lightopt.optimize._visibility import Visibility, taken_rows, trial_planes
 from lightopt.optimize._words import gap_text, looked_text, score_text, ties_text
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "GRAZING_COSINE",
     "OBJECTIVES",
     "RIG_NAME",
+    "TABLE_CELLS",
     "Answer",
     "Appendix",
     "Appraise",
@@ -69,12 +71,15 @@ __all__ = [
     "Trial",
     "Visibility",
     "add_image",
+    "allowed_mask",
     "angles_of",
     "area_units",
+    "at_least",
     "blind_codes",
     "blind_spots",
     "blind_text",
     "check_options",
+    "count_run_sums",
     "degrees_text",
     "find_candidates",
     "flags_of",
@@ -88,8 +93,10 @@ __all__ = [
     "refuse_other_result",
     "score_text",
     "search",
+    "taken_rows",
     "ties_text",
     "trial_planes",
     "unroll",
+    "up_to",
     "word_weight",
 ]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 from lightopt.optimize._matrix import Levels, Thresholds
-from lightopt.optimize._packed import Words, common_bits, packed
+from lightopt.optimize._packed import Words, common_bits, count_flags, packed
 from lightopt.optimize._work import Share, Work, pieces
 from lightopt.rendering import Task, run_all
 
@@ -89,8 +89,8 @@ class _Block:
             elif len(layer) > 1:
                 self.outer.append((usable, saturated))
             else:
-                _count(self.used, usable[0])
-                _count(self.spoilt, saturated[0])
+                count_flags(self.used, usable[0])
+                count_flags(self.spoilt, saturated[0])
 
     def tasks(self, table: Int64, work: Work) -> Iterator[Task]:
         """Tasks that add the block's scores to a table."""
@@ -101,8 +101,8 @@ class _Block:
         def fill(index: int, prefix: tuple[int, ...], start: int, end: int) -> None:
             used, spoilt = self.used.copy(), self.spoilt.copy()
             for (use, spoil), candidate in zip(self.outer, prefix, strict=True):
-                _count(used, use[candidate])
-                _count(spoilt, spoil[candidate])
+                count_flags(used, use[candidate])
+                count_flags(spoilt, spoil[candidate])
             _last_two(
                 used,
                 spoilt,
@@ -124,17 +124,6 @@ class _Block:
 
 
 @kernel
-def _count(counters: Words, more: Words) -> None:
-    # row k says which patches were counted more than k times
-    for w in range(counters.shape[1]):
-        carry = more[w]
-        for k in range(len(counters)):
-            both = counters[k, w] & carry
-            counters[k, w] |= carry
-            carry = both
-
-
-@kernel
 def _last_two(
     used: Words,
     spoilt: Words,
@@ -150,8 +139,8 @@ def _last_two(
     covered = np.empty(words, np.uint64)
     for c in range(len(usable)):
         use, spoil = used.copy(), spoilt.copy()
-        _count(use, usable[c])
-        _count(spoil, saturated[c])
+        count_flags(use, usable[c])
+        count_flags(spoil, saturated[c])
         enough, too_many = use[-1], spoil[-1]
         almost, at_limit = _below(use, words), _below(spoil, words)
         for d in range(len(last_usable)):

@@ -1,4 +1,4 @@
-"""Flags of patches packed into words, 64 to a word, and how many are set in two rows at once."""
+"""Flags packed into words, 64 to a word: counted over images, weighed, and how many are set in two rows at once."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 
-__all__ = ["Words", "common_bits", "packed", "word_weight"]
+__all__ = ["Words", "add_image", "common_bits", "count_flags", "packed", "word_weight"]
 
 Words = NDArray[np.uint64]
 
@@ -18,6 +18,31 @@ def packed(rows: NDArray[np.bool_]) -> Words:
     padded = np.zeros((len(octets), -(-octets.shape[1] // 8) * 8), np.uint8)
     padded[:, : octets.shape[1]] = octets
     return padded.view(np.uint64)
+
+
+def add_image(counters: Words, image: Words) -> None:
+    """Count one image more: entry j of the counters has the flags that are set in more than j images.
+
+    Parameters
+    ----------
+    counters
+        Shape (k, …), changed; contiguous.
+    image
+        Shape (…).
+    """
+    assert counters.flags.c_contiguous
+    count_flags(counters.reshape(len(counters), -1), image.reshape(-1))
+
+
+@kernel
+def count_flags(counters: Words, more: Words) -> None:
+    """As :func:`add_image`, of rows: shapes (k, w) and (w,)."""
+    for w in range(counters.shape[1]):
+        carry = more[w]
+        for k in range(len(counters)):
+            both = counters[k, w] & carry
+            counters[k, w] |= carry
+            carry = both
 
 
 @kernel

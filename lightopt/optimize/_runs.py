@@ -1,22 +1,19 @@
 """Scores that depend on classes of levels only, added up as differences.
 
 Along the candidates of a light a patch is shaded, usable or saturated in runs. Over all lights its part in the score is
-constant on boxes, the products of runs. Where a constant c fills the box [a, b) × [a', b') × …, the array of its mixed
-differences has ±c at the box's corners and 0 elsewhere; so a patch adds a few numbers to an array of differences,
-however many combinations there are, and running sums along every axis turn the array into the scores.
+constant on boxes, the products of runs: see :mod:`lightopt.optimize._differences`.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
-from queue import Empty, SimpleQueue
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
+from lightopt.optimize._differences import Differences
 from lightopt.optimize._matrix import Levels, Thresholds
 from lightopt.optimize._work import Share, Work
 from lightopt.rendering import run_all
@@ -36,9 +33,6 @@ CHUNK_LEVELS = 1 << 24
 
 CHUNK_BOXES = 1e6
 """Most of their boxes: less than 0.1 s, so that Ctrl-C is heard."""
-
-MOST_DIFFERENCES = 1 << 25
-"""Most numbers in the arrays of differences of all threads: 256 MiB."""
 
 
 def run_products(levels: Sequence[Levels], thresholds: Thresholds) -> NDArray[np.float64]:
@@ -84,14 +78,9 @@ def run_scores(
         One number per combination, the last light's candidates varying fastest.
     """
     sizes = [len(layer) for layer in levels]
-    cells = math.prod(sizes)
-    strides = np.array([math.prod(sizes[i + 1 :]) for i in range(len(sizes))], np.int64)
     products = run_products(levels, thresholds)[chosen]
     largest = int(products.max(initial=1.0))
-    # each thread has an array of differences of its own, made when it is needed
-    workers = max(1, min(threads, MOST_DIFFERENCES // cells))
-    free: SimpleQueue[Int64] = SimpleQueue()
-    made: list[Int64] = []
+    differences = Differences(sizes, threads)
     ends = _chunks(products, max(1, min(CHUNK_PATCHES, CHUNK_LEVELS // sum(sizes))))
     work = Work(float(products.sum()), progress)
 
@@ -102,24 +91,15 @@ def run_scores(
         place = np.concatenate([place for _, place, _ in runs])
         kind = np.concatenate([kind for _, _, kind in runs])
         offset = np.cumsum([0, *(len(place) for _, place, _ in runs)])[:-1]
-        try:
-            differences = free.get_nowait()
-        except Empty:
-            differences = np.zeros(cells, np.int64)
-            made.append(differences)
-        _scatter(differences, strides, first, offset, place, kind, weights[some], rule[0], rule[1], largest)
-        free.put(differences)
+        with differences.borrowed() as (own,):
+            _scatter(
+                own, differences.strides, first, offset, place, kind, weights[some], rule[0], rule[1], largest
+            )
         work.add(float(products[start:end].sum()))
 
-    run_all(((add, pair) for pair in itertools.pairwise(ends)), threads=workers, done=work.tell)
-    total = made[0] if made else np.zeros(cells, np.int64)
-    for differences in made[1:]:
-        total += differences
-    for size, stride in zip(sizes, strides, strict=True):
-        if size > 1:
-            along = total.reshape(-1, size, int(stride))
-            np.cumsum(along, axis=1, out=along)
-    return total
+    pairs = itertools.pairwise(ends)
+    run_all(((add, pair) for pair in pairs), threads=differences.workers, done=work.tell)
+    return differences.summed()[0]
 
 
 def _chunks(products: NDArray[np.float64], most: int) -> list[int]:

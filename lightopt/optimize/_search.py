@@ -27,7 +27,7 @@ from lightopt.optimize._space import Rows, Space, allowed_mask
 from lightopt.optimize._work import Share, part_of
 from lightopt.rendering import available_processors
 
-__all__ = ["DEFAULT_LIMIT", "Found", "search"]
+__all__ = ["DEFAULT_LIMIT", "TABLE_CELLS", "Found", "search"]
 
 Int64 = NDArray[np.int64]
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
-from lightopt.optimize._packed import Words, word_weight
+from lightopt.optimize._packed import Words, add_image, word_weight
 from lightopt.optimize._trials import Trial
 
-__all__ = ["Visibility", "add_image", "taken_rows", "trial_planes", "weighted_bits"]
+__all__ = ["Visibility", "taken_rows", "trial_planes", "weighted_bits"]
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -123,23 +123,6 @@ def taken_rows(layer: Any, some: Int64) -> Any:
     if len(some) and some[-1] - some[0] == len(some) - 1:
         return layer[some[0] : some[-1] + 1]
     return layer[some]
-
-
-def add_image(counters: Words, image: Words) -> None:
-    """Count one image more: row j of the counters has the bits that more than j images show.
-
-    Parameters
-    ----------
-    counters
-        Shape (k, p, w), changed.
-    image
-        Shape (p, w).
-    """
-    carry = image
-    for row in counters:
-        both = row & carry
-        row |= carry
-        carry = both
 
 
 def trial_planes(trials: Sequence[Trial]) -> tuple[Words, Int64]:

@@ -2,19 +2,19 @@
 
 The lights are mounted once and stand the same in all postures. Postures and lights depend on each other, so they take
 turns: postures by greedy cover for the lights as they are, then the lights by trying every combination for those
-postures, and so on until nothing is gained. That is done on patches drawn from all; the last choice of postures, its
-gains and its bound are of all patches.
+postures, and so on until nothing is gained. The first turns are taken on patches drawn from all, and where these gain
+nothing any more, on all patches; so are gains and bound of the last choice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lightopt.errors import InputError
-from lightopt.optimize import Candidates
+from lightopt.optimize import DEFAULT_LIMIT, Candidates
 from lightopt.plan._combinations import Places, place_lights
 from lightopt.plan._counts import Counts, added, counts_of_images, no_counts
 from lightopt.plan._cover import Cover, greedy_cover
@@ -27,7 +27,8 @@ __all__ = ["MOST_COUNT_BYTES", "Choice", "Wanted", "choose_postures"]
 MOST_COUNT_BYTES = 1_500_000_000
 """Of the counts of all candidate postures that are held at a time."""
 
-MOST_TURNS = 6
+MOST_TURNS, MOST_LAST_TURNS = 6, 3
+"""On drawn patches and on all."""
 
 Tell = Callable[[str, float], None]
 
@@ -44,11 +45,14 @@ class Wanted:
         Most postures; as many as the target takes where None.
     target
         Share of the pairs to be shown.
+    limit
+        Most combinations of the lights' positions that are tried; with more, lights are moved one at a time.
     """
 
     least: int = 1
     count: int | None = None
     target: float | None = None
+    limit: int = DEFAULT_LIMIT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +75,8 @@ class Choice:
         How often the lights were placed.
     before
         Share that the candidate postures chosen for the rig's lights as they stood show; of the drawn patches.
+    settled
+        Whether no combination of the positions that were tried last shows more of all patches in these postures.
     """
 
     postures: tuple[Posture, ...]
@@ -80,6 +86,7 @@ class Choice:
     exact: bool
     turns: int
     before: float
+    settled: bool
 
 
 def choose_postures(
@@ -120,31 +127,23 @@ def choose_postures(
             f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
             f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; take a larger --posture-step or fewer --patches"
         )
-    search = _Turns(drawn, postures, candidates, wanted, tell)
-    panels, lights = tuple(start), None
-    cover = search.postures_for(panels, None, "postures for the lights as they stand")
-    before, exact, turns = cover.share, True, 0
-    while candidates is not None and turns < MOST_TURNS:
-        turns += 1
-        places = search.lights_for(cover.chosen, f"lights, turn {turns}")
-        exact = exact and places.exact
-        moved = tuple(candidates.panels[i][k] for i, k in enumerate(places.candidates))
-        better = search.postures_for(moved, cover.chosen, f"postures, turn {turns}")
-        gained = _merit(better, wanted) > _merit(cover, wanted)
-        # positions of the grid are taken before the lights as they stand where they serve as well
-        if not gained and (lights is not None or _merit(better, wanted) < _merit(cover, wanted)):
-            break
-        panels, lights, cover = moved, places.candidates, better
-    final = _Turns(whole, postures, candidates, wanted, tell)
-    cover = final.postures_for(panels, cover.chosen, "all patches")
+    first = _Turns(drawn, postures, candidates, wanted, tell)
+    panels = tuple(start)
+    cover = first.postures_for(panels, None, "postures for the lights as they stand")
+    now = first.settled(_State(panels=panels, cover=cover), MOST_TURNS, "drawn patches")
+    before = cover.share
+    last = _Turns(whole, postures, candidates, wanted, tell)
+    now = replace(now, cover=last.postures_for(now.panels, now.cover.chosen, "postures, all patches"))
+    now = last.settled(now, MOST_LAST_TURNS, "all patches")
     return Choice(
-        postures=tuple(postures[i] for i in cover.chosen),
-        cover=cover,
-        lights=lights,
-        panels=panels,
-        exact=exact,
-        turns=turns,
+        postures=tuple(postures[i] for i in now.cover.chosen),
+        cover=now.cover,
+        lights=now.lights,
+        panels=now.panels,
+        exact=now.exact,
+        turns=now.turns,
         before=before,
+        settled=now.settled,
     )
 
 
@@ -153,6 +152,18 @@ def _merit(cover: Cover, wanted: Wanted) -> tuple[float, ...]:
     if wanted.target is not None and cover.share >= wanted.target:
         return (1.0, -len(cover.steps), cover.reached, cover.worth)
     return (0.0, cover.reached, cover.worth)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _State:
+    """Lights, and the postures chosen for them; where they stand among the candidates, None as they stood."""
+
+    panels: tuple[PanelLight, ...]
+    cover: Cover
+    lights: tuple[int, ...] | None = None
+    exact: bool = True
+    turns: int = 0
+    settled: bool = True
 
 
 class _Turns:
@@ -167,6 +178,30 @@ class _Turns:
         self.survey, self.postures, self.candidates, self.wanted = survey, postures, candidates, wanted
         self.weights = survey.weights
         self._tell = tell
+
+    def settled(self, now: _State, most: int, where: str) -> _State:
+        """Lights for the postures, and postures for the lights, until nothing is gained or after so many turns."""
+        if self.candidates is None:
+            return now
+        for turn in range(1, most + 1):
+            places = self.lights_for(now.cover.chosen, f"lights, turn {turn}, {where}")
+            now = replace(
+                now,
+                exact=now.exact and places.exact,
+                turns=now.turns + 1,
+                settled=places.reached <= now.cover.reached,
+            )
+            if places.candidates == now.lights:
+                return now
+            panels = tuple(self.candidates.panels[i][k] for i, k in enumerate(places.candidates))
+            better = self.postures_for(panels, now.cover.chosen, f"postures, turn {turn}, {where}")
+            gained = _merit(better, self.wanted) > _merit(now.cover, self.wanted)
+            # positions of the grid are taken before the lights as they stand where they serve as well
+            as_good = _merit(better, self.wanted) == _merit(now.cover, self.wanted)
+            if not gained and not (as_good and now.lights is None):
+                return now
+            now = replace(now, panels=panels, cover=better, lights=places.candidates, settled=False)
+        return now
 
     def postures_for(self, panels: Sequence[PanelLight], among: Sequence[int] | None, stage: str) -> Cover:
         """The cover for lights: the greedy one of all postures, or of those of the last turn where that is better."""
@@ -195,9 +230,15 @@ class _Turns:
                 for place, flags in enumerate(layer):
                     total[place] = added(total[place], counts_of_images([flags], k))
             self._say(stage, (done + 1) / (len(chosen) + 1))
-        found = place_lights(totals, self.weights, self.candidates.space, threads=self.survey.threads)
-        self._say(stage, 1.0)
-        return found
+        before = len(chosen) / (len(chosen) + 1)
+        return place_lights(
+            totals,
+            self.weights,
+            self.candidates.space,
+            limit=self.wanted.limit,
+            threads=self.survey.threads,
+            progress=lambda share: self._say(stage, before + (1.0 - before) * share),
+        )
 
     def _say(self, stage: str, share: float) -> None:
         if self._tell is not None:

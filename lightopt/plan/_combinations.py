@@ -1,14 +1,15 @@
 """All combinations of the lights' places at once: how many pairs they show in k images or more, over several postures.
 
 The postures' images of a place are counted before (see :mod:`lightopt.plan._counts`), so that a combination adds up one
-count per light, whatever the number of postures. Combinations are gone through light by light; the last light's places
-share the sum of the others.
+count per light, whatever the number of postures. Along the places of a light these counts change a few times, and the
+sums come from where they do: :func:`lightopt.optimize.count_run_sums`. Patches whose counts change nearly everywhere
+are added up combination by combination, light after light; the last light's places share the sum of the others.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,19 +17,32 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
-from lightopt.optimize import Space, word_weight
+from lightopt.optimize import (
+    DEFAULT_LIMIT,
+    TABLE_CELLS,
+    Space,
+    allowed_mask,
+    at_least,
+    count_run_sums,
+    taken_rows,
+    up_to,
+    word_weight,
+)
 from lightopt.plan._counts import Counts, PairWeights, Words, added, no_counts
-from lightopt.rendering import in_threads
+from lightopt.rendering import available_processors, run_all
 
-__all__ = ["MOST_WORDS", "Places", "combination_sums", "place_lights"]
+__all__ = ["Places", "combination_sums", "place_lights"]
 
 Int64 = NDArray[np.int64]
 
 PlaceCounts = NDArray[np.uint64]
 """Counts of every place of a light, shape (places, k, p, words)."""
 
-MOST_WORDS = 20_000_000_000
-"""Words that all combinations may take to look at: some 20 s of a thread. Beyond, lights are moved one at a time."""
+TASK_WORDS = 100_000_000
+"""Words that a task of plain additions looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+
+Rows = Sequence[Int64]
+Share = Callable[[float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +68,11 @@ class Places:
 
 
 def combination_sums(
-    lights: Sequence[PlaceCounts], weights: PairWeights, *, threads: int | None = None
+    lights: Sequence[PlaceCounts],
+    weights: PairWeights,
+    *,
+    threads: int | None = None,
+    progress: Share | None = None,
 ) -> tuple[Int64, Int64]:
     """Weight reached and worth of every combination of places, the last light's varying fastest.
 
@@ -66,21 +84,52 @@ def combination_sums(
         Of the pairs.
     threads
         All the machine's by default; the sums do not depend on it.
+    progress
+        Called with the share that is done.
     """
+    k = lights[0].shape[1]
+    count = threads or available_processors()
+    # where one image is enough, what is reached is what it is worth
+    values = np.stack([at_least(k), up_to(k)][: min(k, 2)])
+    tables, left = count_run_sums(
+        lights,
+        weights.areas,
+        (weights.masks, weights.factors),
+        values,
+        threads=count,
+        progress=progress,
+    )
+    top, whole = tables[0], tables[-1]
+    if left.any():
+        rest = PairWeights(areas=weights.areas[left], masks=weights.masks, factors=weights.factors)
+        plain = _added_up([places[:, :, left] for places in lights], rest, count, progress)
+        # not in place: with k = 1 both are the same table
+        top, whole = top + plain[0], whole + plain[1]
+    return top, whole
+
+
+def _added_up(
+    lights: Sequence[PlaceCounts], weights: PairWeights, threads: int, progress: Share | None
+) -> tuple[Int64, Int64]:
     sizes = [len(places) for places in lights]
     inner = math.prod(sizes[1:])
-    k = lights[0].shape[1]
+    k, patches = lights[0].shape[1:3]
+    tops, wholes = np.zeros((sizes[0], inner), np.int64), np.zeros((sizes[0], inner), np.int64)
+    step = max(1, TASK_WORDS // (inner * lights[0][0, :, 0].size))
 
-    def of_first(first: int) -> tuple[Int64, Int64]:
-        top, whole = np.zeros(inner, np.int64), np.zeros(inner, np.int64)
-        if len(lights) == 1:
-            _last(no_counts(weights, k), lights[0][first : first + 1], *_numbers(weights), top, whole)
+    def of_first(first: int, start: int, end: int) -> None:
+        some = [places[:, :, start:end] for places in lights]
+        own = PairWeights(areas=weights.areas[start:end], masks=weights.masks, factors=weights.factors)
+        if len(some) == 1:
+            _last(no_counts(own, k), some[0][first : first + 1], *_numbers(own), tops[first], wholes[first])
         else:
-            _through(lights, 1, lights[0][first], 0, weights, top, whole)
-        return top, whole
+            _through(some, 1, some[0][first], 0, own, tops[first], wholes[first])
 
-    found = in_threads(of_first, range(sizes[0]), threads)
-    return np.concatenate([top for top, _ in found]), np.concatenate([whole for _, whole in found])
+    for start in range(0, patches, step):
+        # a row of the tables is written by one task at a time
+        tasks = ((of_first, (first, start, min(start + step, patches))) for first in range(sizes[0]))
+        run_all(tasks, threads=threads, done=None if progress is None else lambda: progress(1.0))
+    return tops.ravel(), wholes.ravel()
 
 
 def place_lights(
@@ -88,8 +137,10 @@ def place_lights(
     weights: PairWeights,
     space: Space,
     *,
-    most_words: int = MOST_WORDS,
+    limit: int = DEFAULT_LIMIT,
+    table_cells: int = TABLE_CELLS,
     threads: int | None = None,
+    progress: Share | None = None,
 ) -> Places:
     """The places of lights that stand the same in all postures: most reached, then most worth, then first in order.
 
@@ -101,24 +152,33 @@ def place_lights(
         Of the pairs.
     space
         Which combinations are allowed.
-    most_words
-        Beyond so many words of work, lights are moved one at a time.
+    limit
+        With more combinations than that, lights are moved one at a time.
+    table_cells
+        Most combinations to try at once.
     threads
         All the machine's by default; the answer does not depend on it.
+    progress
+        Called with the share that is done.
 
     Raises
     ------
     InputError
         No combination is allowed.
     """
-    words = sum(math.prod(len(rows) for rows in group) for group in space.groups) * lights[0][0].size
-    exact = words <= most_words
+    exact = sum(math.prod(len(rows) for rows in group) for group in space.groups) <= limit
+    boxes = [box for group in space.groups for box in (_boxes(group, table_cells) if exact else [group])]
     best: Places | None = None
-    for group in space.groups:
+    for done, box in enumerate(boxes):
+
+        def tell(share: float, before: int = done) -> None:
+            if progress is not None:
+                progress((before + share) / len(boxes))
+
         found = (
-            _best_of(lights, weights, space, group, threads)
+            _best_of(lights, weights, space, box, threads, tell)
             if exact
-            else _one_at_a_time(lights, weights, space, group, threads)
+            else _one_at_a_time(lights, weights, space, box, threads)
         )
         if found is not None and (best is None or (found.reached, found.worth) > (best.reached, best.worth)):
             best = found
@@ -130,36 +190,53 @@ def place_lights(
     return best
 
 
+def _boxes(rows: Rows, most: int) -> Iterator[Rows]:
+    # pieces of at most so many combinations, those that come first in order first
+    inner = math.prod(len(some) for some in rows[1:])
+    step = max(1, most // inner)
+    for start in range(0, len(rows[0]), step):
+        first = rows[0][start : start + step]
+        if inner <= most or len(rows) == 1:
+            yield first, *rows[1:]
+        else:
+            for rest in _boxes(rows[1:], most):
+                yield first, *rest
+
+
 def _best_of(
     lights: Sequence[PlaceCounts],
     weights: PairWeights,
     space: Space,
-    rows: Sequence[Int64],
+    rows: Rows,
     threads: int | None,
+    progress: Share | None,
 ) -> Places | None:
-    top, whole = combination_sums(
-        [places[some] for places, some in zip(lights, rows, strict=True)], weights, threads=threads
-    )
-    allowed = _allowed(space, rows)
-    if not allowed.any():
+    allowed = allowed_mask(space, tuple(rows))
+    if allowed is not None and not allowed.any():
         return None
-    top, whole = np.where(allowed, top, -1), np.where(allowed, whole, -1)
+    top, whole = combination_sums(
+        [taken_rows(places, some) for places, some in zip(lights, rows, strict=True)],
+        weights,
+        threads=threads,
+        progress=progress,
+    )
+    if allowed is not None:
+        top, whole = np.where(allowed, top, -1), np.where(allowed, whole, -1)
     most = int(top.max())
     at = int(np.argmax(np.where(top == most, whole, -1)))
-    chosen = np.unravel_index(at, [len(some) for some in rows])
-    return Places(
-        candidates=tuple(int(some[i]) for some, i in zip(rows, chosen, strict=True)),
-        reached=most,
-        worth=int(whole[at]),
-        exact=True,
-    )
+    value = int(whole[at])
+    chosen: list[int] = []
+    for some in reversed(rows):
+        at, place = divmod(at, len(some))
+        chosen.append(int(some[place]))
+    return Places(candidates=tuple(reversed(chosen)), reached=most, worth=value, exact=True)
 
 
 def _one_at_a_time(
     lights: Sequence[PlaceCounts],
     weights: PairWeights,
     space: Space,
-    rows: Sequence[Int64],
+    rows: Rows,
     threads: int | None,
 ) -> Places | None:
     now = _first_allowed(space, rows)
@@ -171,7 +248,7 @@ def _one_at_a_time(
         moved = False
         for i in range(len(lights)):
             some = [rows[j] if j == i else np.array([now[j]]) for j in range(len(lights))]
-            found = _best_of(lights, weights, space, some, threads)
+            found = _best_of(lights, weights, space, some, threads, None)
             assert found is not None
             if best is None or (found.reached, found.worth) > (best.reached, best.worth):
                 best = Places(
@@ -181,7 +258,7 @@ def _one_at_a_time(
     return best
 
 
-def _first_allowed(space: Space, rows: Sequence[Int64]) -> list[int] | None:
+def _first_allowed(space: Space, rows: Rows) -> list[int] | None:
     # depth first: with so many combinations, a mask of them all is too large
     chosen: list[int] = []
 
@@ -202,15 +279,6 @@ def _first_allowed(space: Space, rows: Sequence[Int64]) -> list[int] | None:
         return False
 
     return chosen if go(0) else None
-
-
-def _allowed(space: Space, rows: Sequence[Int64]) -> NDArray[np.bool_]:
-    sizes = [len(some) for some in rows]
-    allowed = np.ones(sizes, np.bool_)
-    for (i, j), clash in space.clashes.items():
-        shape = [size if at in (i, j) else 1 for at, size in enumerate(sizes)]
-        allowed &= ~clash[np.ix_(rows[i], rows[j])].reshape(shape)
-    return allowed.ravel()
 
 
 def _numbers(weights: PairWeights) -> tuple[Int64, Words, Int64]:

@@ -88,7 +88,7 @@ def plan_postures(
         postures,
         lights,
         candidates,
-        Wanted(least=options.seen_in, count=wanted.postures, target=wanted.target),
+        Wanted(least=options.seen_in, count=wanted.postures, target=wanted.target, limit=options.limit),
         tell=searching,
     )
     if wanted.target is not None and choice.cover.share < wanted.target:

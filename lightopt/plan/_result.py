@@ -37,7 +37,7 @@ class ChosenPostures:
     target
         Share to be reached; None where a number of postures was asked for.
     drawn, patches
-        Patches that the turns of postures and lights were taken on, and those of the final figures.
+        Patches that the first turns of postures and lights were taken on, and those of the last ones and all figures.
     visible_share
         Of the part's surface, by area, what the camera sees in one candidate posture or more.
     """
@@ -199,6 +199,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         ],
         "turns": chosen.choice.turns,
         "every_combination_tried": chosen.choice.exact,
+        "lights_best_for_postures": chosen.choice.exact and chosen.choice.settled,
         "patches": {"drawn": chosen.drawn, "all": chosen.patches},
         "visible_share_of_surface": round(chosen.visible_share, 6),
     }

@@ -14,6 +14,7 @@ from lightopt.defects import BUILT_IN_CATALOGUE
 from lightopt.errors import InputError
 from lightopt.optimize import Detectability, LuminanceMatrix, Thresholds, Trial, area_units, search, unroll
 from lightopt.optimize import _bit_runs as bit_runs
+from lightopt.optimize import _count_runs as count_runs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -140,9 +141,9 @@ def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatc
     whole = objective.scores(matrix, weights, THRESHOLDS, threads=2)
     shares: list[float] = []
     for most, patches, flags in ((1 << 10, 7, 1 << 27), (40, 40, 1 << 12), (1, 3, 1 << 12)):
-        monkeypatch.setattr(bit_runs, "LEAST_NODES", 1)
-        monkeypatch.setattr(bit_runs, "MOST_NODES", most)
-        monkeypatch.setattr(bit_runs, "CHUNK_PATCHES", patches)
+        monkeypatch.setattr(count_runs, "LEAST_NODES", 1)
+        monkeypatch.setattr(count_runs, "MOST_NODES", most)
+        monkeypatch.setattr(count_runs, "CHUNK_PATCHES", patches)
         monkeypatch.setattr(bit_runs, "FLAG_BYTES", flags)
         shares.clear()
         again = objective.scores(matrix, weights, THRESHOLDS, threads=3, progress=shares.append)

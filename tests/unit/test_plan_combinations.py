@@ -9,7 +9,9 @@ import pytest
 
 from lightopt.errors import InputError
 from lightopt.optimize import Space
+from lightopt.optimize import _count_runs as count_runs
 from lightopt.plan import PairWeights, combination_sums, counts_of_images, place_lights
+from lightopt.plan import _combinations as plain_sums
 
 POSTURES = 2
 
@@ -50,6 +52,48 @@ def test_every_combination_is_the_plain_sum(sizes, k):
     np.testing.assert_array_equal(again[0], reached)
 
 
+@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("most", [1, 20, 200])
+@pytest.mark.parametrize("sizes", [(5,), (3, 1, 4), (2, 3, 2, 2)])
+def test_patches_left_by_the_runs_are_added_up_and_agree(monkeypatch, sizes, most, k):
+    _, counts, weights = case(7, sizes, patches=30, k=k)
+    whole = combination_sums(counts, weights, threads=1)
+    monkeypatch.setattr(count_runs, "LEAST_NODES", 1)
+    monkeypatch.setattr(count_runs, "MOST_NODES", most)
+    monkeypatch.setattr(plain_sums, "TASK_WORDS", 50)
+    shares = []
+    again = combination_sums(counts, weights, threads=2, progress=shares.append)
+    np.testing.assert_array_equal(again, whole)
+    assert shares == sorted(shares)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_patches_whose_counts_change_seldom_come_from_the_runs_alone(monkeypatch, k):
+    """Several words of trials, each pair seen in runs of places: nothing is left to plain additions."""
+    rng = np.random.default_rng(k)
+    sizes, patches, width = (6, 1, 5, 4), 8, 2
+    flags = []
+    for size in sizes:
+        a, b = np.sort(rng.integers(0, size + 1, (2, POSTURES, patches, width, 1)), axis=0)
+        place = np.arange(size)[:, None, None, None, None]
+        bits = ((place >= a) & (place < b) & (rng.random((POSTURES, patches, width, 64)) < 0.7)).astype(
+            np.uint64
+        )
+        flags.append((bits << np.arange(64, dtype=np.uint64)).sum(axis=-1, dtype=np.uint64))
+    counts = [np.stack([counts_of_images(list(place), k) for place in light]) for light in flags]
+    masks = np.array([[0x00000000FFFFFFFF, 0x3], [0xFF, 0x5]], np.uint64)
+    weights = PairWeights(areas=rng.integers(0, 9, patches), masks=masks, factors=np.array([1, 4], np.int64))
+    monkeypatch.setattr(plain_sums, "_added_up", None)
+    reached, worth = combination_sums(counts, weights, threads=2)
+    bit = np.unpackbits(masks.view(np.uint8), axis=1, bitorder="little").astype(np.int64)
+    heavy = weights.areas[:, None] * (weights.factors @ bit)
+    for at, chosen in enumerate(product(*map(range, sizes))):
+        images = np.concatenate([light[c] for light, c in zip(flags, chosen, strict=True)])
+        seen = np.unpackbits(images.view(np.uint8), axis=-1, bitorder="little").astype(np.int64).sum(axis=0)
+        assert reached[at] == heavy[seen >= k].sum()
+        assert worth[at] == (heavy * np.minimum(seen, k)).sum()
+
+
 @pytest.mark.parametrize("k", [1, 2])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_best_allowed_places_are_found(seed, k):
@@ -64,8 +108,11 @@ def test_the_best_allowed_places_are_found(seed, k):
     assert found.exact
     assert found.candidates == best
     assert (found.reached, found.worth) == plain(flags, weights, best, k)
-    # with too much work for all of them: allowed, honest, and no light alone can do better
-    moved = place_lights(counts, weights, space, most_words=1)
+    # in pieces the same, ties too
+    for cells in (1, 3, 5, 13):
+        assert place_lights(counts, weights, space, table_cells=cells) == found
+    # with too many to try them all: allowed, honest, and no light alone can do better
+    moved = place_lights(counts, weights, space, limit=1)
     assert not moved.exact
     assert (moved.reached, moved.worth) == plain(flags, weights, moved.candidates, k)
     for i in range(3):
@@ -83,11 +130,18 @@ def test_common_elevations_are_kept():
     assert found.candidates == max([(0, 0), (1, 1)], key=lambda c: plain(flags, weights, c, 2))
 
 
-@pytest.mark.parametrize("most_words", [1, 10**9])
-def test_lights_that_always_collide_are_refused(most_words):
+def test_of_equal_places_the_first_are_taken_however_they_are_cut_in_pieces():
+    _, counts, weights = case(3, (3, 3, 2))
+    same = [np.repeat(light[:1], len(light), axis=0) for light in counts]
+    for cells in (1, 2, 4, 100):
+        assert place_lights(same, weights, Space.of((3, 3, 2)), table_cells=cells).candidates == (0, 0, 0)
+
+
+@pytest.mark.parametrize("limit", [1, 10**9])
+def test_lights_that_always_collide_are_refused(limit):
     _, counts, weights = case(1, (2, 2))
     space = Space(
         sizes=(2, 2), groups=((np.arange(2), np.arange(2)),), clashes={(0, 1): np.ones((2, 2), bool)}
     )
     with pytest.raises(InputError, match="panels collide"):
-        place_lights(counts, weights, space, most_words=most_words)
+        place_lights(counts, weights, space, limit=limit)

@@ -229,6 +229,8 @@ def test_postures_and_lights_are_chosen_together(world, least):
     assert choice.cover.total == total
     assert choice.cover.reached == plain(choice.postures, choice.lights)
     # no other lights would show more in these postures
+    assert choice.exact
+    assert choice.settled
     places = list(product(range(3), range(3)))
     assert choice.cover.reached == max(plain(choice.postures, some) for some in places)
     # nor do two other postures beyond the bound

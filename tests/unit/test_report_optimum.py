@@ -348,6 +348,7 @@ PLANNED = {
         "left_out": [{**place(45, 0), "kind": "view", "reason": "the part leaves the image"}],
         "turns": 2,
         "every_combination_tried": True,
+        "lights_best_for_postures": True,
         "patches": {"drawn": 100, "all": 800},
         "visible_share_of_surface": 0.61,
     },
@@ -404,7 +405,8 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
     assert answer.text.endswith("With the planned exposures 94.0 %")
     (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
     assert "with these lights no 2 postures of the 12 show more than 93.1 %" in proof
-    assert "in 2 turns (every combination) on 100 of 800 patches" in proof
+    assert "in these postures no other positions of the lights show more" in proof
+    assert "in 2 turns (every combination), at first on 100 patches, then on all 800" in proof
     note, shots = sections["Exposures"]
     assert "94.0 % of the surface × defects is seen, with exposure 1 alone 90.5 %" in note.text
     assert [list(row) for row in shots.rows] == [
@@ -422,6 +424,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
 
 def test_where_one_image_is_enough_the_greedy_bound_is_told(done):
     one = {**PLANNED["chosen_postures"], "seen_in": 1, "every_combination_tried": False}
+    one["lights_best_for_postures"] = False
     draft = replace(done[1], document={**done[1].document, "chosen_postures": one})
     page = optimum_page(draft)
     table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
