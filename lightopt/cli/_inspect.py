@@ -62,7 +62,8 @@ def inspect(
         bool,
         typer.Option(
             "--truth",
-            help="Hold the result against the sets' labels: recall, false alarms, ROC, detection curve.",
+            help="Hold the result against the sets' labels, or against the defects that PART names: recall, false "
+            "alarms, ROC, detection curve.",
         ),
     ] = False,
     fail_on_defect: Annotated[
@@ -162,6 +163,7 @@ def _one(
         judge,
         provenance,
     )
+    from lightopt.scene import place_defects
 
     folder = InspectionFolder(out, provenance(rig, part, image_set, options), force=force)
     make_folder(out)
@@ -169,7 +171,10 @@ def _one(
         result = inspect_set(
             rig, part, image_set, options=options, predictions=predictions, progress=progress
         )
-    known = compare_with_truth(image_set, result) if truth else None
+    known = None
+    if truth:
+        placed = place_defects(result.nominal, rig, part)
+        known = compare_with_truth(image_set, result, known=placed)
     for posture in result.postures:
         folder.write_posture(posture)
         _overlay(folder, result, posture)

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-from lightopt.errors import InputError
+from lightopt.defects import PlacedDefect
 from lightopt.images import ImageSet
-from lightopt.inspection._inspect import InspectedPosture, Inspection
+from lightopt.inspection._inspect import Inspection
+from lightopt.inspection._labels import true_labels
 from lightopt.inspection._pod import fit_detection
 
-__all__ = ["KnownDefect", "TrueSet", "area_under_roc", "compare_with_truth", "summarise", "true_labels"]
+__all__ = ["KnownDefect", "TrueSet", "area_under_roc", "compare_with_truth", "summarise"]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -66,7 +67,7 @@ class KnownDefect:
 
 @dataclass(frozen=True, kw_only=True)
 class TrueSet:
-    """A set of images held against its labels.
+    """A set of images held against what is known to be on the part.
 
     Attributes
     ----------
@@ -80,6 +81,8 @@ class TrueSet:
         Number of them.
     areas
         Area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
+    labels
+        ``images`` or ``part file``: what said where the defects are.
     """
 
     defects: tuple[KnownDefect, ...]
@@ -87,55 +90,31 @@ class TrueSet:
     false_alarms: int
     postures: int
     areas: tuple[float, ...]
+    labels: Literal["images", "part file"] = "images"
 
 
-def true_labels(image_set: ImageSet, posture: InspectedPosture) -> NDArray[np.int32]:
-    """Index of the defect that each pixel shows, −1 for none, shape (H, W).
-
-    Raises
-    ------
-    InputError
-        The set has no labels, or labels of images of another size.
-    """
-    entries = [g for g in image_set.geometry if g.posture == posture.view.posture]
-    channels = image_set.load_geometry(entries[0]) if entries else {}
-    if "defect" not in channels or not isinstance(image_set.manifest.extra.get("defects"), list):
-        raise InputError(
-            f"{image_set.folder}: no labels of defects for posture {posture.view.posture}; expected a geometry EXR "
-            "with a channel defect and a list of defects in the manifest, as lightopt render writes for a part whose "
-            "file names defects"
-        )
-    labels = channels["defect"]
-    if labels.shape != posture.labels.shape:
-        raise InputError(
-            f"{image_set.path(entries[0].exr)}: labels of {labels.shape[1]} × {labels.shape[0]} px for images of "
-            f"{posture.labels.shape[1]} × {posture.labels.shape[0]} px"
-        )
-    return labels.astype(np.int32)
-
-
-def compare_with_truth(image_set: ImageSet, result: Inspection) -> TrueSet:
-    """Hold an inspection against the labels of its images.
+def compare_with_truth(
+    image_set: ImageSet, result: Inspection, *, known: Sequence[PlacedDefect] = ()
+) -> TrueSet:
+    """Hold an inspection against the labels of its images, or against known defects where they have none.
 
     Parameters
     ----------
-    image_set
-        With labels.
-    result
-        Of its inspection.
+    image_set, result, known
+        As :func:`lightopt.inspection._labels.true_labels` takes them.
 
     Raises
     ------
     InputError
-        No labels.
+        Neither labels nor defects.
     """
-    labels = [true_labels(image_set, posture) for posture in result.postures]
-    listed: Sequence[Mapping[str, Any]] = image_set.manifest.extra["defects"]
+    labels = true_labels(image_set, result, known=known)
+    listed = labels.listed
     pixels = np.zeros(len(listed), np.intp)
     found = np.zeros(len(listed), np.bool_)
     false_alarms = 0
     areas: list[float] = []
-    for posture, truth in zip(result.postures, labels, strict=True):
+    for posture, truth in zip(result.postures, labels.of_posture, strict=True):
         clean = posture.view.clean
         mine = np.bincount(truth[clean & (truth >= 0)], minlength=len(listed))
         pixels = np.maximum(pixels, mine[: len(listed)])
@@ -160,6 +139,7 @@ def compare_with_truth(image_set: ImageSet, result: Inspection) -> TrueSet:
         false_alarms=false_alarms,
         postures=len(result.postures),
         areas=tuple(areas),
+        labels=labels.source,
     )
 
 
@@ -212,6 +192,7 @@ def summarise(sets: Sequence[TrueSet]) -> dict[str, Any]:
     return {
         "defects": len(defects),
         "found": sum(d.found for d in defects),
+        "labels": sorted({one.labels for one in sets}),
         "hidden": [name for one in sets for name in one.hidden],
         "false_alarms_per_posture": round(sum(one.false_alarms for one in sets) / max(postures, 1), 4),
         "roc_auc": round(float(np.mean(areas)), 5) if areas else None,

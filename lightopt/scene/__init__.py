@@ -12,7 +12,7 @@ from lightopt.scene._camera import (
     place_camera,
     project,
 )
-from lightopt.scene._defects import SNAP_MM, build_catalogue, defect_facts
+from lightopt.scene._defects import SNAP_MM, build_catalogue, defect_facts, place_defects
 from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
 from lightopt.scene._part_size import UnitGuess, guess_unit, is_absurd, view_size
@@ -60,6 +60,7 @@ __all__ = [
     "pixel_directions",
     "pixel_footprint",
     "place_camera",
+    "place_defects",
     "place_light",
     "point_spacing",
     "points_advice",

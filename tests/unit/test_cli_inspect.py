@@ -207,7 +207,7 @@ def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
 def test_labels_are_asked_for_where_there_are_none(cli, bench, parts):
     ran = inspect(cli, bench, parts["good"], "--fusion", "none", "--truth")
     assert ran.status == 2
-    assert "no labels of defects for posture" in ran.err
+    assert "nothing is known of defects on this part" in ran.err
 
 
 def test_a_flood_of_regions_is_refused_as_another_part(cli, bench, parts, monkeypatch):

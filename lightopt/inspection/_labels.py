@@ -1,0 +1,111 @@
+"""Which pixels show which known defect: by the labels of rendered sets, or cast from the defects of a part file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.align import Placement
+from lightopt.defects import PlacedDefect, mark_surface
+from lightopt.errors import InputError
+from lightopt.images import ImageSet
+from lightopt.inspection._inspect import InspectedPosture, Inspection
+from lightopt.inspection._measure import to_file
+from lightopt.scene import defect_facts
+
+__all__ = ["TrueLabels", "true_labels"]
+
+Int32 = NDArray[np.int32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueLabels:
+    """What is known to be on the part that a set of images shows.
+
+    Attributes
+    ----------
+    listed
+        One entry per defect, as :func:`lightopt.scene.defect_facts` has it.
+    of_posture
+        Per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H, W).
+    source
+        ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was found.
+    """
+
+    listed: tuple[Mapping[str, Any], ...]
+    of_posture: tuple[Int32, ...]
+    source: Literal["images", "part file"]
+
+
+def true_labels(image_set: ImageSet, result: Inspection, *, known: Sequence[PlacedDefect] = ()) -> TrueLabels:
+    """The labels of a set; of one without labels those of known defects where the inspection found the part.
+
+    Parameters
+    ----------
+    image_set
+        The images.
+    result
+        Of their inspection.
+    known
+        Defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`).
+
+    Raises
+    ------
+    InputError
+        The set has no labels and no defects are known, or its labels are those of images of another size.
+    """
+    listed = image_set.manifest.extra.get("defects")
+    if isinstance(listed, list):
+        arrays = tuple(_stored(image_set, posture) for posture in result.postures)
+        return TrueLabels(listed=tuple(listed), of_posture=arrays, source="images")
+    if not known:
+        raise InputError(
+            f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
+            "render writes them for a part whose file names defects, and PART names no defects either; give the part "
+            "file whose defects: are those of the part in the images"
+        )
+    return TrueLabels(
+        listed=tuple(defect_facts(known, result.nominal.placement)),
+        of_posture=tuple(_cast(posture, result, known) for posture in result.postures),
+        source="part file",
+    )
+
+
+def _stored(image_set: ImageSet, posture: InspectedPosture) -> Int32:
+    entries = [g for g in image_set.geometry if g.posture == posture.view.posture]
+    channels = image_set.load_geometry(entries[0]) if entries else {}
+    if "defect" not in channels:
+        raise InputError(
+            f"{image_set.folder}: no labels of defects for posture {posture.view.posture}, though the manifest lists "
+            "defects; expected a geometry EXR with a channel defect; render the set anew"
+        )
+    labels = channels["defect"]
+    if labels.shape != posture.labels.shape:
+        raise InputError(
+            f"{image_set.path(entries[0].exr)}: labels of {labels.shape[1]} × {labels.shape[0]} px for images of "
+            f"{posture.labels.shape[1]} × {posture.labels.shape[0]} px"
+        )
+    return labels.astype(np.int32)
+
+
+def _cast(posture: InspectedPosture, result: Inspection, known: Sequence[PlacedDefect]) -> Int32:
+    # what the prediction's rays met, taken back to where the part's file has it
+    geometry, nominal = posture.view.prediction.images.geometry, result.nominal
+    placement, file = result.placement or Placement(), nominal.placement
+    row, column = np.nonzero(geometry.hit)
+
+    def in_file(vectors: NDArray[np.float32], *, direction: bool) -> NDArray[np.float64]:
+        own = vectors[row, column].astype(np.float64)
+        return to_file(own, nominal, placement, posture.view.posture, direction=direction)
+
+    points = in_file(geometry.points, direction=False) @ file.rotation.T + file.translation
+    normals = in_file(geometry.normals, direction=True) @ file.rotation.T
+    labels = np.full(geometry.hit.shape, -1, np.int32)
+    marks = mark_surface(known, points, normals)
+    if marks is not None:
+        labels[row[marks.index], column[marks.index]] = marks.label
+    return labels

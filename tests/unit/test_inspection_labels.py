@@ -1,0 +1,104 @@
+"""Truth of images without labels: cast from the defects that the part's file names, where the part was found."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lightopt import load_part, load_rig
+from lightopt.images import ImageSet, read_image_set
+from lightopt.inspection import InspectOptions, inspect_set
+from lightopt.inspection._labels import true_labels
+from lightopt.rendering import RenderOptions, render_image_set
+from lightopt.scene import place_defects
+
+FLAT = "posture: {elevation_deg: 0, rotation_deg: 0}"
+DEFECTS = f"""\
+defects:
+  - {{name: stain, kind: stain, at_pixel: {{{FLAT}, pixel: [58, 60]}}, size_mm: 3.5, R_d_factor: 0.6}}
+  - {{name: dent, kind: dent, at_pixel: {{{FLAT}, pixel: [92, 72]}}, size_mm: 5, slope_deg: 12}}
+"""
+QUICK = InspectOptions(fusion=None, threads=2)
+
+
+def unlabelled(image_set):
+    extra = {key: value for key, value in image_set.manifest.extra.items() if key != "defects"}
+    return ImageSet(image_set.folder, replace(image_set.manifest, extra=extra))
+
+
+def both(bench, folder, *, rendered, shift):
+    """Labels that a set was rendered with, and those cast from the part's file."""
+    rig, part = load_rig(bench.rig), load_part(bench.part)
+    render_image_set(rig, load_part(rendered), folder, options=RenderOptions(noise=3, patch_budget=500))
+    image_set = read_image_set(folder)
+    result = inspect_set(rig, part, image_set, options=replace(QUICK, shift=shift))
+    known = place_defects(result.nominal, rig, part)
+    stored = true_labels(image_set, result, known=known)
+    cast = true_labels(unlabelled(image_set), result, known=known)
+    assert (stored.source, cast.source) == ("images", "part file")
+    assert [one["name"] for one in cast.listed] == [one["name"] for one in stored.listed]
+    assert [one["position_mm"] for one in cast.listed] == [one["position_mm"] for one in stored.listed]
+    return stored.of_posture, cast.of_posture
+
+
+def test_cast_labels_are_those_of_the_renderer_in_every_posture(bench, tmp_path):
+    bench.part.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
+    stored, cast = both(bench, tmp_path / "images", rendered=bench.part, shift=False)
+    assert len(cast) == 2
+    for one, other in zip(stored, cast, strict=True):
+        assert set(np.unique(one)) == {-1, 0, 1}
+        assert (one != other).sum() == 0
+
+
+@pytest.mark.slow
+def test_cast_labels_lie_where_the_part_was_found(bench, tmp_path):
+    bench.part.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
+    text = bench.part.read_text(encoding="utf-8").replace("at_pixel", "at_mm")
+    listed = place_defects_of(bench)
+    for (x, y, z), pixel in zip(listed, ("[58, 60]", "[92, 72]"), strict=True):
+        text = text.replace(f"at_mm: {{{FLAT}, pixel: {pixel}}}", f"at_mm: [{x}, {y}, {z}]")
+    bench.part.write_text(text, encoding="utf-8")
+    moved = bench.part.with_name("moved.yaml")
+    nominal = "translate_mm: [0, 0, 0]"
+    assert nominal in text
+    turned = "translate_mm: [1.5, -0.8, 0], rotate_deg: [0, 0, 2]"
+    moved.write_text(text.replace(nominal, turned), encoding="utf-8")
+    stored, cast = both(bench, tmp_path / "images", rendered=moved, shift=True)
+    for one, other in zip(stored, cast, strict=True):
+        size = (one >= 0).sum()
+        assert size > 60
+        assert (one != other).sum() < 0.1 * size
+
+
+def place_defects_of(bench):
+    """Centres of the part's defects in the mesh file's coordinates."""
+    from lightopt import build_scene
+
+    rig, part = load_rig(bench.rig), load_part(bench.part)
+    scene = build_scene(rig, part)
+    return [[round(float(x), 4) for x in scene.placement.to_file(d.position)] for d in scene.defects]
+
+
+def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, request):
+    good = bench.part.read_text(encoding="utf-8")
+    bench.part.write_text(good + DEFECTS, encoding="utf-8")
+    request.getfixturevalue("take")(bench.folder / "captured")
+    options = ("--no-shift", "--fusion", "none", "--truth")
+    ran = cli(
+        "inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "found", *options
+    )
+    assert ran.status == 0, ran.err
+    assert "2 of 2 defects found" in ran.out
+    told = json.loads((bench.folder / "found" / "truth.json").read_text(encoding="utf-8"))
+    assert told["labels"] == ["part file"]
+    assert (told["found"], told["hidden"], told["false_alarms_per_posture"]) == (2, [], 0)
+
+    bench.part.write_text(good, encoding="utf-8")
+    ran = cli(
+        "inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "none", *options
+    )
+    assert ran.status == 2
+    assert "nothing is known of defects on this part" in ran.err
