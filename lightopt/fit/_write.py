@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ from lightopt.align import PlacementInFile
 from lightopt.config import PartConfig, RigConfig, Source, relocated, with_values
 from lightopt.errors import InputError
 from lightopt.fit._result import FitResult
-from lightopt.images import ImageSet, file_sha256, make_folder, write_text_atomic
+from lightopt.images import ImageSet, ResultFolder, file_sha256
 
 __all__ = ["FIT_NAME", "PART_NAME", "RIG_NAME", "FitFolder", "provenance"]
 
@@ -44,8 +42,8 @@ def provenance(
     }
 
 
-class FitFolder:
-    """A folder that a fit is written to; what an earlier fit left there goes before the first file of the new one.
+class FitFolder(ResultFolder):
+    """A folder that a fit is written to.
 
     Parameters
     ----------
@@ -63,27 +61,15 @@ class FitFolder:
     """
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-        self.folder = folder
-        self._made_from = made_from
-        self._files: list[str] = []
-        old = _earlier(folder)
-        there = [name for name in (FIT_NAME, PART_NAME, RIG_NAME) if (folder / name).exists()]
-        same = old is not None and old.get("provenance") == json.loads(json.dumps(made_from))
-        if there and not same and not force:
-            raise InputError(
-                f"{folder} already has {', '.join(there)} of a fit with other inputs or options; use --force to "
-                "replace them, or choose another folder"
-            )
-
-    def place(self, name: str) -> Path:
-        """Where to write a file of the fit, by its name relative to the folder; its own folder is made."""
-        if not self._files:
-            self._remove_earlier()
-        if name not in self._files:
-            self._files.append(name)
-        path = self.folder / name
-        make_folder(path.parent)
-        return path
+        super().__init__(
+            folder,
+            made_from,
+            name=FIT_NAME,
+            format="lightopt-fit/1",
+            what="a fit",
+            also=(PART_NAME, RIG_NAME),
+            force=force,
+        )
 
     def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
         """Write the part, where gains or the dark level were freed the rig, and at last ``fit.json``.
@@ -96,38 +82,8 @@ class FitFolder:
         texts = {PART_NAME: _part_text(self.folder, result, part)}
         if result.gains is not None or result.dark is not None:
             texts[RIG_NAME] = _rig_text(self.folder, result, rig)
-        for name, text in texts.items():
-            write_text_atomic(self.place(name), text)
-        content = {
-            "format": "lightopt-fit/1",
-            **result.as_dict(),
-            "files": sorted(self._files),
-            "provenance": dict(self._made_from),
-        }
-        path = self.place(FIT_NAME)
-        write_text_atomic(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-        return [self.folder / name for name in (FIT_NAME, *texts)]
-
-    def _remove_earlier(self) -> None:
-        # fit.json first: while it is there, the files that it lists are its own
-        listed = (_earlier(self.folder) or {}).get("files", [])
-        names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
-        with suppress(FileNotFoundError):
-            (self.folder / FIT_NAME).unlink()
-        for name in {*names, PART_NAME, RIG_NAME}:
-            with suppress(OSError, ValueError):  # a name that no file can have
-                path = (self.folder / name).resolve()
-                if path.is_relative_to(self.folder.resolve()):
-                    path.unlink()
-
-
-def _earlier(folder: Path) -> dict[str, Any] | None:
-    try:
-        found = json.loads((folder / FIT_NAME).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    right = isinstance(found, dict) and str(found.get("format", "")).startswith("lightopt-fit/")
-    return found if right else None
+        written = [self.write_text(name, text) for name, text in texts.items()]
+        return [self.finish(result.as_dict()), *written]
 
 
 def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:

@@ -22,6 +22,7 @@ from lightopt.images._names import dark_name, exr_name, geometry_name, png_name,
 from lightopt.images._parse import parse_manifest, read_manifest
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, LoadedImage, read_image_set
+from lightopt.images._result_folder import ResultFolder
 from lightopt.images._resume import remove_file, remove_image_set, resumable_manifest
 from lightopt.images._writer import ImageSetWriter
 from lightopt.transforms import Posture
@@ -37,6 +38,7 @@ __all__ = [
     "LoadedImage",
     "Manifest",
     "Posture",
+    "ResultFolder",
     "SourceFile",
     "dark_name",
     "exr_name",

@@ -23,6 +23,7 @@ from lightopt.inspection._score import SCALES_PX, score_deviations, threshold
 from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
 from lightopt.inspection._template import TEMPLATES, score_templates
 from lightopt.inspection._view import PostureView, Prediction, posture_view, predict
+from lightopt.raycast import RayCaster
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 from lightopt.transforms import Posture
@@ -131,11 +132,14 @@ class Predictions:
         With it there.
     by_posture
         What was rendered, by posture and lights.
+    caster
+        Of the part in that place, one for all postures.
     """
 
     placement: Placement | None = None
     scene: Scene | None = None
     by_posture: dict[tuple[Posture, tuple[str, ...]], Prediction] = field(default_factory=dict)
+    caster: RayCaster | None = None
 
     def moved_to(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
         """The scene and place to predict with: the part lies where the one before lay, if that is the same place.
@@ -146,6 +150,7 @@ class Predictions:
             return replace(self.scene, postures=scene.postures, lights=scene.lights), self.placement
         self.placement, self.scene = placement, scene
         self.by_posture.clear()
+        self.caster = None
         return scene, placement
 
 
@@ -220,8 +225,10 @@ def _prediction(
     lights = tuple(light.name for light in scene.lights if any(o.light == light.name for o in observations))
     key = posture, lights
     if key not in predictions.by_posture:
-        caster = cast_rays_at(scene)
-        predictions.by_posture[key] = predict(scene, posture, caster, lights=lights, threads=options.threads)
+        predictions.caster = predictions.caster or cast_rays_at(scene)
+        predictions.by_posture[key] = predict(
+            scene, posture, predictions.caster, lights=lights, threads=options.threads
+        )
     return predictions.by_posture[key]
 
 

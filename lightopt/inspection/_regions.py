@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["find_regions"]
+__all__ = ["find_regions", "pixels_of"]
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -48,3 +50,18 @@ def find_regions(score: Float32, high: float) -> tuple[NDArray[np.int32], int]:
     number = np.zeros(count + 1, np.int32)
     number[kept] = np.arange(1, len(kept) + 1, dtype=np.int32)
     return number[near], len(kept)
+
+
+def pixels_of(labels: NDArray[np.int32], count: int) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Rows and columns of each region's pixels, the first region first; looks at the image once.
+
+    Parameters
+    ----------
+    labels, count
+        From :func:`find_regions`.
+    """
+    row, column = np.nonzero(labels)
+    number = labels[row, column]
+    order = np.argsort(number, kind="stable")
+    ends = np.searchsorted(number[order], np.arange(1, count + 2))
+    return [(row[order[a:b]], column[order[a:b]]) for a, b in pairwise(ends)]

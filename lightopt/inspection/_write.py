@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Mapping
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,19 +14,18 @@ import numpy as np
 from lightopt import __version__
 from lightopt.align import Placement
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
 from lightopt.images import (
     ImageSet,
+    ResultFolder,
     file_sha256,
-    make_folder,
     posture_folder,
     write_exr,
     write_png,
-    write_text_atomic,
 )
 from lightopt.inspection._inspect import InspectedPosture, Inspection
 from lightopt.inspection._measure import to_file
 from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._regions import pixels_of
 
 __all__ = ["DEFECTS_NAME", "InspectionFolder", "provenance"]
 
@@ -60,10 +57,8 @@ def provenance(
     }
 
 
-class InspectionFolder:
+class InspectionFolder(ResultFolder):
     """A folder that an inspection is written to.
-
-    What an earlier inspection left there goes before the first file of the new one.
 
     Parameters
     ----------
@@ -81,26 +76,9 @@ class InspectionFolder:
     """
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-        self.folder = folder
-        self._made_from = json.loads(json.dumps(made_from))
-        self._files: list[str] = []
-        old = self._earlier()
-        same = old is not None and old.get("provenance") == self._made_from
-        if (folder / DEFECTS_NAME).exists() and not same and not force:
-            raise InputError(
-                f"{folder} already has {DEFECTS_NAME} of an inspection of other images or with other options; use "
-                "--force to replace it, or choose another folder"
-            )
-
-    def place(self, name: str) -> Path:
-        """Where to write a file of the inspection, by its name relative to the folder; its own folder is made."""
-        if not self._files:
-            self._remove_earlier()
-        if name not in self._files:
-            self._files.append(name)
-        path = self.folder / name
-        make_folder(path.parent)
-        return path
+        super().__init__(
+            folder, made_from, name=DEFECTS_NAME, format=FORMAT, what="an inspection", force=force
+        )
 
     def write_posture(self, posture: InspectedPosture) -> None:
         """Write the synthetic image of a posture as EXR and PNG, and its scores as EXR."""
@@ -135,37 +113,11 @@ class InspectionFolder:
         more
             Further keys of ``defects.json``.
         """
-        write_text_atomic(self.place("defects.csv"), _table(result))
-        write_text_atomic(self.place("defects.ply"), _points(result))
-        content = {
-            "format": FORMAT,
-            **result.as_dict(),
-            **more,
-            "files": sorted(self._files),
-            "provenance": self._made_from,
-        }
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        write_text_atomic(self.place(DEFECTS_NAME), text)
-        return [self.folder / name for name in (DEFECTS_NAME, "defects.csv", "defects.ply")]
-
-    def _earlier(self) -> dict[str, Any] | None:
-        try:
-            found = json.loads((self.folder / DEFECTS_NAME).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return found if isinstance(found, dict) and found.get("format") == FORMAT else None
-
-    def _remove_earlier(self) -> None:
-        # defects.json first: while it is there, the files that it lists are its own
-        listed = (self._earlier() or {}).get("files", [])
-        names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
-        with suppress(FileNotFoundError):
-            (self.folder / DEFECTS_NAME).unlink()
-        for name in names:
-            with suppress(OSError, ValueError):  # a name that no file can have
-                path = (self.folder / name).resolve()
-                if path.is_relative_to(self.folder.resolve()):
-                    path.unlink()
+        written = [
+            self.write_text("defects.csv", _table(result)),
+            self.write_text("defects.ply", _points(result)),
+        ]
+        return [self.finish({**result.as_dict(), **more}), *written]
 
 
 def _table(result: Inspection) -> str:
@@ -195,13 +147,13 @@ def _points(result: Inspection) -> str:
     # surface points of all sightings in the mesh file's coordinates, coloured by kind
     colours = {"shape": SHAPE_RGB, "stain": STAIN_RGB, "unknown": UNKNOWN_RGB}
     placement = result.placement or Placement()
+    regions = {p.view.posture: pixels_of(p.labels, len(p.sightings)) for p in result.postures}
     lines: list[str] = []
     for defect in result.defects:
         red, green, blue = colours[defect.best.kind]
         for sighting in defect.sightings:
             posture = next(p for p in result.postures if p.view.posture == sighting.posture)
-            region = posture.sightings.index(sighting) + 1
-            row, column = np.nonzero(posture.labels == region)
+            row, column = regions[posture.view.posture][posture.sightings.index(sighting)]
             world = posture.view.prediction.images.geometry.points[row, column].astype(np.float64)
             for x, y, z in to_file(world, result.nominal, placement, sighting.posture):
                 lines.append(f"{x:.4f} {y:.4f} {z:.4f} {red} {green} {blue} {defect.number}")

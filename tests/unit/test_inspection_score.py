@@ -188,3 +188,12 @@ def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_
     turned = placed.normals[::50] @ view.rotation.T
     expected = scene.mesh.normals[::50] @ scene.placement.rotation
     assert np.allclose(to_file(turned, scene, placement, posture, direction=True), expected, atol=1e-4)
+
+
+def test_the_pixels_of_regions_are_those_of_their_numbers():
+    from lightopt.inspection._regions import pixels_of
+
+    labels = np.array([[0, 2, 2], [3, 0, 2], [1, 3, 0]], np.int32)
+    for number, (row, column) in enumerate(pixels_of(labels, 3), start=1):
+        assert np.array_equal(np.stack([row, column]), np.stack(np.nonzero(labels == number)))
+    assert pixels_of(np.zeros((2, 2), np.int32), 0) == []

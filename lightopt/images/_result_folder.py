@@ -1,0 +1,113 @@
+"""A folder of a result's files, beside a JSON file that lists them and says what they were made from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from lightopt.errors import InputError
+from lightopt.images._atomic import write_text_atomic
+from lightopt.images._folders import make_folder
+
+__all__ = ["ResultFolder"]
+
+
+class ResultFolder:
+    """A folder that a result is written to; what an earlier one left there goes before the first file of the new one.
+
+    Parameters
+    ----------
+    folder
+        Made with the first file where it does not exist.
+    made_from
+        Versions, hashes of the inputs, options: kept under ``provenance`` of the JSON file.
+    name
+        Of the JSON file.
+    format
+        Its format, such as ``lightopt-fit/1``; an earlier file may be of another version of it.
+    what
+        The result in words, for messages: ``a fit``.
+    also
+        Names of further files that are a result of this kind whoever lists them.
+    force
+        Whether files of a result of other inputs are replaced.
+
+    Raises
+    ------
+    InputError
+        The folder holds a result of other inputs, and `force` is False.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        made_from: Mapping[str, Any],
+        *,
+        name: str,
+        format: str,  # noqa: A002 - the key's name in the file
+        what: str,
+        also: Sequence[str] = (),
+        force: bool,
+    ) -> None:
+        self.folder = folder
+        self._made_from = json.loads(json.dumps(made_from))
+        self._name, self._format, self._also = name, format, tuple(also)
+        self._files: list[str] = []
+        old = self._earlier()
+        there = [one for one in (name, *also) if (folder / one).exists()]
+        if there and not force and (old is None or old.get("provenance") != self._made_from):
+            raise InputError(
+                f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options; use --force "
+                "to replace it, or choose another folder"
+            )
+
+    def place(self, name: str) -> Path:
+        """Where to write a file of the result, by its name relative to the folder; its own folder is made."""
+        if not self._files:
+            self._remove_earlier()
+        if name not in self._files:
+            self._files.append(name)
+        path = self.folder / name
+        make_folder(path.parent)
+        return path
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a text file of the result, whole or not at all."""
+        path = self.place(name)
+        write_text_atomic(path, text)
+        return path
+
+    def finish(self, content: Mapping[str, Any]) -> Path:
+        """Write the JSON file, which makes the result whole: its format, `content`, the other files, provenance."""
+        whole = {
+            "format": self._format,
+            **content,
+            "files": sorted(self._files),
+            "provenance": self._made_from,
+        }
+        text = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return self.write_text(self._name, text)
+
+    def _earlier(self) -> dict[str, Any] | None:
+        try:
+            found = json.loads((self.folder / self._name).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        kind = self._format.rpartition("/")[0] + "/"
+        right = isinstance(found, dict) and str(found.get("format", "")).startswith(kind)
+        return found if right else None
+
+    def _remove_earlier(self) -> None:
+        # the JSON file first: while it is there, the files that it lists are its own
+        listed = (self._earlier() or {}).get("files", [])
+        names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
+        with suppress(FileNotFoundError):
+            (self.folder / self._name).unlink()
+        for name in {*names, *self._also}:
+            with suppress(OSError, ValueError):  # a name that no file can have
+                path = (self.folder / name).resolve()
+                if path.is_relative_to(self.folder.resolve()):
+                    path.unlink()
