@@ -416,6 +416,7 @@ def _matrix_facts(
         looked_for = {
             "defects": [asdict(trial) for trial in inspection.trials],
             "noise": asdict(inspection.contrast),
+            "defects narrower than a pixel": "F (D - M) + A M in two pixels",
         }
     return {
         **looked_for,

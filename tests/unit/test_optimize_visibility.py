@@ -68,8 +68,9 @@ def test_built_in_catalogue_unrolls_to_walls_all_around_and_each_entry_weighs_th
         ((), 8, "at least one kind of defect"),
         ((dent(0.0),), 8, "slope above 0° up to 60°, found 0°"),
         ((dent(61.0),), 8, "slope above 0° up to 60°, found 61°"),
-        ((dent(3.0),), 7, "expected 8 or more, found 7"),
-        ((dent(3.0),), 1025, "are 1025 trials, more than 1024"),
+        ((dent(3.0),), 7, "expected an even number, 8 or more, found 7"),
+        ((dent(3.0),), 9, "expected an even number, 8 or more, found 9"),
+        ((dent(3.0),), 1026, "are 1026 trials, more than 1024"),
     ],
 )
 def test_what_cannot_be_planned_for_is_refused(catalogue, directions, found):
