@@ -6,9 +6,17 @@ of each light; the objectives are integers, so that sums are exact in any order 
 
 from lightopt.optimize._appendix import APPENDED_NAMES, Appendix, Appraise, Outcome
 from lightopt.optimize._bit_runs import flags_of
-from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
+from lightopt.optimize._blind import (
+    Blind,
+    BlindSpots,
+    Shown,
+    blind_spots,
+    blind_text,
+    shown_by,
+    shown_together,
+)
 from lightopt.optimize._blind_files import patch_colours
-from lightopt.optimize._blind_report import BlindReport
+from lightopt.optimize._blind_report import BlindReport, Looked
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, GRAZING_COSINE, Contrast
 from lightopt.optimize._curves import Curve
@@ -29,7 +37,7 @@ from lightopt.optimize._run import Optimum, optimize
 from lightopt.optimize._search import DEFAULT_LIMIT, Found, search
 from lightopt.optimize._space import Space
 from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
-from lightopt.optimize._visibility import Visibility, add_image, trial_planes
+from lightopt.optimize._visibility import Visibility, add_image, added, trial_planes
 from lightopt.optimize._words import gap_text, looked_text, score_text, ties_text
 
 __all__ = [
@@ -57,6 +65,7 @@ __all__ = [
     "Inspection",
     "LeftOut",
     "Levels",
+    "Looked",
     "LuminanceMatrix",
     "Objective",
     "OptimizeOptions",
@@ -64,14 +73,15 @@ __all__ = [
     "Outcome",
     "Ranked",
     "SetResult",
+    "Shown",
     "Space",
     "Thresholds",
     "Trial",
     "Visibility",
     "add_image",
+    "added",
     "angles_of",
     "area_units",
-    "blind_codes",
     "blind_spots",
     "blind_text",
     "check_options",
@@ -88,6 +98,8 @@ __all__ = [
     "refuse_other_result",
     "score_text",
     "search",
+    "shown_by",
+    "shown_together",
     "ties_text",
     "trial_planes",
     "unroll",

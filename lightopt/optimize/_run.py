@@ -227,7 +227,7 @@ def optimize(
     blind = None
     if defects is not None:
         patches = makers.patches().patches
-        blind = BlindReport.of(looked, patches.areas, defects, candidates.names)
+        blind = BlindReport.of(appendix.looked or looked, patches.areas, defects, candidates.names)
         appendix = Appendix(
             sections={"blind_spots": blind.as_dict(), **appendix.sections},
             files={

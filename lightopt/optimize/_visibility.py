@@ -19,7 +19,7 @@ from lightopt.kernels import kernel
 from lightopt.optimize._packed import Words, word_weight
 from lightopt.optimize._trials import Trial
 
-__all__ = ["Visibility", "add_image", "taken_rows", "trial_planes", "weighted_bits"]
+__all__ = ["Visibility", "add_image", "added", "taken_rows", "trial_planes", "weighted_bits"]
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -140,6 +140,18 @@ def add_image(counters: Words, image: Words) -> None:
         both = row & carry
         row |= carry
         carry = both
+
+
+def added(one: Words, other: Words) -> Words:
+    """The sum of two counts of images as :func:`add_image` makes them, up to k; shape (k, p, w).
+
+    (a + b ≥ l) = (a ≥ l) or (b ≥ l) or (a ≥ 1 and b ≥ l − 1) or … or (a ≥ l − 1 and b ≥ 1).
+    """
+    total = one | other
+    for level in range(1, len(one)):
+        for low in range(level):
+            total[level] |= one[low] & other[level - 1 - low]
+    return total
 
 
 def trial_planes(trials: Sequence[Trial]) -> tuple[Words, Int64]:
