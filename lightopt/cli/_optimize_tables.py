@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lightopt.cli._terminal import say, show_table
+from lightopt.errors import counted
 
 if TYPE_CHECKING:
     from lightopt.optimize import Answer, BlindReport, Optimum, SetResult
@@ -107,8 +108,9 @@ def show_blind_spots(blind: BlindReport) -> None:
     ]
     header = ["posture", "lights", "seen", *(blind_text(code, blind.lights) for code in codes)]
     show_table(header, rows, numbers_from=2)
-    images = f"{blind.objective.seen_in} image" + ("s" if blind.objective.seen_in > 1 else "")
-    say(f"shares of the part's whole surface × defects, seen in {images} of a posture or more")
+    images = counted(blind.objective.seen_in, "image")
+    own = "; a posture's own images in its row, those of all postures in all" if len(parts) > 1 else ""
+    say(f"shares of the part's whole surface × defects, seen in {images} or more{own}")
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:

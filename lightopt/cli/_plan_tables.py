@@ -45,6 +45,11 @@ def _show_postures(chosen: ChosenPostures) -> None:
         f"{number} of {chosen.offered} show {percent(cover.share)} of the surface × defects in {images} or more, all "
         "postures together"
     )
+    if len(chosen.exposures) > 1:
+        levels = ", ".join(f"{exposure:.9g}" for exposure in chosen.exposures)
+        say(
+            f"an image shows what it shows with one of the exposures {levels}; which of them are planned, below"
+        )
     if cover.k > 1:
         say(
             f"adds: images new to a pair of patch and defect, up to {cover.k} of each; together: pairs with {cover.k} "

@@ -6,6 +6,7 @@ move nothing: neither points nor silhouettes nor shadows.
 
 from lightopt.defects._catalogue import BUILT_IN_CATALOGUE, CatalogueEntry
 from lightopt.defects._mark import Marks, mark_surface
+from lightopt.defects._pixel import PIXEL_RATIOS, grid_shares, pixel_shares
 from lightopt.defects._placed import (
     LEAST_NORMAL_COSINE,
     STEEPEST_DEPARTURE,
@@ -30,6 +31,7 @@ __all__ = [
     "DEFECT_KINDS",
     "LEAST_NORMAL_COSINE",
     "MAX_SLOPE",
+    "PIXEL_RATIOS",
     "SHAPE_KINDS",
     "STEEPEST_DEPARTURE",
     "CatalogueEntry",
@@ -38,9 +40,11 @@ __all__ = [
     "Marks",
     "PlacedDefect",
     "depth_of_slope",
+    "grid_shares",
     "height",
     "height_gradient",
     "mark_surface",
+    "pixel_shares",
     "radial_place",
     "slope_of_depth",
     "surface_coordinates",

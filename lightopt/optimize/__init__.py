@@ -6,9 +6,17 @@ of each light; the objectives are integers, so that sums are exact in any order 
 
 from lightopt.optimize._appendix import APPENDED_NAMES, Appendix, Appraise, Outcome
 from lightopt.optimize._bit_runs import flags_of
-from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
+from lightopt.optimize._blind import (
+    Blind,
+    BlindSpots,
+    Shown,
+    blind_spots,
+    blind_text,
+    shown_by,
+    shown_together,
+)
 from lightopt.optimize._blind_files import patch_colours
-from lightopt.optimize._blind_report import BlindReport
+from lightopt.optimize._blind_report import BlindReport, Looked
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, GRAZING_COSINE, Contrast
 from lightopt.optimize._count_runs import at_least, count_run_sums, up_to
@@ -22,7 +30,7 @@ from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Th
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions, check_options
-from lightopt.optimize._packed import add_image, word_weight
+from lightopt.optimize._packed import add_image, added, word_weight
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._result import Answer, SetResult, angles_of
 from lightopt.optimize._rig_text import degrees_text
@@ -59,6 +67,7 @@ __all__ = [
     "Inspection",
     "LeftOut",
     "Levels",
+    "Looked",
     "LuminanceMatrix",
     "Objective",
     "OptimizeOptions",
@@ -66,16 +75,17 @@ __all__ = [
     "Outcome",
     "Ranked",
     "SetResult",
+    "Shown",
     "Space",
     "Thresholds",
     "Trial",
     "Visibility",
     "add_image",
+    "added",
     "allowed_mask",
     "angles_of",
     "area_units",
     "at_least",
-    "blind_codes",
     "blind_spots",
     "blind_text",
     "check_options",
@@ -93,6 +103,8 @@ __all__ = [
     "refuse_other_result",
     "score_text",
     "search",
+    "shown_by",
+    "shown_together",
     "taken_rows",
     "ties_text",
     "trial_planes",

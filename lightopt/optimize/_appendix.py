@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize._blind_files import BLIND_NAMES
+from lightopt.optimize._blind_report import Looked
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._matrix import Thresholds
 from lightopt.optimize._result import SetResult
@@ -62,10 +63,13 @@ class Appendix:
     files
         Further files by path inside the folder: text, bytes, or a picture of shape (height, width, 3); the name is one
         of :data:`APPENDED_NAMES`.
+    looked
+        What the images of each posture show, where that is more than those of the outcome do; empty otherwise.
     """
 
     sections: Mapping[str, Any] = field(default_factory=_nothing)
     files: Mapping[str, str | bytes | NDArray[np.uint8]] = field(default_factory=_nothing)
+    looked: tuple[Looked, ...] = ()
 
 
 Appraise = Callable[[Outcome], Appendix]

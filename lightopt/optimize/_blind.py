@@ -1,6 +1,8 @@
 """Blind spots: where defects stay invisible under a set of light positions, and why.
 
-A patch whose trials are not all seen gets the reason that stands between it and the images that it lacks:
+A trial is seen where as many images as are wanted show it, whichever postures they are of; what several exposures of a
+light show is one image's. A patch whose trials are not all seen gets the reason that stands between it and the images
+that it lacks:
 
 ============  ==========================================================================================
 camera        the camera sees the patch in no posture
@@ -21,11 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize._contrast import GRAZING_COSINE
-from lightopt.optimize._matrix import Levels, Thresholds
-from lightopt.optimize._packed import Words
+from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
+from lightopt.optimize._packed import Words, add_image, added
 from lightopt.optimize._visibility import Visibility
 
-__all__ = ["Blind", "BlindSpots", "blind_codes", "blind_spots", "blind_text"]
+__all__ = [
+    "Blind",
+    "BlindSpots",
+    "Shown",
+    "blind_spots",
+    "blind_text",
+    "shown_by",
+    "shown_together",
+]
 
 
 class Blind(IntEnum):
@@ -90,89 +100,136 @@ def blind_text(code: int, lights: Sequence[str]) -> str:
     }[Blind(code)]
 
 
-def blind_codes(
-    visibility: Visibility,
-    levels: Sequence[Levels],
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shown:
+    """What the images of a posture show of the patches that the camera sees there.
+
+    Attributes
+    ----------
+    visibility
+        The patches; without positions of lights.
+    counts
+        Flag l of a trial says that l + 1 images or more show it, shape (k, p, ⌈t / 64⌉).
+    usable
+        Images with a level that is neither dark nor saturated, shape (p,).
+    saturated
+        Images with a saturated level and no usable one, shape (p,).
+    first
+        The first light whose image is one of these; −1 where none is; shape (p,).
+    """
+
+    visibility: Visibility
+    counts: Words
+    usable: NDArray[np.int32]
+    saturated: NDArray[np.int32]
+    first: NDArray[np.int16]
+
+
+def shown_by(
+    matrices: Sequence[LuminanceMatrix],
     thresholds: Thresholds,
     *,
     least: int,
     candidates: Sequence[int] | None = None,
-) -> tuple[NDArray[np.int16], Words]:
-    """The reason at each patch that the camera sees in a posture, and which trials are seen there.
+    first_light: int = 0,
+) -> Shown:
+    """What the images of a posture's lights show; exposures of the same light are one image, not two.
 
     Parameters
     ----------
-    visibility
-        Of the posture.
-    levels
-        Delivered levels of the same light positions, from its luminance matrix: one array of shape (candidates, p) per
-        light.
+    matrices
+        Of the posture, one for each exposure, with their visibility.
     thresholds
         Black level and saturation.
     least
         Images that must show a defect.
     candidates
-        One position of each light; None for all that the lights can do: then a trial counts as seen where `least`
-        lights have a position each that shows it.
-
-    Returns
-    -------
-    codes, seen
-        Shapes (p,) and (p, ⌈t / 64⌉).
+        One position of each light; None for all that the lights can do: then an image shows what one of the light's
+        positions shows.
+    first_light
+        The matrices' first light, in the rig's order.
     """
-    seen = visibility.reachable(least) if candidates is None else visibility.seen(candidates, least)
+    visibility = matrices[0].visibility
+    assert visibility is not None
     count = len(visibility.areas)
-    usable, saturated = np.zeros(count, np.int32), np.zeros(count, np.int32)
-    first = np.full(count, -1, np.int16)
-    for light, layer in enumerate(levels):
-        rows = layer if candidates is None else layer[candidates[light]][None, :]
-        bright = rows >= thresholds.saturation
-        good = ((rows > thresholds.black) & ~bright).any(axis=0)
-        glare = bright.any(axis=0) & ~good
-        usable += good
-        saturated += glare
-        first[glare & (first < 0)] = light
-    codes = np.full(count, Blind.CONTRAST, np.int16)
-    lacking = usable < least
-    codes[lacking] = Blind.SHADOWED
-    glaring = lacking & (usable + saturated >= least)
-    codes[glaring] = Blind.SATURATED + first[glaring]
-    codes[visibility.cosines < GRAZING_COSINE] = Blind.GRAZING
-    codes[visibility.weights(seen) == visibility.total_weight] = Blind.SEEN
-    return codes, seen
+    shown = _nothing_shown(visibility, least)
+    for light in range(len(visibility.words)):
+        seen = np.zeros(shown.counts.shape[1:], np.uint64)
+        good, bright = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        rows = slice(None) if candidates is None else slice(candidates[light], candidates[light] + 1)
+        for matrix in matrices:
+            assert matrix.visibility is not None
+            levels = matrix.levels[light][rows]
+            saturated = levels >= thresholds.saturation
+            seen |= np.bitwise_or.reduce(matrix.visibility.words[light][rows], axis=0)
+            good |= ((levels > thresholds.black) & ~saturated).any(axis=0)
+            bright |= saturated.any(axis=0)
+        add_image(shown.counts, seen)
+        glare = bright & ~good
+        shown.usable[:] += good
+        shown.saturated[:] += glare
+        shown.first[glare & (shown.first < 0)] = first_light + light
+    return shown
 
 
-def blind_spots(
-    areas: NDArray[np.float64],
-    postures: Sequence[tuple[Visibility, NDArray[np.int16], Words]],
-) -> BlindSpots:
-    """Blind spots of the whole surface over one posture or several: a trial is seen that one posture's images show.
+def _nothing_shown(visibility: Visibility, least: int) -> Shown:
+    """The patches of a posture before any image is looked at."""
+    count = len(visibility.areas)
+    return Shown(
+        visibility=visibility.rows([np.zeros(0, np.int64)] * len(visibility.words)),
+        counts=np.zeros((least, count, -(-len(visibility.trials) // 64)), np.uint64),
+        usable=np.zeros(count, np.int32),
+        saturated=np.zeros(count, np.int32),
+        first=np.full(count, -1, np.int16),
+    )
 
-    The reason at a patch is that of the posture that came nearest: contrast before saturated, shadowed, grazing, and
-    what no posture's camera sees.
+
+def shown_together(one: Shown, other: Shown) -> Shown:
+    """What the images of other lights show in the same posture, added."""
+    return Shown(
+        visibility=one.visibility,
+        counts=added(one.counts, other.counts),
+        usable=one.usable + other.usable,
+        saturated=one.saturated + other.saturated,
+        first=np.where(one.first < 0, other.first, one.first),
+    )
+
+
+def blind_spots(areas: NDArray[np.float64], postures: Sequence[Shown]) -> BlindSpots:
+    """Blind spots of the whole surface over one posture or several: seen is what enough images of all of them show.
 
     Parameters
     ----------
     areas
         Of all patches of the run [mm²], shape (n,).
     postures
-        Of each, its visibility and what :func:`blind_codes` found.
+        What the images of each show.
     """
-    rank = np.zeros(len(areas), np.int32)
-    codes = np.full(len(areas), Blind.CAMERA, np.int16)
-    share = np.zeros(len(areas))
-    width = max((seen.shape[1] for _, _, seen in postures), default=1)
-    seen_anywhere = np.zeros((len(areas), width), np.uint64)
-    for visibility, own, seen in postures:
-        seen_anywhere[visibility.patch] |= seen
-        nearness = np.where(own == Blind.CONTRAST, 4, np.where(own >= Blind.SATURATED, 3, own - 1))
-        nearness = np.where(own == Blind.SEEN, 5, nearness)
-        better = nearness > rank[visibility.patch]
-        rank[visibility.patch[better]] = nearness[better]
-        codes[visibility.patch[better]] = own[better]
-    if postures:
-        first = postures[0][0]
-        sums = first.weights(seen_anywhere)
-        share = sums / first.total_weight
-        codes[sums == first.total_weight] = Blind.SEEN
-    return BlindSpots(codes=codes, share=share, areas=areas)
+    count = len(areas)
+    if not postures:
+        return BlindSpots(codes=np.full(count, Blind.CAMERA, np.int16), share=np.zeros(count), areas=areas)
+    first_posture = postures[0].visibility
+    least = len(postures[0].counts)
+    counts = np.zeros((least, count, postures[0].counts.shape[2]), np.uint64)
+    usable, saturated = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    first = np.full(count, -1, np.int16)
+    # 0 the camera does not see it, 1 at a grazing angle, 2 well
+    sight = np.zeros(count, np.int8)
+    for shown in postures:
+        patch = shown.visibility.patch
+        steep = shown.visibility.cosines >= GRAZING_COSINE
+        sight[patch] = np.maximum(sight[patch], np.where(steep, 2, 1))
+        counts[:, patch] = added(counts[:, patch], shown.counts)
+        usable[patch] += np.where(steep, shown.usable, 0)
+        saturated[patch] += np.where(steep, shown.saturated, 0)
+        first[patch] = np.where(steep & (first[patch] < 0), shown.first, first[patch])
+    codes = np.full(count, Blind.CONTRAST, np.int16)
+    lacking = usable < least
+    codes[lacking] = Blind.SHADOWED
+    glaring = lacking & (usable + saturated >= least)
+    codes[glaring] = Blind.SATURATED + first[glaring]
+    codes[sight == 1] = Blind.GRAZING
+    codes[sight == 0] = Blind.CAMERA
+    sums = first_posture.weights(counts[-1])
+    codes[sums == first_posture.total_weight] = Blind.SEEN
+    return BlindSpots(codes=codes, share=sums / first_posture.total_weight, areas=areas)

@@ -104,7 +104,7 @@ def _ply(report: BlindReport, patches: Patches, placement: Placement) -> bytes:
         "ply",
         "format binary_little_endian 1.0",
         "comment lightopt blind spots; lengths in mm, coordinates of the part's own file (GLB: Z up)",
-        f"comment seen and code: chosen lights; {report.objective.seen_in} or more images of a posture show a defect",
+        f"comment seen and code: chosen lights; {report.objective.seen_in} or more images of all postures show it",
         "comment reachable and reachable_code: each light where it shows the defect, whatever the others",
         "comment seen, reachable: weighted share of the defects, 0 to 1",
         *legend,

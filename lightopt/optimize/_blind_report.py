@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.optimize._blind import Blind, BlindSpots, blind_codes, blind_spots, blind_text
+from lightopt.optimize._blind import Blind, BlindSpots, Shown, blind_spots, blind_text, shown_by
 from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
-from lightopt.optimize._packed import Words
-from lightopt.optimize._visibility import Visibility
 from lightopt.transforms import Posture
 
 __all__ = ["BlindReport", "Looked", "look_for_blind_spots"]
@@ -21,22 +19,19 @@ __all__ = ["BlindReport", "Looked", "look_for_blind_spots"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Looked:
-    """What a posture's images show, light positions gone.
+    """What a posture's images show.
 
     Attributes
     ----------
     posture
         The posture.
-    visibility
-        Its patches; without positions of lights.
     chosen, possible
-        Codes and bits from :func:`blind_codes`: of the chosen lights, and of all that they can do.
+        With the chosen lights and exposures, and with all positions and exposures that there were to choose from.
     """
 
     posture: Posture
-    visibility: Visibility
-    chosen: tuple[NDArray[np.int16], Words]
-    possible: tuple[NDArray[np.int16], Words]
+    chosen: Shown
+    possible: Shown
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,9 +47,10 @@ class BlindReport:
     postures
         That were looked at.
     chosen, possible
-        Over all postures: of the chosen lights, and of all that the lights can do.
+        Over all postures, a defect being seen in enough of all their images: of the chosen lights, and of all that the
+        lights can do.
     chosen_in, possible_in
-        The same of each posture alone.
+        The same of the images of each posture alone.
     """
 
     objective: Detectability
@@ -70,8 +66,8 @@ class BlindReport:
         looked: Sequence[Looked], areas: NDArray[np.float64], objective: Detectability, lights: Sequence[str]
     ) -> BlindReport:
         """Put postures together; areas are those of all patches of the run [mm²], shape (n,)."""
-        chosen = [(one.visibility, *one.chosen) for one in looked]
-        possible = [(one.visibility, *one.possible) for one in looked]
+        chosen = [one.chosen for one in looked]
+        possible = [one.possible for one in looked]
         return BlindReport(
             objective=objective,
             lights=tuple(lights),
@@ -135,13 +131,11 @@ def look_for_blind_spots(
     candidates
         The combination.
     """
-    visibility = matrix.visibility
-    assert visibility is not None
-    chosen = blind_codes(visibility, matrix.levels, thresholds, least=seen_in, candidates=candidates)
-    possible = blind_codes(visibility, matrix.levels, thresholds, least=seen_in)
-    # what the bits of positions took is given back
-    none = visibility.rows([np.zeros(0, np.int64)] * len(visibility.words))
-    return Looked(posture=posture, visibility=none, chosen=chosen, possible=possible)
+    return Looked(
+        posture=posture,
+        chosen=shown_by([matrix], thresholds, least=seen_in, candidates=candidates),
+        possible=shown_by([matrix], thresholds, least=seen_in),
+    )
 
 
 def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:

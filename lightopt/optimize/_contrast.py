@@ -7,33 +7,37 @@ saturation level, of the good surface v₀ and of the defect v_d, a trial is vis
 
 the noise of read-out, of photons and of rounding (EMVA Standard 1288, release 4.0, section 2) at the good surface's
 level: what decides how often a good surface is taken for a defect. Where both are saturated the difference is 0. A
-defect that is smaller than a pixel's footprint fills a share of the pixel, and the rest of it is good:
+pixel that the defect does not fill sees it and what lies around; walls that face each other cancel in part:
 
-    I_d = I₀ + fill · (I_wall − I₀),   fill = min(1, width · cosθ / footprint) · min(1, length / footprint),
+    I_d = I₀ + F · (D − M) + A · M,   D = I_wall − I₀,
 
-with the footprint on a plane that faces the camera at the patch's distance, and θ between normal and view, as if the
-defect lay across the foreshortening. On what the camera sees at more than 80° to its normal nothing is visible: a
-pixel's footprint there is six times as long and more, and mixes with its neighbours'.
+with M the mean of D over the directions that the defect's walls lean to, and the shares F and A of the two pixels that
+may show it best (:mod:`lightopt.defects._pixel`); a trial is visible where one of them shows it. The shares depend on
+the side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the
+surface, its side is that of a plane facing the camera / √cosθ, with θ between normal and view. On what the camera sees
+at more than 80° to its normal nothing is visible: a pixel's footprint there is six times as long and more, and mixes
+with its neighbours'.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.defects import PIXEL_RATIOS
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
+from lightopt.optimize._filling import Fillings
 from lightopt.optimize._packed import Words
-from lightopt.optimize._trials import Trial
 from lightopt.sensor import Sensor
 
 __all__ = ["DEFAULT_CONTRAST", "GRAZING_COSINE", "Contrast", "threshold_problem"]
 
 Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
 
 DEFAULT_CONTRAST = 5.0
 """Times the noise that a level must be off, unless asked otherwise. Of the two million pixels of an image noise alone
@@ -43,6 +47,10 @@ Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196)."""
 
 GRAZING_COSINE = math.cos(math.radians(80.0))
 """Of the angle between normal and view beyond which nothing is visible."""
+
+
+LEAST_RATIO, GREATEST_RATIO = float(PIXEL_RATIOS[0]), float(PIXEL_RATIOS[-1])
+PER_OCTAVE = (len(PIXEL_RATIOS) - 1) / math.log2(GREATEST_RATIO / LEAST_RATIO)
 
 
 def threshold_problem(threshold: float) -> str | None:
@@ -84,7 +92,7 @@ class Contrast:
         good: Float64,
         varied: Float64,
         *,
-        trials: Sequence[Trial],
+        fillings: Fillings,
         footprints: Float64,
         cosines: Float64,
         exposure: float,
@@ -96,8 +104,8 @@ class Contrast:
         good, varied
             Linear levels of the good surface and of the trials where they fill the pixel [grey level at exposure 1],
             shapes (k,) and (k, t).
-        trials
-            The defects, t of them.
+        fillings
+            How far they fill it.
         footprints
             Side of a pixel's footprint on a plane that faces the camera [mm], shape (k,).
         cosines
@@ -108,8 +116,10 @@ class Contrast:
         return _contrast_words(
             good,
             varied,
-            np.array([trial.width for trial in trials]),
-            np.array([trial.length for trial in trials]),
+            fillings.first,
+            fillings.facing,
+            fillings.width,
+            fillings.shares,
             footprints,
             cosines,
             exposure * self.sensor.max_level / self.full_scale,
@@ -125,8 +135,10 @@ class Contrast:
 def _contrast_words(
     good: Float64,
     varied: Float64,
+    first: Int64,
+    facing: NDArray[np.bool_],
     widths: Float64,
-    lengths: Float64,
+    shares: Float64,
     footprints: Float64,
     cosines: Float64,
     scale: float,
@@ -142,10 +154,46 @@ def _contrast_words(
             continue
         level = min(black + scale * good[i], saturation)
         least = threshold * math.sqrt(read_noise * read_noise + (level - black) / electrons + 1.0 / 12.0)
-        along, across = 1.0 / footprints[i], cosines[i] / footprints[i]
-        for t in range(varied.shape[1]):
-            fill = min(1.0, widths[t] * across) * min(1.0, lengths[t] * along)
-            mixed = good[i] + fill * (varied[i, t] - good[i])
-            if abs(min(black + scale * mixed, saturation) - level) >= least:
-                words[i, t // 64] |= np.uint64(1) << np.uint64(t % 64)
+        side = footprints[i] / math.sqrt(cosines[i])
+        for e in range(len(widths)):
+            start, count = first[e], first[e + 1] - first[e]
+            mean = 0.0
+            for t in range(start, start + count):
+                mean += varied[i, t] / count
+            one, of_one, most, of_most = _shares(shares[e], side / widths[e])
+            for t in range(start, start + count):
+                common = mean - good[i]
+                if facing[e]:
+                    opposite = start + (t - start + count // 2) % count
+                    common = 0.5 * (varied[i, t] + varied[i, opposite]) - good[i]
+                own = varied[i, t] - good[i] - common
+                best = good[i] + one * own + of_one * common
+                other = good[i] + most * own + of_most * common
+                if (
+                    abs(min(black + scale * best, saturation) - level) >= least
+                    or abs(min(black + scale * other, saturation) - level) >= least
+                ):
+                    words[i, t // 64] |= np.uint64(1) << np.uint64(t % 64)
     return words
+
+
+@kernel
+def _shares(table: Float64, ratio: float) -> tuple[float, float, float, float]:
+    # between the ratios that were worked out, linear in their logarithm; below them the defect fills the pixel, beyond
+    # them its share falls as the pixel's area grows
+    place = PER_OCTAVE * math.log2(ratio / LEAST_RATIO)
+    if place < 0.0:
+        return 1.0, 1.0, 1.0, 1.0
+    last = len(table) - 1
+    if place >= last:
+        less = (GREATEST_RATIO / ratio) ** 2
+        return less * table[last, 0], less * table[last, 1], less * table[last, 2], less * table[last, 3]
+    at = int(place)
+    rest = place - at
+    low, high = table[at], table[at + 1]
+    return (
+        low[0] + rest * (high[0] - low[0]),
+        low[1] + rest * (high[1] - low[1]),
+        low[2] + rest * (high[2] - low[2]),
+        low[3] + rest * (high[3] - low[3]),
+    )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.defects import tangent_references
 from lightopt.optimize._contrast import Contrast
+from lightopt.optimize._filling import Fillings, fillings_of
 from lightopt.optimize._packed import Words
 from lightopt.optimize._trials import Trial
 from lightopt.raycast import RayCaster
@@ -30,10 +31,16 @@ class Inspection:
         The defects.
     contrast
         When one is visible.
+    fillings
+        How far the defects fill a pixel.
     """
 
     trials: tuple[Trial, ...]
     contrast: Contrast
+    fillings: Fillings = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fillings", fillings_of(self.trials))
 
 
 class Inspected:
@@ -84,7 +91,7 @@ class Inspected:
             self.inspection.contrast.words(
                 shaded.good,
                 shaded.varied,
-                trials=self.inspection.trials,
+                fillings=self.inspection.fillings,
                 footprints=self._footprint * self._depths[here],
                 cosines=self.cosines[here],
                 exposure=exposure,

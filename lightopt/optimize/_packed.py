@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 
-__all__ = ["Words", "add_image", "common_bits", "count_flags", "packed", "word_weight"]
+__all__ = ["Words", "add_image", "added", "common_bits", "count_flags", "packed", "word_weight"]
 
 Words = NDArray[np.uint64]
 
@@ -32,6 +32,18 @@ def add_image(counters: Words, image: Words) -> None:
     """
     assert counters.flags.c_contiguous
     count_flags(counters.reshape(len(counters), -1), image.reshape(-1))
+
+
+def added(one: Words, other: Words) -> Words:
+    """The sum of two counts of images as :func:`add_image` makes them, up to k; shape (k, …).
+
+    (a + b ≥ l) = (a ≥ l) or (b ≥ l) or (a ≥ 1 and b ≥ l − 1) or … or (a ≥ l − 1 and b ≥ 1).
+    """
+    total = one | other
+    for level in range(1, len(one)):
+        for low in range(level):
+            total[level] |= one[low] & other[level - 1 - low]
+    return total
 
 
 @kernel

@@ -227,7 +227,7 @@ def optimize(
     blind = None
     if defects is not None:
         patches = makers.patches().patches
-        blind = BlindReport.of(looked, patches.areas, defects, candidates.names)
+        blind = BlindReport.of(appendix.looked or looked, patches.areas, defects, candidates.names)
         appendix = Appendix(
             sections={"blind_spots": blind.as_dict(), **appendix.sections},
             files={
@@ -416,6 +416,7 @@ def _matrix_facts(
         looked_for = {
             "defects": [asdict(trial) for trial in inspection.trials],
             "noise": asdict(inspection.contrast),
+            "defects narrower than a pixel": "F (D - M) + A M in two pixels",
         }
     return {
         **looked_for,

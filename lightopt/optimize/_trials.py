@@ -70,18 +70,20 @@ def unroll(catalogue: Sequence[CatalogueEntry], *, directions: int = DIRECTIONS)
     catalogue
         From :func:`lightopt.scene.build_catalogue`.
     directions
-        Number of directions around, 8 or more.
+        Number of directions around, even, 8 or more: each wall has one that faces it.
 
     Raises
     ------
     InputError
-        No entry, a slope of 0 or above 60°, fewer than 8 directions, more trials than are meant.
+        No entry, a slope of 0 or above 60°, fewer than 8 or odd directions, more trials than are meant.
     """
     problems: list[str] = []
     if not catalogue:
         problems.append("defect catalogue: expected at least one kind of defect to plan for, found none")
-    if directions < DIRECTIONS:
-        problems.append(f"directions of walls: expected {DIRECTIONS} or more, found {directions}")
+    if directions < DIRECTIONS or directions % 2:
+        problems.append(
+            f"directions of walls: expected an even number, {DIRECTIONS} or more, found {directions}"
+        )
     problems += [
         f"defect {entry.name}: expected a slope above 0° up to {math.degrees(MAX_SLOPE):g}°, found "
         f"{math.degrees(entry.shape.slope):g}°"

@@ -18,7 +18,7 @@ from lightopt.plan._counts import (
     worth,
 )
 from lightopt.plan._cover import Cover, Step, greedy_cover
-from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, Brackets, Shot, pick_shots, plan_exposures
+from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, Brackets, Shot, plan_exposures
 from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
 from lightopt.plan._options import PlanOptions
 from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf
@@ -65,7 +65,6 @@ __all__ = [
     "gain_of",
     "greedy_cover",
     "no_counts",
-    "pick_shots",
     "place_lights",
     "plan",
     "plan_exposures",

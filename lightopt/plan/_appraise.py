@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.images import posture_folder
-from lightopt.optimize import RIG_NAME, OptimizeOptions, Outcome, angles_of
+from lightopt.optimize import RIG_NAME, Looked, OptimizeOptions, Outcome, angles_of
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.plan._exposures import Brackets, plan_exposures
+from lightopt.plan._looked import looked_at
 from lightopt.plan._options import OBJECTIVE, PlanOptions
-from lightopt.plan._postures import inspection_of
+from lightopt.plan._postures import candidates_of, inspection_of
 from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf, commands
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
 from lightopt.plan._trust import Tolerances, trust_of
@@ -34,8 +36,11 @@ def appraised(
     chosen: ChosenPostures | None,
     survey: Survey | None,
     searching: Tell | None,
-) -> PlanResult:
-    """The whole plan, with what is asked of it beside postures and lights.
+) -> tuple[PlanResult, tuple[Looked, ...]]:
+    """The whole plan, with what is asked of it beside postures and lights; and what its images show.
+
+    The latter posture by posture, the planned exposures among them; beside what the lights could do, wherever they may
+    stand, at all exposures that were offered. Empty where the optimisation's own images are all there is.
 
     Parameters
     ----------
@@ -51,7 +56,7 @@ def appraised(
         Called with what is going on and the share of that which is done.
     """
     if any(result.answers[0].nothing is not None for result in outcome.results):
-        return PlanResult(chosen=chosen)
+        return PlanResult(chosen=chosen), ()
     angles = {
         posture: angles_of(outcome.candidates, result.answers[0].found.best)
         for result in outcome.results
@@ -60,14 +65,7 @@ def appraised(
     brackets: Brackets | None = None
     trust: tuple[TrustOf, ...] = ()
     if wanted.exposures or wanted.tolerances is not None:
-        survey = survey or Survey(
-            scene=outcome.scene,
-            table=outcome.table(),
-            caster=outcome.caster,
-            inspection=inspection_of(outcome.scene, part, options),
-            shadows=options.shadows,
-            threads=options.threads,
-        )
+        survey = survey or _own_survey(outcome, part, options)
         asked = _Asked(
             rig=rig, outcome=outcome, options=options, survey=survey, angles=angles, tell=searching
         )
@@ -76,13 +74,39 @@ def appraised(
         if wanted.tolerances is not None:
             trust = asked.trust(wanted.tolerances, brackets)
     if chosen is None and brackets is None:
-        return PlanResult(trust=trust)
+        return PlanResult(trust=trust), ()
     files = {posture: _rig_file(posture, angles) for posture in angles}
-    return PlanResult(
+    result = PlanResult(
         chosen=chosen,
         brackets=brackets,
         trust=trust,
         commands=commands(files, PLANNED_PART_NAME, brackets),
+    )
+    if OBJECTIVE not in (answer.objective.name for found in outcome.results for answer in found.answers):
+        return result, ()
+    return result, looked_at(
+        _own_survey(outcome, part, options),
+        rig,
+        angles,
+        outcome.candidates if chosen is None else candidates_of(rig, options),
+        exposures={posture: brackets.of(posture) if brackets else (1.0,) for posture in angles},
+        offered=wanted.all_exposures,
+        thresholds=outcome.thresholds,
+        least=options.seen_in,
+        points=options.points,
+        tell=None if searching is None else partial(searching, "blind spots"),
+    )
+
+
+def _own_survey(outcome: Outcome, part: PartConfig, options: OptimizeOptions) -> Survey:
+    """The part as the optimisation looked at it."""
+    return Survey(
+        scene=outcome.scene,
+        table=outcome.table(),
+        caster=outcome.caster,
+        inspection=inspection_of(outcome.scene, part, options),
+        shadows=options.shadows,
+        threads=options.threads,
     )
 
 
@@ -109,6 +133,7 @@ class _Asked:
             wanted.exposures,
             least=self.options.seen_in,
             gain_points=wanted.exposure_gain,
+            target=wanted.target,
             tell=self._teller("exposures"),
         )
 

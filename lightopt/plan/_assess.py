@@ -164,9 +164,8 @@ class PairAssessment(_Assessment):
         self._weights = survey.weights
 
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
-        """Counts over the exposures."""
-        images = [scattered_flags(matrix, self.patches, light=light, place=at) for matrix in matrices]
-        return counts_of_images(images, self._least)
+        """One image, whatever the number of its exposures."""
+        return counts_of_images([scattered_flags(matrices, self.patches, light=light, place=at)], self._least)
 
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
         """Add up the postures, then all combinations of the lights."""

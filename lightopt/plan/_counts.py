@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lightopt.errors import InputError
 from lightopt.kernels import kernel
-from lightopt.optimize import Trial, add_image, trial_planes, word_weight
+from lightopt.optimize import Trial, add_image, added, trial_planes, word_weight
 
 __all__ = ["Counts", "PairWeights", "added", "counts_of_images", "gain_of", "no_counts", "reached", "worth"]
 
@@ -92,15 +92,6 @@ def counts_of_images(images: Sequence[Words], k: int) -> Counts:
     total = np.zeros((k, *images[0].shape), np.uint64)
     for flags in images:
         add_image(total, flags)
-    return total
-
-
-def added(one: Counts, other: Counts) -> Counts:
-    """The sum of two counts, up to k."""
-    total = one | other
-    for level in range(1, len(one)):
-        for low in range(level):
-            total[level] |= one[low] & other[level - 1 - low]
     return total
 
 

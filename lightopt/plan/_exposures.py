@@ -1,7 +1,8 @@
 """Further exposures of chosen postures: planned where they show enough more, and nowhere else.
 
-The lights are placed for exposure 1. Offered are the postures' images at other exposures, all lights together; the one
-that shows most pairs more is planned, then the next, as long as it shows enough more.
+Offered are the postures' images at other exposures, all lights together; the one that shows most pairs more is planned,
+then the next, as long as it shows enough more, or the target takes it. A light's exposures in a posture are one image:
+a pair that two of them show has not been confirmed by another light or from another side.
 """
 
 from __future__ import annotations
@@ -10,15 +11,36 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from lightopt.plan._counts import Counts, PairWeights, added, counts_of_images, no_counts, reached
+import numpy as np
+
+from lightopt.errors import InputError
+from lightopt.plan._counts import Counts, PairWeights, Words, added, counts_of_images, no_counts, reached
 from lightopt.plan._survey import Survey, scattered_flags
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
 
-__all__ = ["DEFAULT_EXPOSURE_GAIN", "Brackets", "Shot", "check_exposures", "pick_shots", "plan_exposures"]
+__all__ = [
+    "DEFAULT_EXPOSURE_GAIN",
+    "Brackets",
+    "Images",
+    "Offer",
+    "Shot",
+    "check_exposures",
+    "images_of",
+    "pick_shots",
+    "plan_exposures",
+]
+
+Images = Words
+"""Flags of the pairs that the images of a posture show, shape (lights, p, words); where one image is enough, of all
+together, shape (1, p, words)."""
 
 DEFAULT_EXPOSURE_GAIN = 1.0
 """Points (hundredths of the pairs) that a further exposure of a posture has to add, unless asked otherwise."""
+
+
+MOST_IMAGE_BYTES = 1_500_000_000
+"""Of what all postures' images show at all exposures, which is held at a time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +104,25 @@ def check_exposures(offered: Sequence[float], gain_points: float) -> list[str]:
     return problems
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Offer:
+    """A further exposure of a posture that may be planned.
+
+    Attributes
+    ----------
+    posture
+        Index of the posture.
+    exposure
+        Relative to exposure 1.
+    images
+        Flags of the pairs that it shows, from :func:`images_of`.
+    """
+
+    posture: int
+    exposure: float
+    images: Images
+
+
 def plan_exposures(
     survey: Survey,
     postures: Sequence[Posture],
@@ -90,9 +131,10 @@ def plan_exposures(
     *,
     least: int,
     gain_points: float = DEFAULT_EXPOSURE_GAIN,
+    target: float | None = None,
     tell: Callable[[float], None] | None = None,
 ) -> Brackets:
-    """Plan a further exposure only where it shows more by at least a given gain.
+    """Plan a further exposure only where it shows more by at least a given gain, or where the target takes it.
 
     Parameters
     ----------
@@ -105,66 +147,142 @@ def plan_exposures(
     offered
         Exposures; 1 is taken anyway.
     least
-        Images that must show a pair, of all postures and exposures together.
+        Images that must show a pair, of all postures together.
     gain_points
         The least gain [hundredths of the pairs].
+    target
+        Share of the pairs that is to be shown; None for no matter.
     tell
         Called with the share that is done.
+
+    Raises
+    ------
+    InputError
+        More images than memory is meant for.
     """
     further = [exposure for exposure in offered if exposure != 1.0]
-    weights, patches = survey.weights, survey.patches
-    now = no_counts(weights, least)
-    shots: list[tuple[Posture, float, Counts]] = []
-    for done, (posture, panels) in enumerate(zip(postures, lights, strict=True)):
+    kept = 1 if least == 1 else max(map(len, lights))
+    size = len(postures) * (1 + len(further)) * kept * len(survey.patches) * survey.weights.masks.shape[1] * 8
+    if size > MOST_IMAGE_BYTES:
+        raise InputError(
+            f"--exposures: {len(postures)} postures × {1 + len(further)} exposures × {kept} lights × "
+            f"{len(survey.patches):,} patches are {size / 1e9:.2f} GB, and there is room for "
+            f"{MOST_IMAGE_BYTES / 1e9:.2f} GB; offer fewer exposures, or take fewer --patches"
+        )
+    now: list[Images] = []
+    offers: list[Offer] = []
+    for index, (posture, panels) in enumerate(zip(postures, lights, strict=True)):
         matrices = survey.matrices(posture, [[panel] for panel in panels], exposures=(1.0, *further))
         first, *rest = (
-            counts_of_images(
-                [scattered_flags(matrix, patches, light=light, place=0) for light in range(len(panels))],
+            images_of(
+                [
+                    scattered_flags([matrix], survey.patches, light=light, place=0)
+                    for light in range(len(panels))
+                ],
                 least,
             )
             for matrix in matrices
         )
-        now = added(now, first)
-        shots += [(posture, exposure, counts) for exposure, counts in zip(further, rest, strict=True)]
+        now.append(first)
+        offers += [
+            Offer(posture=index, exposure=exposure, images=images)
+            for exposure, images in zip(further, rest, strict=True)
+        ]
         if tell is not None:
-            tell((done + 1) / len(postures))
-    return pick_shots(now, shots, weights, least_gain=gain_points / 100.0)
+            tell((index + 1) / len(postures))
+    return pick_shots(
+        postures, now, offers, survey.weights, least=least, least_gain=gain_points / 100.0, target=target
+    )
+
+
+def images_of(flags: Sequence[Words], least: int) -> Images:
+    """The images of a posture's lights; where one image is enough, what they show together is all that matters."""
+    return np.bitwise_or.reduce(flags, axis=0)[None] if least == 1 else np.stack(flags)
 
 
 def pick_shots(
-    now: Counts,
-    shots: Sequence[tuple[Posture, float, Counts]],
+    postures: Sequence[Posture],
+    now: Sequence[Images],
+    offers: Sequence[Offer],
     weights: PairWeights,
     *,
+    least: int,
     least_gain: float,
+    target: float | None = None,
 ) -> Brackets:
-    """Take the shot that adds most to what is seen, the first of equals, as long as it adds enough and anything.
+    """Take the exposure that adds most to what is seen, the first of equals, as long as it adds enough and anything.
 
     Parameters
     ----------
+    postures
+        Of the plan.
     now
-        Counts of the plan without them.
-    shots
-        Posture, exposure and counts of each.
+        What the images of each show at exposure 1, from :func:`images_of`.
+    offers
+        Further exposures.
     weights
         Of the pairs.
+    least
+        Images that must show a pair.
     least_gain
         Share of the pairs.
+    target
+        Share of the pairs: below it, whatever adds anything is taken.
     """
     total = max(1, weights.total)
-    before = seen = reached(now, weights)
-    left = list(range(len(shots)))
+    taken = _Taken(now, weights, least)
+    before = taken.seen
+    left = list(offers)
     planned: list[Shot] = []
     while True:
-        gains = {i: reached(added(now, shots[i][2]), weights) - seen for i in left}
-        best = max(left, key=lambda i: gains[i], default=None)
-        if best is None or gains[best] == 0 or gains[best] < least_gain * total:
+        gains = taken.gains(left)
+        best = max(range(len(left)), key=lambda i: gains[i], default=None)
+        if best is None or gains[best] == 0:
             break
-        posture, exposure, counts = shots[best]
-        planned.append(Shot(posture=posture, exposure=exposure, gain=gains[best] / total, planned=True))
-        now, seen = added(now, counts), seen + gains[best]
-        left.remove(best)
+        short = target is not None and taken.seen < target * total
+        if gains[best] < least_gain * total and not short:
+            break
+        offer = left.pop(best)
+        planned.append(_shot(postures, offer, gains.pop(best) / total, planned=True))
+        taken.take(offer)
     rest = [
-        Shot(posture=shots[i][0], exposure=shots[i][1], gain=gains[i] / total, planned=False) for i in left
+        _shot(postures, offer, gain / total, planned=False) for offer, gain in zip(left, gains, strict=True)
     ]
-    return Brackets(before=before / total, after=seen / total, shots=(*planned, *rest), least_gain=least_gain)
+    return Brackets(
+        before=before / total, after=taken.seen / total, shots=(*planned, *rest), least_gain=least_gain
+    )
+
+
+def _shot(postures: Sequence[Posture], offer: Offer, gain: float, *, planned: bool) -> Shot:
+    return Shot(posture=postures[offer.posture], exposure=offer.exposure, gain=gain, planned=planned)
+
+
+class _Taken:
+    """What the planned images show; an image taken with several exposures is one that shows what any of them shows."""
+
+    def __init__(self, images: Sequence[Images], weights: PairWeights, least: int) -> None:
+        self._images, self._weights, self._least = list(images), weights, least
+        self.seen = reached(self._together(range(len(images))), weights)
+
+    def gains(self, offers: Sequence[Offer]) -> list[int]:
+        """By how much each offer would add to the weight of the pairs that are seen."""
+        others: dict[int, Counts] = {}
+        gains: list[int] = []
+        for offer in offers:
+            at = offer.posture
+            if at not in others:
+                others[at] = self._together([i for i in range(len(self._images)) if i != at])
+            own = counts_of_images(list(self._images[at] | offer.images), self._least)
+            gains.append(reached(added(others[at], own), self._weights) - self.seen)
+        return gains
+
+    def take(self, offer: Offer) -> None:
+        """Plan it."""
+        self._images[offer.posture] = self._images[offer.posture] | offer.images
+        self.seen = reached(self._together(range(len(self._images))), self._weights)
+
+    def _together(self, postures: Sequence[int]) -> Counts:
+        total = no_counts(self._weights, self._least)
+        for i in postures:
+            total = added(total, counts_of_images(list(self._images[i]), self._least))
+        return total

@@ -48,6 +48,11 @@ class PlanOptions:
         """Whether postures are to be chosen."""
         return self.postures is not None or self.target is not None
 
+    @property
+    def all_exposures(self) -> tuple[float, ...]:
+        """Exposure 1, and those that are offered beside it."""
+        return (1.0, *(exposure for exposure in self.exposures if exposure != 1.0))
+
     def facts(self) -> dict[str, Any]:
         """What was asked for, as JSON; nothing where nothing was."""
         facts: dict[str, Any] = {}

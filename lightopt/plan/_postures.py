@@ -27,7 +27,7 @@ from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import Scene, build_catalogue, build_lights, build_scene, travel_order, travel_s
 from lightopt.transforms import Posture
 
-__all__ = ["HOME", "inspection_of", "places_of", "plan_postures"]
+__all__ = ["HOME", "candidates_of", "inspection_of", "places_of", "plan_postures"]
 
 HOME = Posture(0.0, 0.0)
 """Where the stage's way begins."""
@@ -59,7 +59,7 @@ def plan_postures(
     CheckFailed
         A target that cannot be reached, or no defect that any posture shows.
     """
-    candidates = _candidates(rig, options)
+    candidates = candidates_of(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
     grid = posture_grid(rig, part, step_deg=wanted.posture_step_deg)
     caster = cast_rays_at(scene)
@@ -80,6 +80,7 @@ def plan_postures(
         inspection=inspection_of(scene, part, options),
         shadows=options.shadows,
         threads=options.threads,
+        exposures=wanted.all_exposures,
     )
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
     choice = choose_postures(
@@ -116,6 +117,7 @@ def plan_postures(
         drawn=len(drawn.patches),
         patches=len(whole.patches),
         visible_share=float(np.sum(table.patches.areas[whole.patches]) / np.sum(table.patches.areas)),
+        exposures=wanted.all_exposures,
     )
     return chosen, whole
 
@@ -124,7 +126,7 @@ def places_of(rig: RigConfig, choice: Choice, options: OptimizeOptions) -> tuple
     """Elevation and azimuth of each light in a choice [°]."""
     if choice.lights is None:
         return tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights)
-    angles = _candidates(rig, options)
+    angles = candidates_of(rig, options)
     assert angles is not None
     return tuple(places[k] for places, k in zip(angles.angles, choice.lights, strict=True))
 
@@ -139,7 +141,8 @@ def inspection_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> I
     )
 
 
-def _candidates(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
+def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
+    """The places that the lights are chosen from; None where no light moves."""
     if all(light.elevation_range_deg is None and light.azimuth_range_deg is None for light in rig.lights):
         return None
     return find_candidates(

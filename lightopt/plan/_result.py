@@ -40,6 +40,8 @@ class ChosenPostures:
         Patches that the first turns of postures and lights were taken on, and those of the last ones and all figures.
     visible_share
         Of the part's surface, by area, what the camera sees in one candidate posture or more.
+    exposures
+        That postures and lights were chosen with: an image shows what it shows with one of them.
     """
 
     choice: Choice
@@ -52,6 +54,7 @@ class ChosenPostures:
     drawn: int
     patches: int
     visible_share: float
+    exposures: tuple[float, ...] = (1.0,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,6 +205,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "lights_best_for_postures": chosen.choice.exact and chosen.choice.settled,
         "patches": {"drawn": chosen.drawn, "all": chosen.patches},
         "visible_share_of_surface": round(chosen.visible_share, 6),
+        "with_any_of_exposures": list(chosen.exposures),
     }
 
 

@@ -109,7 +109,8 @@ def plan(
     found: list[PlanResult] = []
 
     def appraise(outcome: Outcome) -> Appendix:
-        found.append(appraised(rig, part, outcome, options, wanted, chosen, survey, searching))
+        result, looked = appraised(rig, part, outcome, options, wanted, chosen, survey, searching)
+        found.append(result)
         files = {}
         if found[0].commands:
             files[PLANNED_PART_NAME] = planned_text(
@@ -119,7 +120,7 @@ def plan(
                 comment=f"planned by: lightopt optimize {_asked(wanted)}",
             )
         names = [light.name for light in rig.lights]
-        return Appendix(sections=plan_dict(found[0], names), files=files)
+        return Appendix(sections=plan_dict(found[0], names), files=files, looked=looked)
 
     optimum = optimize(
         rig,
@@ -171,10 +172,10 @@ def _check_images(rig: RigConfig, part: PartConfig, options: OptimizeOptions, wa
         images, what = len(rig.lights), "lights: scores and blind spots ask it of one posture's images"
     elif wanted.exposures:
         postures = options.postures or part.postures
-        exposures = len({1.0, *wanted.exposures})
-        images = len(rig.lights) * len(postures) * exposures
+        images = len(rig.lights) * len(postures)
         what = (
-            f"images of the plan: {len(rig.lights)} lights × {len(postures)} postures × {exposures} exposures"
+            f"images of the plan: {len(rig.lights)} lights × {len(postures)} postures, further exposures of the same "
+            "light not being others"
         )
     else:
         return

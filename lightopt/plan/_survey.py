@@ -42,6 +42,8 @@ class Survey:
         Whether the part casts shadows on itself.
     threads
         All the machine's by default; the results do not depend on it.
+    exposures
+        That an image may be taken with: it shows what it shows with one of them.
     """
 
     scene: Scene
@@ -50,6 +52,7 @@ class Survey:
     inspection: Inspection | None
     shadows: bool = True
     threads: int | None = None
+    exposures: tuple[float, ...] = (1.0,)
 
     @cached_property
     def patches(self) -> NDArray[np.intp]:
@@ -85,34 +88,36 @@ class Survey:
             progress=progress,
         )
 
-    def flags(
-        self, posture: Posture, panels: Sequence[Sequence[PanelLight]], *, exposure: float = 1.0
-    ) -> tuple[Words, ...]:
+    def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
         """Which pairs the images show: of each light an array of shape (places, p, words)."""
-        matrix, patches = self.matrices(posture, panels, exposures=(exposure,))[0], self.patches
+        matrices, patches = self.matrices(posture, panels, exposures=self.exposures), self.patches
         return tuple(
-            np.stack([scattered_flags(matrix, patches, light=light, place=at) for at in range(len(some))])
+            np.stack([scattered_flags(matrices, patches, light=light, place=at) for at in range(len(some))])
             for light, some in enumerate(panels)
         )
 
 
-def scattered_flags(matrix: LuminanceMatrix, patches: NDArray[np.intp], *, light: int, place: int) -> Words:
+def scattered_flags(
+    matrices: Sequence[LuminanceMatrix], patches: NDArray[np.intp], *, light: int, place: int
+) -> Words:
     """An image's visible trials in another numbering of the patches, shape (p, words).
 
     Parameters
     ----------
-    matrix
-        With visibility, of some of the patches.
+    matrices
+        With visibility, of some of the patches; one for each exposure of the image, which shows what one of them does.
     patches
         Ascending indices of the patches that count, shape (p,).
     light, place
         Of the image.
     """
-    seen = matrix.visibility
-    assert seen is not None
-    layer = seen.words[light][place]
-    flags = np.zeros((len(patches), layer.shape[1]), np.uint64)
-    flags[np.searchsorted(patches, seen.patch)] = layer
+    first = matrices[0].visibility
+    assert first is not None
+    flags = np.zeros((len(patches), first.words[light].shape[2]), np.uint64)
+    rows = np.searchsorted(patches, first.patch)
+    for matrix in matrices:
+        assert matrix.visibility is not None
+        flags[rows] |= matrix.visibility.words[light][place]
     return flags
 
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lightopt.errors import counted, percent
-from lightopt.optimize import Thresholds, Visibility, blind_codes, blind_spots, blind_text
+from lightopt.optimize import Shown, Thresholds, blind_spots, blind_text, shown_by
 from lightopt.plan._choose import Choice
-from lightopt.plan._counts import Words
 from lightopt.plan._survey import Survey
 
 __all__ = ["unreached"]
@@ -59,18 +55,10 @@ def _reasons(choice: Choice, survey: Survey, least: int) -> str:
         saturated_from=survey.scene.sensor.saturated_from,
         black_level=survey.scene.sensor.black_level,
     )
-    seen: list[tuple[Visibility, NDArray[np.int16], Words]] = []
+    seen: list[Shown] = []
     for posture in survey.table.postures:
-        matrix = survey.matrices(posture, [[panel] for panel in choice.panels])[0]
-        assert matrix.visibility is not None
-        codes = blind_codes(
-            matrix.visibility,
-            matrix.levels,
-            thresholds,
-            least=least,
-            candidates=[0] * len(choice.panels),
-        )
-        seen.append((matrix.visibility, *codes))
+        matrices = survey.matrices(posture, [[panel] for panel in choice.panels], exposures=survey.exposures)
+        seen.append(shown_by(matrices, thresholds, least=least))
     lost = blind_spots(survey.table.patches.areas, seen).by_reason()
     whole = max(sum(lost.values()), 1e-12)
     names = [panel.name for panel in choice.panels]

@@ -12,7 +12,13 @@ import reference as ref
 from test_optimize_luminance import LIGHTS, matrix_of, small_scene
 from worlds import PAPER, posed_corners
 
-from lightopt.defects import BUILT_IN_CATALOGUE, tangent_direction
+from lightopt.defects import (
+    BUILT_IN_CATALOGUE,
+    PIXEL_RATIOS,
+    DefectShape,
+    pixel_shares,
+    tangent_direction,
+)
 from lightopt.optimize import (
     Contrast,
     Inspection,
@@ -105,30 +111,52 @@ def test_bits_are_the_definition_in_plain_numpy(tmp_path, shadows):
             total += panel.gain * weight * np.where(dark[tuple(source)], 0.0, terms)
         return total
 
+    side = footprint / np.sqrt(np.maximum(cosine, 1e-9))
+
+    def changes(trial, change):
+        """What the two pixels see, from what each wall of the same defect does to a pixel that it fills."""
+        own = change(trial)
+        others = [other for other in TRIALS if other.name == trial.name]
+        if trial.kind == "scratch":
+            others = [trial, others[(others.index(trial) + 4) % 8]]
+        common = sum(change(other) for other in others) / len(others)
+        shape = DefectShape(kind=trial.kind, length=trial.length, width=trial.width, slope=trial.slope)
+        ratio, table = side / trial.width, pixel_shares(shape)
+        share = [np.interp(np.log(ratio), np.log(PIXEL_RATIOS), table[:, i]) for i in range(4)]
+        share = np.where(ratio < PIXEL_RATIOS[0], 1.0, share)
+        share = share * np.minimum(1.0, PIXEL_RATIOS[-1] / ratio) ** 2
+        return [share[i] * (own - common) + share[i + 1] * common for i in (0, 2)]
+
     differing = shown = total = 0
     for light in range(3):
         for k in (0, -1):
             at = angles[light][k]
             good = level(LIGHTS[light], at, surface.normals, PAPER)
             own = [flags(one.visibility.words[light][k], len(TRIALS)) for one in found]
+            filled = {}
+
+            def change(trial, light=light, at=at, good=good, filled=filled):
+                if trial not in filled:
+                    changed = {
+                        "R_d": PAPER["R_d"] * trial.R_d_factor,
+                        "R_s": PAPER["R_s"] / trial.sigma_factor**2,
+                        "sigma": PAPER["sigma"] * trial.sigma_factor,
+                    }
+                    axes = scene.placement.rotation
+                    normals = leaning(surface.normals, axes, trial.slope, trial.direction)
+                    filled[trial] = level(LIGHTS[light], at, normals, changed) - good
+                return filled[trial]
+
             for t in (*range(0, len(TRIALS), 5), len(TRIALS) - 1):
-                trial = TRIALS[t]
-                sigma = PAPER["sigma"] * trial.sigma_factor
-                changed = {
-                    "R_d": PAPER["R_d"] * trial.R_d_factor,
-                    "R_s": PAPER["R_s"] / trial.sigma_factor**2,
-                    "sigma": sigma,
-                }
-                normals = leaning(surface.normals, scene.placement.rotation, trial.slope, trial.direction)
-                bad = level(LIGHTS[light], at, normals, changed)
-                fill = np.minimum(1, trial.width * cosine / footprint) * np.minimum(
-                    1, trial.length / footprint
-                )
-                bad = good + fill * (bad - good)
+                two = changes(TRIALS[t], change)
                 for index, exposure in enumerate(exposures):
-                    a, b = (np.minimum(240, 6 + exposure * x) for x in (good, bad))
+                    a = np.minimum(240, 6 + exposure * good)
                     noise = np.sqrt(0.8**2 + (a - 6) / 60 + 1 / 12)
-                    expected = (np.abs(b - a) >= 5 * noise) & (cosine >= math.cos(math.radians(80)))
+                    expected = np.zeros(len(seen), bool)
+                    for one in two:
+                        b = np.minimum(240, 6 + exposure * (good + one))
+                        expected |= np.abs(b - a) >= 5 * noise
+                    expected &= cosine >= math.cos(math.radians(80))
                     differing += np.count_nonzero(expected != own[index][:, t])
                     shown += np.count_nonzero(expected)
                     total += len(expected)

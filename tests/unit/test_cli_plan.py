@@ -98,11 +98,27 @@ def test_the_part_has_the_planned_postures_and_all_its_comments(planned):
 def test_exposures_say_what_they_add(planned):
     exposures = result_of(planned.out)["exposures"]
     chosen = result_of(planned.out)["chosen_postures"]
-    assert exposures["share_without"] == chosen["share"]
+    # postures and lights are chosen for what any of the exposures shows; not all of them are worth taking
+    assert chosen["with_any_of_exposures"] == [1.0, 0.0625]
+    assert exposures["share_without"] < exposures["share"] <= chosen["share"]
     assert [shot["exposure"] for shot in exposures["shots"]] == [0.0625, 0.0625]
     gains = sum(shot["gain"] for shot in exposures["shots"] if shot["planned"])
     assert exposures["share"] == pytest.approx(exposures["share_without"] + gains, abs=3e-6)
     assert all(shot["planned"] == (shot["gain"] >= 0.01) for shot in exposures["shots"])
+
+
+def test_blind_spots_are_those_of_the_whole_plan(planned):
+    result = result_of(planned.out)
+    spots, chosen, exposures = result["blind_spots"], result["chosen_postures"], result["exposures"]
+    # the same pairs, as a share of the whole surface; patches are cut anew for the chosen postures
+    seen = exposures["share"] * chosen["visible_share_of_surface"]
+    assert spots["chosen"]["seen"] == pytest.approx(seen, rel=0.05)
+    # the lights stand where they were chosen to, and what other positions could show is still told
+    assert spots["any_position"]["seen"] > spots["chosen"]["seen"]
+    for part in (spots, *spots["postures"]):
+        for lights in ("chosen", "any_position"):
+            total = part[lights]["seen"] + sum(reason["share"] for reason in part[lights]["blind"])
+            assert total == pytest.approx(1.0, abs=1e-5)
 
 
 def test_trust_is_told_posture_by_posture_and_together(planned):
@@ -252,7 +268,10 @@ def test_tolerances_of_another_objective(two, cli):
         (("--choose-postures", "2", "--seen-in", "0"), "--seen-in: expected the number of images"),
         (("--exposures", "1/4", "--seen-in", "0"), "--seen-in: expected the number of images"),
         (("--choose-postures", "2", "--seen-in", "3"), "--seen-in: expected at most 2, the number of lights"),
-        (("--exposures", "1,1/4", "--seen-in", "9"), "2 lights × 2 postures × 2 exposures; found 9"),
+        (
+            ("--exposures", "1,1/4", "--seen-in", "9"),
+            "2 lights × 2 postures, further exposures of the same light",
+        ),
         (("--choose-postures", "1", "--threshold", "-1"), "--threshold: expected a number above 0"),
         (("--exposures", "1/4", "--threshold", "nan"), "--threshold: expected a number above 0"),
         (("--choose-postures", "1", "--rows", "0"), "ranking rows: expected at least 1, found 0"),

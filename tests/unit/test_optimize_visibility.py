@@ -14,9 +14,10 @@ from lightopt.optimize import (
     LuminanceMatrix,
     Thresholds,
     Visibility,
-    blind_codes,
     blind_spots,
     blind_text,
+    shown_by,
+    shown_together,
     unroll,
 )
 
@@ -68,8 +69,9 @@ def test_built_in_catalogue_unrolls_to_walls_all_around_and_each_entry_weighs_th
         ((), 8, "at least one kind of defect"),
         ((dent(0.0),), 8, "slope above 0° up to 60°, found 0°"),
         ((dent(61.0),), 8, "slope above 0° up to 60°, found 61°"),
-        ((dent(3.0),), 7, "expected 8 or more, found 7"),
-        ((dent(3.0),), 1025, "are 1025 trials, more than 1024"),
+        ((dent(3.0),), 7, "expected an even number, 8 or more, found 7"),
+        ((dent(3.0),), 9, "expected an even number, 8 or more, found 9"),
+        ((dent(3.0),), 1026, "are 1026 trials, more than 1024"),
     ],
 )
 def test_what_cannot_be_planned_for_is_refused(catalogue, directions, found):
@@ -122,19 +124,42 @@ def test_reasons_are_those_that_stand_in_between():
         layer[0, 1, :3] = True
     cosines = np.array([1, 1, 1, 1, 1, 0.1])
     some = visibility_of(flags, trials, [1, 1, 1, 1, 1, 2], patch=[1, 2, 3, 4, 5, 7], cosines=cosines)
-    codes, seen = blind_codes(some, levels, THRESHOLDS, least=2, candidates=(0, 0))
-    expected = [Blind.SEEN, Blind.CONTRAST, Blind.SHADOWED, Blind.SATURATED, Blind.SHADOWED, Blind.GRAZING]
-    assert codes.tolist() == expected
+    matrix = LuminanceMatrix(levels=levels, areas=some.areas, visibility=some)
     areas = np.array([3, 1, 1, 1, 1, 1, 0, 2.0])
-    found = blind_spots(areas, [(some, codes, seen)])
-    assert found.codes.tolist() == [Blind.CAMERA, *expected[:5], Blind.CAMERA, Blind.GRAZING]
+    found = blind_spots(areas, [shown_by([matrix], THRESHOLDS, least=2, candidates=(0, 0))])
+    expected = [Blind.SEEN, Blind.CONTRAST, Blind.SHADOWED, Blind.SATURATED, Blind.SHADOWED]
+    assert found.codes.tolist() == [Blind.CAMERA, *expected, Blind.CAMERA, Blind.GRAZING]
     assert found.seen == pytest.approx((1 + 3 / 8) / 10)
     reasons = found.by_reason()
     assert reasons == pytest.approx({1: 0.3, 2: 0.2, 3: 0.2, 4: 0.0625, 5: 0.1})
     assert found.seen + sum(reasons.values()) == pytest.approx(1.0)
-    one, _ = blind_codes(some, levels, THRESHOLDS, least=1, candidates=(0, 0))
-    assert one[4] == Blind.SATURATED
+    one = blind_spots(areas, [shown_by([matrix], THRESHOLDS, least=1, candidates=(0, 0))])
+    assert one.codes[5] == Blind.SATURATED
     assert blind_text(Blind.SATURATED + 1, ["left", "right"]) == "saturated by right"
+    # light by light it is the same
+    parts = [
+        LuminanceMatrix(
+            levels=levels[k : k + 1],
+            areas=some.areas,
+            visibility=visibility_of(
+                flags[k : k + 1], trials, some.areas, patch=some.patch, cosines=some.cosines
+            ),
+        )
+        for k in (0, 1)
+    ]
+    halves = [
+        shown_by([half], THRESHOLDS, least=2, candidates=(0,), first_light=k) for k, half in enumerate(parts)
+    ]
+    again = blind_spots(areas, [shown_together(*halves)])
+    assert again.codes.tolist() == found.codes.tolist()
+    assert again.share.tolist() == found.share.tolist()
+
+
+def matrix_with(flags, levels, trials):
+    """A matrix of one patch."""
+    return LuminanceMatrix(
+        levels=levels, areas=np.ones(1), visibility=visibility_of(flags, trials, np.ones(1))
+    )
 
 
 def test_all_positions_count_each_for_itself_and_postures_complete_each_other():
@@ -143,15 +168,37 @@ def test_all_positions_count_each_for_itself_and_postures_complete_each_other():
     flags = [np.zeros((2, 1, 8), bool) for _ in levels]
     flags[0][0, 0, :4] = True
     flags[0][1, 0, 4:6] = True
-    first = visibility_of(flags, trials, [1.0])
-    codes, seen = blind_codes(first, levels, THRESHOLDS, least=1)
-    assert codes.tolist() == [Blind.CONTRAST]
-    assert first.weights(seen).tolist() == [6]
+    first = shown_by([matrix_with(flags, levels, trials)], THRESHOLDS, least=1)
+    alone = blind_spots(np.ones(1), [first])
+    assert alone.codes.tolist() == [Blind.CONTRAST]
+    assert alone.seen == 6 / 8
     flags = [layer.copy() for layer in flags]
     flags[1][1, 0, 6:] = True
-    other = visibility_of([flags[1], flags[1]], trials, [1.0])
-    own, more = blind_codes(other, levels, THRESHOLDS, least=1, candidates=(1, 1))
-    together = blind_spots(np.ones(1), [(first, codes, seen), (other, own, more)])
+    other = shown_by(
+        [matrix_with([flags[1], flags[1]], levels, trials)], THRESHOLDS, least=1, candidates=(1, 1)
+    )
+    together = blind_spots(np.ones(1), [first, other])
     assert together.codes.tolist() == [Blind.SEEN]
     assert together.seen == 1.0
     assert blind_spots(np.ones(2), []).codes.tolist() == [Blind.CAMERA, Blind.CAMERA]
+
+
+def test_images_of_other_postures_confirm_and_other_exposures_of_a_light_do_not():
+    trials = unroll([dent(2.0)])
+    flags = [np.zeros((1, 1, 8), bool) for _ in range(2)]
+    flags[0][0, 0] = True
+    levels = (np.array([[60]], np.uint8), np.array([[2]], np.uint8))
+    matrix = matrix_with(flags, levels, trials)
+    once = shown_by([matrix], THRESHOLDS, least=2)
+    assert blind_spots(np.ones(1), [once]).seen == 0.0
+    # the same image at another exposure shows the same trials: still one image
+    assert blind_spots(np.ones(1), [shown_by([matrix, matrix], THRESHOLDS, least=2)]).seen == 0.0
+    # the image of another posture is a second one
+    assert blind_spots(np.ones(1), [once, once]).codes.tolist() == [Blind.SEEN]
+    # an exposure that saturates nothing takes the glare away
+    bright = matrix_with(flags, (np.array([[255]], np.uint8), np.array([[255]], np.uint8)), trials)
+    dim = matrix_with(flags, (np.array([[60]], np.uint8), np.array([[60]], np.uint8)), trials)
+    glare = blind_spots(np.ones(1), [shown_by([bright], THRESHOLDS, least=2)])
+    assert glare.codes.tolist() == [Blind.SATURATED]
+    mended = blind_spots(np.ones(1), [shown_by([bright, dim], THRESHOLDS, least=2)])
+    assert mended.codes.tolist() == [Blind.CONTRAST]

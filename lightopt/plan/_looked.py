@@ -1,0 +1,92 @@
+"""What a plan's images show and what others could: its blind spots beside those that no position would mend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+from lightopt.config import RigConfig
+from lightopt.optimize import Candidates, Looked, Shown, Thresholds, shown_by, shown_together
+from lightopt.plan._assess import Setup
+from lightopt.plan._survey import Survey
+from lightopt.scene import PanelLight
+from lightopt.transforms import Posture
+
+__all__ = ["looked_at"]
+
+
+def looked_at(
+    survey: Survey,
+    rig: RigConfig,
+    angles: Mapping[Posture, tuple[tuple[float, float], ...]],
+    candidates: Candidates | None,
+    *,
+    exposures: Mapping[Posture, tuple[float, ...]],
+    offered: tuple[float, ...],
+    thresholds: Thresholds,
+    least: int,
+    points: int | Literal["auto"] | None = None,
+    tell: Callable[[float], None] | None = None,
+) -> tuple[Looked, ...]:
+    """Look at the images of a plan, and at those of all that there was to choose from in its postures.
+
+    Parameters
+    ----------
+    survey
+        The part, its patches being those of the blind spots.
+    rig
+        Whose lights they are.
+    angles
+        Where they stand in each posture [°].
+    candidates
+        Where they could stand; None where no light moves.
+    exposures, offered
+        Planned in each posture, and all that there were to choose from.
+    thresholds
+        Black level and saturation.
+    least
+        Images that must show a defect.
+    points
+        Point lights per panel, instead of the rig's.
+    tell
+        Called with the share that is done.
+    """
+    setup = Setup(
+        rig=rig,
+        postures=tuple(angles),
+        angles=tuple(angles.values()),
+        exposures=tuple(exposures[posture] for posture in angles),
+        points=points,
+    )
+    looked: list[Looked] = []
+    lights = range(len(rig.lights))
+    for index, posture in enumerate(setup.postures):
+        panels = [[setup.panel(index, light, (0.0, 0.0))] for light in lights]
+        chosen = shown_by(
+            survey.matrices(posture, panels, exposures=setup.exposures[index]), thresholds, least=least
+        )
+        places = panels if candidates is None else candidates.panels
+        possible = _possible(survey, posture, places, offered, thresholds, least)
+        looked.append(Looked(posture=posture, chosen=chosen, possible=possible))
+        if tell is not None:
+            tell((index + 1) / len(setup.postures))
+    return tuple(looked)
+
+
+def _possible(
+    survey: Survey,
+    posture: Posture,
+    places: Sequence[Sequence[PanelLight]],
+    offered: tuple[float, ...],
+    thresholds: Thresholds,
+    least: int,
+) -> Shown:
+    # light by light: the positions of all of them at all exposures would be much to hold
+    total: Shown | None = None
+    for light, panels in enumerate(places):
+        one = shown_by(
+            survey.matrices(posture, [panels], exposures=offered), thresholds, least=least, first_light=light
+        )
+        total = one if total is None else shown_together(total, one)
+    assert total is not None
+    return total
