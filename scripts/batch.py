@@ -24,9 +24,10 @@ HEADER = (
     "check",
     "render",
     "optimize",
-    "coverage",
-    "lights (elevation, azimuth) per posture",
     "seconds",
+    "posture",
+    "share",
+    "lights (elevation, azimuth)",
 )
 
 
@@ -49,10 +50,13 @@ def main(arguments: list[str] | None = None) -> int:
         )
         return 2
     rows: list[tuple[str, ...]] = []
+    tried, failed = 0, list[str]()
     interrupted = False
     for part in parts:
-        row, interrupted = run_part(options.rig, part, options.step, options.options.split(), options.out)
-        rows.append(row)
+        own, interrupted = run_part(options.rig, part, options.step, options.options.split(), options.out)
+        rows += own
+        tried += 1
+        failed += [part.stem] if "failed" in own[0] else []
         if interrupted:
             break
     widths = [max(len(row[i]) for row in (HEADER, *rows)) for i in range(len(HEADER))]
@@ -62,18 +66,22 @@ def main(arguments: list[str] | None = None) -> int:
     print("\n" + "\n".join(table))
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "summary.txt").write_text("\n".join(table) + "\n", encoding="utf-8")
-    failed = [row[0] for row in rows if "failed" in row]
     if interrupted:
-        done = f"{len(rows) - 1} of {len(parts)} parts were done before"
+        done = f"{tried - 1} of {len(parts)} parts were done before"
         print(f"interrupted: {done}; the same command continues", file=sys.stderr)
         return INTERRUPTED
     if failed:
-        print(f"error: {len(failed)} of {len(rows)} parts failed: {', '.join(failed)}", file=sys.stderr)
+        print(f"error: {len(failed)} of {tried} parts failed: {', '.join(failed)}", file=sys.stderr)
     return 1 if failed else 0
 
 
-def run_part(rig: Path, part: Path, step: str, more: list[str], out: Path) -> tuple[tuple[str, ...], bool]:
-    """Check, render and optimise a part; what fails keeps the rest from being tried. A row, and whether Ctrl-C was."""
+def run_part(
+    rig: Path, part: Path, step: str, more: list[str], out: Path
+) -> tuple[list[tuple[str, ...]], bool]:
+    """Check, render and optimise a part; what fails keeps the rest from being tried.
+
+    Rows, one for each set of lights and so for each posture, or one for all; and whether Ctrl-C was pressed.
+    """
     print(f"== {part}", flush=True)
     folder = out / part.stem
     begun = time.perf_counter()
@@ -89,9 +97,10 @@ def run_part(rig: Path, part: Path, step: str, more: list[str], out: Path) -> tu
     said: list[str] = []
     for command, result in commands:
         said.append("-" if {"failed", "stopped"} & set(said) else lightopt(command, part, result))
-    coverage, lights = summary(best / "result.json") if said[-1] == "ok" else ("-", "-")
-    row = (part.stem, *said, coverage, lights, f"{time.perf_counter() - begun:.1f}")
-    return row, "stopped" in said
+    sets = summary(best / "result.json") if said[-1] == "ok" else [("-", "-", "-")]
+    first = (part.stem, *said, f"{time.perf_counter() - begun:.1f}")
+    rows = [(*(first if k == 0 else ("",) * len(first)), *own) for k, own in enumerate(sets)]
+    return rows, "stopped" in said
 
 
 def lightopt(command: list[str], part: Path, result: Path | None) -> str:
@@ -137,18 +146,22 @@ def call(command: list[str]) -> subprocess.CompletedProcess[str]:
         return subprocess.CompletedProcess(command, INTERRUPTED if stopped else process.returncode, out, err)
 
 
-def summary(path: Path) -> tuple[str, str]:
-    """Least covered share over the postures, and the best positions."""
-    results = json.loads(path.read_text(encoding="utf-8"))["results"]
-    first = [group["objectives"][0] for group in results]
-    shares = [
-        answer["share_of_visible_area"] for answer in first if answer.get("share_of_visible_area") is not None
-    ]
-    lights = "; ".join(
-        " ".join(f"{light['elevation_deg']:g},{light['azimuth_deg']:g}" for light in answer["lights"])
-        for answer in first
-    )
-    return (f"{100.0 * min(shares):.1f} %" if shares else "-"), lights
+def summary(path: Path) -> list[tuple[str, str, str]]:
+    """Of each set of lights its posture, or how many, the share by the first objective, and the best positions."""
+    sets: list[tuple[str, str, str]] = []
+    for group in json.loads(path.read_text(encoding="utf-8"))["results"]:
+        answer, postures = group["objectives"][0], group["postures"]
+        share = answer.get("share_of_visible_area")
+        angles = [f"{light['elevation_deg']:g},{light['azimuth_deg']:g}" for light in answer["lights"]]
+        one = f"{postures[0]['elevation_deg']:g},{postures[0]['rotation_deg']:g}"
+        sets.append(
+            (
+                one if len(postures) == 1 else f"all {len(postures)}",
+                "-" if share is None else f"{100.0 * share:.1f} %",
+                " ".join(angles),
+            )
+        )
+    return sets
 
 
 if __name__ == "__main__":

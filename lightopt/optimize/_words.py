@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from lightopt.optimize._objective import Objective
-from lightopt.optimize._search import Found
+import math
+from collections.abc import Sequence
 
-__all__ = ["gap_text", "looked_text", "score_text", "ties_text"]
+from lightopt.errors import counted
+from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._objective import Objective
+from lightopt.optimize._result import Answer
+from lightopt.optimize._search import Found
+from lightopt.transforms import Posture
+
+__all__ = ["combinations_text", "cut_off", "gap_text", "looked_text", "score_text", "ties_text"]
 
 
 def score_text(value: int, objective: Objective, area: int) -> str:
@@ -28,6 +35,28 @@ def looked_text(found: Found) -> str:
     """How many combinations were scored, excluded by a bound, and left."""
     text = f"{found.scored:,}" + (f" + {found.excluded:,} by bound" if found.excluded else "")
     return text + (f", {found.left:,} left" if found.left else "")
+
+
+def cut_off(answer: Answer, postures: Sequence[Posture]) -> str:
+    """What to say of a search that left combinations."""
+    found, name = answer.found, answer.objective.name
+    proof = (
+        "none scores more, but one of those left may score the same and win the tie"
+        if found.proven
+        else f"none scores more than {found.bound:,}"
+    )
+    return (
+        f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
+        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up are of "
+        "what was looked at. Raise --max-combinations or take a larger --step"
+    )
+
+
+def combinations_text(candidates: Candidates) -> str:
+    """How many positions and combinations there are to choose from."""
+    sizes = candidates.space.sizes
+    positions = " × ".join(map(str, sizes))
+    return f"{positions} positions of {', '.join(candidates.names)}: {counted(math.prod(sizes), 'combination')} at most"
 
 
 def _seen(found: Found) -> str:

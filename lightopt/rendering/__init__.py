@@ -39,7 +39,7 @@ from lightopt.rendering._pixels import (
 )
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, interpolate_surface, trace_samples
-from lightopt.rendering._threads import Task, available_processors, in_threads, run_all
+from lightopt.rendering._threads import Task, available_processors, end_if_stopped, in_threads, run_all
 from lightopt.rendering._variants import SurfaceVariants, VariantLevels, shade_variants, surface_variants
 
 __all__ = [
@@ -69,6 +69,7 @@ __all__ = [
     "build_patches",
     "cast_rays_at",
     "converged_panel",
+    "end_if_stopped",
     "highlight_level",
     "in_threads",
     "interpolate_surface",

@@ -26,6 +26,7 @@ from lightopt.rendering._panel import PanelNumbers, panel_numbers
 from lightopt.rendering._penumbra import PenumbraLight, shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._threads import end_if_stopped
 from lightopt.scene import PanelLight
 
 __all__ = [
@@ -278,6 +279,7 @@ def _add_penumbrae(
     penumbra = np.zeros(len(surface), np.bool_)
     index = np.flatnonzero(uncertain)
     for start in range(0, len(index), PENUMBRA_BATCH):
+        end_if_stopped()
         batch = index[start : start + PENUMBRA_BATCH]
         some = surface.take(batch)
         diffuse[batch], specular[batch], penumbra[batch] = shade_penumbra(some, light, caster)

@@ -1,4 +1,4 @@
-"""How many threads there are to use, and work spread over them."""
+"""How many threads there are to use, and work spread over them, which ends soon where it is stopped."""
 
 from __future__ import annotations
 
@@ -6,13 +6,33 @@ import itertools
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextvars import ContextVar
+from threading import Event
 from typing import Any, TypeVar
 
-__all__ = ["Task", "available_processors", "in_threads", "run_all"]
+__all__ = ["Task", "available_processors", "end_if_stopped", "in_threads", "run_all"]
 
 T = TypeVar("T")
 Task = tuple[Callable[..., None], tuple[Any, ...]]
 """A function and its arguments."""
+
+
+_stopped: ContextVar[Event | None] = ContextVar("_stopped", default=None)
+"""In a pool's thread: set where the pool's work was stopped."""
+
+
+class _StoppedError(Exception):
+    """What ends a task of stopped work; nobody sees it, since what stopped the work is raised instead."""
+
+
+def end_if_stopped() -> None:
+    """End the task of :func:`run_all` or :func:`in_threads` that calls it, where their work was stopped.
+
+    For tasks that take longer than a person who pressed Ctrl-C should wait: call it now and then.
+    """
+    stopped = _stopped.get()
+    if stopped is not None and stopped.is_set():
+        raise _StoppedError
 
 
 def available_processors() -> int:
@@ -27,8 +47,13 @@ def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | N
     count = threads or available_processors()
     if count == 1 or len(starts) < 2:
         return [work(start) for start in starts]
-    with ThreadPoolExecutor(count) as pool:
-        return list(pool.map(work, starts))
+    results: dict[int, T] = {}
+
+    def one(place: int, start: int) -> None:
+        results[place] = work(start)
+
+    run_all(((one, pair) for pair in enumerate(starts)), threads=count)
+    return [results[place] for place in range(len(starts))]
 
 
 def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | None = None) -> None:
@@ -44,7 +69,8 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
         Called from the calling thread after each task; an exception that it raises stops the rest, too.
     """
     waiting_tasks = iter(tasks)
-    with ThreadPoolExecutor(threads) as pool:
+    stopped = Event()
+    with ThreadPoolExecutor(threads, initializer=_stopped.set, initargs=(stopped,)) as pool:
         running: set[Future[None]] = set()
         try:
             while True:
@@ -58,5 +84,6 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
                     if done is not None:
                         done()
         except BaseException:
+            stopped.set()
             pool.shutdown(wait=True, cancel_futures=True)
             raise

@@ -27,11 +27,15 @@ from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
 from lightopt.rendering._panel_variants import panel_variants
 from lightopt.rendering._points import PAIRS_AT_ONCE, facing_pairs
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._threads import end_if_stopped
 from lightopt.scene import PanelLight, panel_grid
 
 __all__ = ["SurfaceVariants", "VariantLevels", "shade_variants", "surface_variants"]
 
 Float64 = NDArray[np.float64]
+
+CONVERGED_AT_ONCE = 1 << 13
+"""Surface points under a converged panel that are worked on at once: some 0.1 s, so that Ctrl-C is heard."""
 
 NEGLIGIBLE_LEVEL = 1e-3
 """Lobes are left out of variants where they are nowhere more than this [grey level]: 0.26 of a level of 16 bits."""
@@ -124,17 +128,20 @@ def shade_variants(
     caster
         For shadows; None for none.
     """
+
+    def shade(start: int, end: int) -> VariantLevels:
+        end_if_stopped()
+        some, own = surface.take(np.arange(start, end)), references[start:end]
+        if isinstance(panel, ConvergedPanel):
+            return _converged_variants(some, own, panel, variants, reflectance, caster)
+        return _point_variants(some, own, panel, variants, reflectance, caster)
+
     if isinstance(panel, ConvergedPanel):
-        return _converged_variants(surface, references, panel, variants, reflectance, caster)
-    assert panel.points != "auto"
-    step = max(1, PAIRS_AT_ONCE // panel.points)
-    pieces = [
-        _point_variants(
-            surface.take(np.arange(start, end)), references[start:end], panel, variants, reflectance, caster
-        )
-        for start in range(0, len(surface), step)
-        for end in (min(start + step, len(surface)),)
-    ]
+        step = CONVERGED_AT_ONCE
+    else:
+        assert panel.points != "auto"
+        step = max(1, PAIRS_AT_ONCE // panel.points)
+    pieces = [shade(start, min(start + step, len(surface))) for start in range(0, len(surface), step)]
     return VariantLevels(
         plain=np.concatenate([piece.plain for piece in pieces] or [np.zeros(0, np.float32)]),
         good=np.concatenate([piece.good for piece in pieces] or [np.zeros(0)]),

@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -212,3 +214,48 @@ def test_ctrl_c_while_rays_are_cast(cli, shared_bench, tmp_path, quick, snapshot
         cli("render", shared_bench.rig, shared_bench.part, "-o", tmp_path / "out", "-q", *QUICK).status == 0
     )
     assert snapshot(tmp_path / "out") == quick
+
+
+@one_console
+@pytest.mark.parametrize("inspected", [True, False], ids=["defects", "levels"])
+def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(shared_bench, inspected):
+    """A block of patches under such a panel takes many seconds of a processor; it ends within one piece of it."""
+    from lightopt import build_scene
+    from lightopt.defects import BUILT_IN_CATALOGUE
+    from lightopt.optimize import Contrast, Inspection, luminance_matrix, unroll
+    from lightopt.raycast import RayCaster
+    from lightopt.rendering import build_patches
+
+    scene = build_scene(shared_bench.rig, shared_bench.part)
+    asked: list[float] = []
+    armed = threading.Event()
+
+    def tell(query: str, *_) -> None:
+        if query == "OCCLUDED" and armed.is_set() and not asked:
+            asked.append(time.process_time())
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=tell)
+    table = build_patches(scene, caster=caster, budget=8000)
+    inspection = Inspection(
+        trials=unroll(BUILT_IN_CATALOGUE), contrast=Contrast(sensor=scene.sensor, full_scale=255)
+    )
+
+    def cast(points: int) -> None:
+        panels = [[replace(light, points=points)] for light in scene.lights]
+        luminance_matrix(
+            scene,
+            table,
+            scene.postures[0],
+            panels,
+            caster=caster,
+            inspection=inspection if inspected else None,
+            threads=2,
+        )
+
+    cast(4)  # compiles what is not compiled yet
+    armed.set()
+    with pytest.raises(KeyboardInterrupt):
+        cast(10_000)
+    # of both threads; without pieces it would be more than ten times as much
+    assert time.process_time() - asked[0] < 2.5

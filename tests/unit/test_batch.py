@@ -71,7 +71,7 @@ def fake(monkeypatch, batch, answers):
         return subprocess.CompletedProcess(command, status, "", message)
 
     monkeypatch.setattr(batch, "call", call)
-    monkeypatch.setattr(batch, "summary", lambda _: ("90.0 %", "60,45"))
+    monkeypatch.setattr(batch, "summary", lambda _: [("0,0", "90.0 %", "60,45"), ("0,82", "91.0 %", "60,50")])
     return ran
 
 
@@ -86,7 +86,33 @@ def test_ctrl_c_ends_with_the_summary_of_what_was_done(batch, tmp_path, monkeypa
     assert "1 of 3 parts were done before" in said.err
     rows = {line.split()[0]: line.split()[1:4] for line in said.out.splitlines() if line[:2] in ("a ", "b ")}
     assert rows == {"a": ["ok", "ok", "ok"], "b": ["ok", "stopped", "-"]}
-    assert (tmp_path / "out" / "summary.txt").read_text(encoding="utf-8").count("\n") == 3
+    assert (tmp_path / "out" / "summary.txt").read_text(encoding="utf-8").count("\n") == 4
+    # every posture has a line of its own
+    first, second = said.out.splitlines()[-3:-1]
+    assert first.split()[5:] == ["0,0", "90.0", "%", "60,45"]
+    assert second.split() == ["0,82", "91.0", "%", "60,50"]
+
+
+def test_the_summary_has_every_posture(batch, tmp_path):
+    def answer(share, *elevations):
+        lights = [{"elevation_deg": e, "azimuth_deg": 45.0} for e in elevations]
+        return [{"share_of_visible_area": share, "lights": lights}, {"share_of_visible_area": 0.1}]
+
+    def place(tilt, turn):
+        return {"elevation_deg": tilt, "rotation_deg": turn}
+
+    groups = [
+        {"postures": [place(0.0, 82.0)], "objectives": answer(0.921, 60.0, 35.0)},
+        {"postures": [place(-20.0, 180.0)], "objectives": answer(None, 30.0)},
+        {"postures": [place(0.0, 0.0), place(0.0, 90.0)], "objectives": answer(0.5, 40.0)},
+    ]
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps({"results": groups}), encoding="utf-8")
+    assert batch.summary(path) == [
+        ("0,82", "92.1 %", "60,45 35,45"),
+        ("-20,180", "-", "30,45"),
+        ("all 2", "50.0 %", "40,45"),
+    ]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends Ctrl-C to all processes of a console")

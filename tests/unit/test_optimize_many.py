@@ -24,7 +24,7 @@ from lightopt.optimize import (
     search,
 )
 from lightopt.optimize._answer import answer_set
-from lightopt.optimize._run import cut_off
+from lightopt.optimize._words import cut_off
 from lightopt.transforms import Posture
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

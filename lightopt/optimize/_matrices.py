@@ -1,0 +1,166 @@
+"""The luminance matrices of a run's postures: made, or taken where an earlier run kept them; and the patches."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.images import file_sha256, make_folder, posture_folder
+from lightopt.optimize._candidates import Candidates
+from lightopt.optimize._inspection import Inspection
+from lightopt.optimize._kept import keep_matrix, matrix_key, read_matrix
+from lightopt.optimize._luminance import MOST_BYTES, luminance_matrix
+from lightopt.optimize._matrix import LuminanceMatrix
+from lightopt.optimize._options import OptimizeOptions
+from lightopt.optimize._provenance import versions
+from lightopt.raycast import RayCaster
+from lightopt.rendering import PatchTable, Report, build_patches
+from lightopt.scene import Scene
+from lightopt.transforms import Posture
+
+__all__ = ["Matrices"]
+
+COARSE_SHARE = 0.15
+"""Edges longer than this share of the part's diagonal are worth a warning."""
+
+MATRIX_NAME = "matrix.npz"
+
+
+class Matrices:
+    """Makes the luminance matrices, or takes those that were kept; patches are cut only when needed.
+
+    Parameters
+    ----------
+    rig, part, scene, candidates, options
+        Of the run.
+    folder
+        Of the run, where matrices are kept.
+    caster
+        Of the scene's part.
+    inspection
+        The defects that are looked for; None for none.
+
+    Attributes
+    ----------
+    reused
+        How many were taken from an earlier run.
+    table
+        The patches; None as long as they were not needed.
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        part: PartConfig,
+        scene: Scene,
+        candidates: Candidates,
+        options: OptimizeOptions,
+        folder: Path,
+        caster: RayCaster,
+        inspection: Inspection | None,
+    ) -> None:
+        self.scene = scene
+        self.candidates = candidates
+        self.options = options
+        self.folder = folder
+        self.caster = caster
+        self.reused = 0
+        self.table: PatchTable | None = None
+        self.inspection = inspection
+        self._facts = _matrix_facts(rig, part, scene, candidates, options, inspection)
+
+    @property
+    def coarse(self) -> str | None:
+        """A warning where patches are so large that what happens within one matters; None where they are not."""
+        if self.table is None:
+            return None
+        low, high = self.scene.mesh.bounds
+        size = float(np.linalg.norm(high - low))
+        if self.table.max_edge <= max(COARSE_SHARE * size, self.table.footprint):
+            return None
+        return (
+            f"patches have edges up to {self.table.max_edge:.3g} mm on a part of {size:.3g} mm: a patch is lit or dark "
+            "as its middle is, so scores may be off by whole patches. Raise --patches, or give a mesh with fewer "
+            "triangles"
+        )
+
+    @property
+    def message(self) -> str | None:
+        """What the patch refinement reached."""
+        return None if self.table is None else self.table.message
+
+    def patches(self) -> PatchTable:
+        """The patches, cut when first needed."""
+        if self.table is None:
+            self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
+        return self.table
+
+    def matrix(self, posture: Posture, report: Report | None, *, held: int) -> LuminanceMatrix:
+        """The luminance matrix of a posture, one of so many that are held together."""
+        key = matrix_key({**self._facts, "posture": posture.as_dict()})
+        path = self.folder / posture_folder(posture) / MATRIX_NAME
+        trials = None if self.inspection is None else self.inspection.trials
+        kept = read_matrix(path, key=key, lights=len(self.candidates.names), trials=trials)
+        if kept is not None:
+            self.reused += 1
+            return kept
+        made = luminance_matrix(
+            self.scene,
+            self.patches(),
+            posture,
+            self.candidates.panels,
+            caster=self.caster,
+            inspection=self.inspection,
+            shadows=self.options.shadows,
+            threads=self.options.threads,
+            most_bytes=MOST_BYTES // held,
+            progress=None if report is None else lambda share, rays: report(posture, share, rays),
+        )
+        if self.options.keep_matrix:
+            make_folder(path.parent)
+            keep_matrix(path, made, self.candidates.angles, key=key)
+        return made
+
+
+def _matrix_facts(
+    rig: RigConfig,
+    part: PartConfig,
+    scene: Scene,
+    candidates: Candidates,
+    options: OptimizeOptions,
+    inspection: Inspection | None,
+) -> dict[str, Any]:
+    # all that a level depends on, and nothing else: not the names and ranges of the lights, nor the sensor's noise and
+    # saturation, which thresholds are made of
+    moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
+    mesh = part.source.resolve(part.mesh.file)
+    looked_for: dict[str, Any] = {}
+    if inspection is not None:
+        # what is visible depends on the sensor's noise and saturation, too
+        looked_for = {
+            "defects": [asdict(trial) for trial in inspection.trials],
+            "noise": asdict(inspection.contrast),
+            "defects narrower than a pixel": "F (D - M) + A M in two pixels",
+        }
+    return {
+        **looked_for,
+        "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
+        "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
+        "light_source": rig.light_source.model_dump(mode="json"),
+        "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
+        "angles_deg": [list(map(list, angles)) for angles in candidates.angles],
+        "pivot_mm": list(rig.stage.pivot_mm),
+        "part": part.model_dump(mode="json", exclude={"name": True, "postures": True, "mesh": {"file"}}),
+        # of the file's name only what says how it is read
+        "mesh": {"sha256": file_sha256(mesh), "suffix": mesh.suffix.lower()},
+        # the patches are refined for all postures together
+        "postures": [posture.as_dict() for posture in scene.postures],
+        "points": options.points,
+        "shadows": options.shadows,
+        "patch_budget": options.patch_budget,
+        "versions": versions(),
+    }

@@ -1,0 +1,49 @@
+"""Work spread over threads: the first exception ends it, soon where tasks ask whether they are stopped."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from lightopt.rendering import end_if_stopped, in_threads, run_all
+
+
+def endless() -> None:
+    """A minute of work, unless it is stopped."""
+    for _ in range(6000):
+        end_if_stopped()
+        time.sleep(0.01)
+
+
+def test_running_tasks_end_where_another_fails():
+    def fail() -> None:
+        time.sleep(0.05)
+        raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run_all([(endless, ()), (fail, ()), (endless, ())], threads=2)
+    with pytest.raises(KeyboardInterrupt):
+        in_threads(lambda start: fail() if start else endless(), [0, 1], 2)
+    assert time.monotonic() - began < 10.0
+
+
+def test_running_tasks_end_where_progress_raises():
+    def tell() -> None:
+        raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run_all([(endless, ()), (time.sleep, (0.01,))], threads=2, done=tell)
+    assert time.monotonic() - began < 10.0
+
+
+def test_nobody_is_stopped_elsewhere():
+    end_if_stopped()
+    with pytest.raises(ZeroDivisionError):
+        run_all([(divmod, (1, 0))], threads=1)
+    seen = []
+    run_all([(lambda: (end_if_stopped(), seen.append(1)), ())], threads=1)
+    assert seen == [1]
+    assert in_threads(lambda start: end_if_stopped() or start, [1, 2, 3], 2) == [1, 2, 3]
