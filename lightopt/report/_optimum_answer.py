@@ -102,9 +102,11 @@ def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None)
         f"of the surface × defects is seen in {images} or more, all postures together: {postures}; the surface is what "
         "the camera sees in any posture to choose from"
     )
-    if exposures is not None and any(shot["planned"] for shot in exposures["shots"]):
-        text += f". With the planned exposures {100.0 * exposures['share']:.1f} %"
-    return Answer(figure=f"{100.0 * chosen['share']:.1f} %", text=text)
+    share = chosen["share"]
+    if exposures is not None:
+        share = exposures["share"]
+        text += f". With exposure 1 alone {100.0 * exposures['share_without']:.1f} %"
+    return Answer(figure=f"{100.0 * share:.1f} %", text=text)
 
 
 def _plan_proof(chosen: Mapping[str, Any]) -> str:

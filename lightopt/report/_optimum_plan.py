@@ -55,7 +55,7 @@ def blind_tables(draft: Draft) -> list[Block]:
         lost = [_percent(shares.get(reason, 0.0)) for reason in reasons]
         rows.append([name, lights, _percent(facts["seen"]), *lost])
     images = counted(spots["seen_in"], "image")
-    caption = f"Shares of {spots['shares_of']}; seen: in {images} of a posture or more."
+    caption = f"Shares of {spots['shares_of']}; seen: in {images} or more, of a posture or of all."
     header = ["posture", "lights", "seen", *reasons]
     return [Table(header=header, rows=rows, numbers_from=2, caption=caption)]
 
