@@ -64,13 +64,16 @@ def _show_postures(chosen: ChosenPostures) -> None:
     if cover.least is not None and chosen.target is not None:
         say(f"{percent(chosen.target)} takes at least {counted(cover.least, 'posture')} with these lights")
     if chosen.choice.lights is not None:
+        from lightopt.optimize import patches_text
+
         tried = "every combination" if chosen.choice.exact else "one light moved at a time"
+        where = patches_text(chosen.drawn, chosen.patches, on_all=chosen.choice.on_all)
         proven = "; in these postures no other positions show more" * (
             chosen.choice.exact and chosen.choice.settled
         )
         say(
             f"lights: the same for all postures, placed together with them in {counted(chosen.choice.turns, 'turn')} "
-            f"({tried}), at first on {chosen.drawn:,} patches, then on all {chosen.patches:,}{proven}"
+            f"({tried}) {where}{proven}"
         )
         say(f"the lights as they stood show {percent(chosen.choice.before)} of the {chosen.drawn:,} patches")
     say(

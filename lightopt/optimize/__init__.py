@@ -39,7 +39,7 @@ from lightopt.optimize._search import DEFAULT_LIMIT, TABLE_CELLS, Found, search
 from lightopt.optimize._space import Space, allowed_mask
 from lightopt.optimize._trials import DIRECTIONS, Trial, unroll
 from lightopt.optimize._visibility import Visibility, taken_rows, trial_planes
-from lightopt.optimize._words import gap_text, looked_text, score_text, ties_text
+from lightopt.optimize._words import gap_text, looked_text, patches_text, score_text, ties_text
 
 __all__ = [
     "APPENDED_NAMES",
@@ -100,6 +100,7 @@ __all__ = [
     "objectives_named",
     "optimize",
     "patch_colours",
+    "patches_text",
     "refuse_other_result",
     "score_text",
     "search",

@@ -12,7 +12,15 @@ from lightopt.optimize._result import Answer
 from lightopt.optimize._search import Found
 from lightopt.transforms import Posture
 
-__all__ = ["combinations_text", "cut_off", "gap_text", "looked_text", "score_text", "ties_text"]
+__all__ = [
+    "combinations_text",
+    "cut_off",
+    "gap_text",
+    "looked_text",
+    "patches_text",
+    "score_text",
+    "ties_text",
+]
 
 
 def score_text(value: int, objective: Objective, area: int) -> str:
@@ -35,6 +43,17 @@ def looked_text(found: Found) -> str:
     """How many combinations were scored, excluded by a bound, and left."""
     text = f"{found.scored:,}" + (f" + {found.excluded:,} by bound" if found.excluded else "")
     return text + (f", {found.left:,} left" if found.left else "")
+
+
+def patches_text(drawn: int, patches: int, *, on_all: bool) -> str:
+    """On which patches a plan's postures and lights were chosen."""
+    if not on_all:
+        return f"on {drawn:,} of {patches:,} patches"
+    return (
+        f"on all {patches:,} patches"
+        if drawn == patches
+        else f"on {drawn:,} patches, then on all {patches:,} patches"
+    )
 
 
 def cut_off(answer: Answer, postures: Sequence[Posture]) -> str:

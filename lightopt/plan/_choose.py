@@ -25,7 +25,7 @@ from lightopt.transforms import Posture
 __all__ = ["MOST_COUNT_BYTES", "Choice", "Wanted", "choose_postures"]
 
 MOST_COUNT_BYTES = 1_500_000_000
-"""Of the counts of all candidate postures that are held at a time."""
+"""Of the counts of all candidate postures, and of all positions of the lights, that are held at a time."""
 
 MOST_TURNS, MOST_LAST_TURNS = 6, 3
 """On drawn patches and on all."""
@@ -75,6 +75,8 @@ class Choice:
         How often the lights were placed.
     before
         Share that the candidate postures chosen for the rig's lights as they stood show; of the drawn patches.
+    on_all
+        Whether the last turns were taken on all patches; not where memory is not meant for so many positions.
     settled
         Whether no combination of the positions that were tried last shows more of all patches in these postures.
     """
@@ -86,6 +88,7 @@ class Choice:
     exact: bool
     turns: int
     before: float
+    on_all: bool
     settled: bool
 
 
@@ -127,14 +130,23 @@ def choose_postures(
             f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
             f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; take a larger --posture-step or fewer --patches"
         )
-    first = _Turns(drawn, postures, candidates, wanted, tell)
+    last = _Turns(whole, postures, candidates, wanted, tell)
+    first = last if drawn.table is whole.table else _Turns(drawn, postures, candidates, wanted, tell)
     panels = tuple(start)
     cover = first.postures_for(panels, None, "postures for the lights as they stand")
-    now = first.settled(_State(panels=panels, cover=cover), MOST_TURNS, "drawn patches")
     before = cover.share
-    last = _Turns(whole, postures, candidates, wanted, tell)
-    now = replace(now, cover=last.postures_for(now.panels, now.cover.chosen, "postures, all patches"))
-    now = last.settled(now, MOST_LAST_TURNS, "all patches")
+    now = first.settled(
+        _State(panels=panels, cover=cover), MOST_TURNS, "all patches" if first is last else "drawn patches"
+    )
+    on_all = first is last or last.holds_places
+    if first is not last:
+        now = replace(
+            now,
+            cover=last.postures_for(now.panels, now.cover.chosen, "postures, all patches"),
+            settled=candidates is None,
+        )
+        if on_all:
+            now = last.settled(now, MOST_LAST_TURNS, "all patches")
     return Choice(
         postures=tuple(postures[i] for i in now.cover.chosen),
         cover=now.cover,
@@ -143,6 +155,7 @@ def choose_postures(
         exact=now.exact,
         turns=now.turns,
         before=before,
+        on_all=on_all,
         settled=now.settled,
     )
 
@@ -178,6 +191,14 @@ class _Turns:
         self.survey, self.postures, self.candidates, self.wanted = survey, postures, candidates, wanted
         self.weights = survey.weights
         self._tell = tell
+
+    @property
+    def holds_places(self) -> bool:
+        """Whether there is room for the counts of all positions of the lights."""
+        places = 0 if self.candidates is None else sum(len(some) for some in self.candidates.panels)
+        pairs = len(self.survey.patches) * self.weights.masks.shape[1]
+        # those of a posture's images beside the sums
+        return places * (self.wanted.least + 1) * pairs * 8 <= MOST_COUNT_BYTES
 
     def settled(self, now: _State, most: int, where: str) -> _State:
         """Lights for the postures, and postures for the lights, until nothing is gained or after so many turns."""

@@ -202,6 +202,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         ],
         "turns": chosen.choice.turns,
         "every_combination_tried": chosen.choice.exact,
+        "turns_on_all_patches": chosen.choice.on_all,
         "lights_best_for_postures": chosen.choice.exact and chosen.choice.settled,
         "patches": {"drawn": chosen.drawn, "all": chosen.patches},
         "visible_share_of_surface": round(chosen.visible_share, 6),

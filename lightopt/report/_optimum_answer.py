@@ -15,6 +15,7 @@ from lightopt.optimize import (
     angles_of,
     gap_text,
     looked_text,
+    patches_text,
     score_text,
     ties_text,
 )
@@ -119,12 +120,12 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
         return f"{bound} No light moves."
     tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"
     drawn, patches = chosen["patches"]["drawn"], chosen["patches"]["all"]
+    where = patches_text(drawn, patches, on_all=chosen["turns_on_all_patches"])
     if chosen["lights_best_for_postures"]:
         bound += " Proven: in these postures no other positions of the lights show more."
     return (
         f"{bound} Not proven: that no other postures with other lights show more; the lights were placed for the "
-        f"postures, and the postures chosen for the lights, in {counted(chosen['turns'], 'turn')} ({tried}), at first "
-        f"on {drawn:,} patches, then on all {patches:,}."
+        f"postures, and the postures chosen for the lights, in {counted(chosen['turns'], 'turn')} ({tried}) {where}."
     )
 
 

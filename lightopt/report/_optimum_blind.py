@@ -7,13 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.optimize import Blind, BlindReport, BlindSpots, Draft
-from lightopt.report._optimum_plan import blind_tables
-from lightopt.report._optimum_surface import view_of_part
-from lightopt.report._page import Block, SurfaceView
+from lightopt.optimize import Blind, BlindReport, BlindSpots
 from lightopt.report._surface import SurfaceClass, SurfaceLayer
 
-__all__ = ["blind_blocks"]
+__all__ = ["blind_layers"]
 
 # Okabe and Ito; what is seen and what no camera sees as in the view of what the images show
 KINDS = (
@@ -36,22 +33,8 @@ SHARES = (
 )
 
 
-def blind_blocks(draft: Draft) -> list[Block]:
-    """Blind spots by reason: the part to turn, and the shares."""
-    blocks = blind_tables(draft)
-    if draft.blind is not None:
-        surface = view_of_part(draft, tuple(_layers(draft.blind)))
-        view = SurfaceView(
-            surface=surface,
-            alt=f"{draft.part.name}, coloured by why defects on it are not seen",
-            caption="Defects are those of the catalogue, by weight; the reason at a patch is that of those not seen "
-            "there. Percentages are of the part's surface.",
-        )
-        blocks.insert(0, view)
-    return blocks
-
-
-def _layers(report: BlindReport) -> list[SurfaceLayer]:
+def blind_layers(report: BlindReport) -> list[SurfaceLayer]:
+    """How many defects are seen, and why the others are not: all postures together, wherever the lights stand, each."""
     layers = [share_layer("all postures, how many defects are seen", report.chosen)]
     for posture, chosen, possible in report.parts() if len(report.postures) > 1 else report.parts()[:1]:
         where = "all postures" if posture is None else f"posture {posture}"

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from lightopt.optimize import Draft
 from lightopt.report._optimum_answer import answer_blocks, scores_table
-from lightopt.report._optimum_blind import blind_blocks
 from lightopt.report._optimum_facts import fact_blocks
 from lightopt.report._optimum_pictures import curve_blocks, drawing_blocks, image_blocks
-from lightopt.report._optimum_plan import defect_blocks, exposure_blocks, posture_blocks, trust_blocks
+from lightopt.report._optimum_plan import (
+    blind_tables,
+    defect_blocks,
+    exposure_blocks,
+    posture_blocks,
+    trust_blocks,
+)
 from lightopt.report._optimum_surface import surface_blocks
 from lightopt.report._page import Page, Section
 from lightopt.report._page_html import page_html
@@ -24,7 +29,7 @@ def optimum_page(draft: Draft) -> Page:
     """The report of an optimisation as plain values."""
     sections = [
         Section(heading="What the images show", blocks=surface_blocks(draft)),
-        Section(heading="Blind spots", blocks=blind_blocks(draft)),
+        Section(heading="Blind spots", blocks=blind_tables(draft)),
         Section(heading="Defects", blocks=defect_blocks(draft)),
         Section(heading="Postures", blocks=posture_blocks(draft)),
         Section(heading="Exposures", blocks=exposure_blocks(draft)),

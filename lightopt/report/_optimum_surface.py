@@ -1,18 +1,19 @@
-"""The part coloured by what the images of the best set show of each patch."""
+"""The part coloured by what the images of the best set show of each patch, and of defects on it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize import AREA_UNIT_MM2, Draft, Levels, Thresholds, area_units
+from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 from lightopt.transforms import Posture
 
-__all__ = ["SHOWN", "Shown", "shown_by_images", "surface_blocks", "view_of_part"]
+__all__ = ["SHOWN", "Shown", "shown_by_images", "surface_blocks"]
 
 LEAST_USABLE, MOST_SATURATED = 2, 1
 """Images that must show a patch usably, and may show it saturated: the paper's section 5.1, as the objective
@@ -57,36 +58,45 @@ def shown_by_images(levels: Levels, thresholds: Thresholds) -> NDArray[np.uint8]
 
 
 def surface_blocks(draft: Draft) -> list[Block]:
-    """The part to turn, coloured for all postures together and for each, and the areas as a table."""
+    """The part to turn, once, with all that it can be coloured by; areas as a table."""
     shown = _postures(draft)
-    if not shown:
+    levels = [_together(draft, shown)] if len(shown) > 1 else []
+    levels += [_layer(one) for one in shown]
+    defects: list[SurfaceLayer] = []
+    if draft.blind is not None:
+        defects = [replace(layer, group="Defects") for layer in blind_layers(draft.blind)]
+        levels = [replace(layer, group="Levels of the images") for layer in levels]
+    # what the lights were placed for is seen first
+    of_defects = draft.results[0].answers[0].objective.name == "detectability"
+    layers = [*defects, *levels] if of_defects else [*levels, *defects]
+    if not layers:
         return []
-    layers = [_together(draft, shown)] if len(shown) > 1 else []
-    layers += [_layer(one) for one in shown]
-    rule = (
-        f"A level from {draft.thresholds.shade} on and below {draft.thresholds.saturation} is usable, one from "
-        f"{draft.thresholds.saturation} on saturated, one below {draft.thresholds.shade} shaded."
-    )
-    return [
-        SurfaceView(
-            surface=view_of_part(draft, tuple(layers)),
-            alt=f"{draft.part.name}, coloured by what the images of the best set show of it",
-            caption=f"{draft.part.name} as it stands at posture (0°, 0°), Z up. {rule}",
+    view = SurfaceView(
+        surface=ColouredSurface(
+            vertices=draft.table.patches.vertices,
+            triangles=draft.table.patches.triangles,
+            layers=tuple(layers),
+            up=np.array([0.0, 0.0, 1.0]),
+            toward=_toward(draft),
         ),
-        _table(shown),
-        *_together_note(draft, shown),
-    ]
-
-
-def view_of_part(draft: Draft, layers: tuple[SurfaceLayer, ...]) -> ColouredSurface:
-    """The patches at posture (0°, 0°), from where the camera looks or nearly so."""
-    return ColouredSurface(
-        vertices=draft.table.patches.vertices,
-        triangles=draft.table.patches.triangles,
-        layers=layers,
-        up=np.array([0.0, 0.0, 1.0]),
-        toward=_toward(draft),
+        alt=f"{draft.part.name}, coloured by what the images of the best set show of it",
+        caption=" ".join(_captions(draft)),
     )
+    return [view, *([_table(shown), *_together_note(draft, shown)] if shown else [])]
+
+
+def _captions(draft: Draft) -> list[str]:
+    low, high = draft.thresholds.shade, draft.thresholds.saturation
+    captions = [
+        f"{draft.part.name} as it stands at posture (0°, 0°), Z up.",
+        f"A level from {low} on and below {high} is usable, one from {high} on saturated, one below {low} shaded.",
+    ]
+    if draft.blind is not None:
+        captions.append(
+            "Defects are those of the catalogue, by weight; the reason at a patch is that of those not seen there, and "
+            "their percentages are of the part's whole surface."
+        )
+    return captions
 
 
 def _postures(draft: Draft) -> list[Shown]:

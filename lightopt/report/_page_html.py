@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
+from itertools import groupby
 
 from PIL import Image
 
@@ -185,12 +186,7 @@ def _surface(view: SurfaceView) -> str:
             f"to a grid of {grid:.3g} mm; areas are of all faces."
         )
     layers = view.surface.layers
-    choices = "".join(
-        f'<label><input type="radio" name="layer" value="{k}"{" checked" if k == 0 else ""}> '
-        f"{escape(layer.name)}</label>"
-        for k, layer in enumerate(layers)
-    )
-    chooser = f"<form><fieldset><legend>Shown</legend>{choices}</fieldset></form>" if len(layers) > 1 else ""
+    chooser = f"<form>{_chooser(layers)}</form>" if len(layers) > 1 else ""
     legends = "".join(_legend(layer, k) for k, layer in enumerate(layers))
     return "\n".join(
         [
@@ -213,6 +209,18 @@ def _surface(view: SurfaceView) -> str:
     )
 
 
+def _chooser(layers: Sequence[SurfaceLayer]) -> str:
+    parts: list[str] = []
+    for group, some in groupby(enumerate(layers), key=lambda pair: pair[1].group):
+        choices = "".join(
+            f'<label><input type="radio" name="layer" value="{k}"{" checked" if k == 0 else ""}> '
+            f"{escape(layer.name)}</label>"
+            for k, layer in some
+        )
+        parts.append(f"<fieldset><legend>{escape(group or 'Shown')}</legend>{choices}</fieldset>")
+    return "".join(parts)
+
+
 def _legend(layer: SurfaceLayer, number: int) -> str:
     items = "".join(
         f'<li><span class="swatch" style="background:{escape(kind.colour)}"></span>'
@@ -220,4 +228,5 @@ def _legend(layer: SurfaceLayer, number: int) -> str:
         for kind in layer.classes
     )
     hidden = " hidden" if number else ""
-    return f'<ul class="legend" data-layer="{number}" aria-label="{escape(layer.name)}"{hidden}>{items}</ul>'
+    name = escape(f"{layer.group}: {layer.name}" if layer.group else layer.name)
+    return f'<ul class="legend" data-layer="{number}" aria-label="{name}"{hidden}>{items}</ul>'

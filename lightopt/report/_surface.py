@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,11 +50,15 @@ class SurfaceLayer:
         At most 256.
     of_face
         Class of each face, index into `classes`, shape (m,), uint8.
+    group
+        Heading of the layers that it is chosen among, neighbours of the same heading together; empty where all are of
+        one kind.
     """
 
     name: str
     classes: tuple[SurfaceClass, ...]
     of_face: NDArray[np.uint8]
+    group: str = ""
 
     def __post_init__(self) -> None:
         if self.of_face.dtype != np.uint8 or (
@@ -124,10 +128,7 @@ def simplified(surface: ColouredSurface, *, most: int = MOST_TRIANGLES) -> tuple
         if len(kept) <= most:
             break
         cell *= max(1.05, math.sqrt(len(kept) / most))
-    layers = tuple(
-        SurfaceLayer(name=layer.name, classes=layer.classes, of_face=layer.of_face[kept])
-        for layer in surface.layers
-    )
+    layers = tuple(replace(layer, of_face=layer.of_face[kept]) for layer in surface.layers)
     return (
         ColouredSurface(
             vertices=low + places[first] * cell,

@@ -32,6 +32,7 @@ from lightopt.plan import (
     plan_exposures,
     trust_of,
 )
+from lightopt.plan import _choose as choosing
 from lightopt.rendering import build_patches, cast_rays_at, visible_points
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
 from lightopt.transforms import Posture
@@ -248,6 +249,23 @@ def test_postures_and_lights_are_chosen_together(world, least):
     assert alone.lights is None
     assert alone.cover.share == pytest.approx(choice.before)
     assert choice.cover.share >= alone.cover.share
+
+
+def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches(world, monkeypatch):
+    rig, survey = world
+    candidates = find_candidates(rig, step_deg=10.0)
+    few = replace(survey, table=drawn_patches(survey.table, 60))
+    ask = (survey, few, POSTURES[:2], build_lights(rig), candidates, Wanted(count=1))
+    free = choose_postures(*ask)
+    assert free.on_all
+    assert free.settled
+    # room for two candidate postures, not for six positions and their sums
+    monkeypatch.setattr(choosing, "MOST_COUNT_BYTES", 2 * len(survey.patches) * 8)
+    tight = choose_postures(*ask)
+    assert not tight.on_all
+    assert not tight.settled
+    assert tight.turns < free.turns
+    assert tight.cover.total == free.cover.total, "the figures are of all patches"
 
 
 def test_the_target_takes_as_few_postures_as_it_needs(world):

@@ -22,6 +22,7 @@ from lightopt.report import (
     Table,
     optimum_page,
     optimum_report,
+    page_html,
 )
 from lightopt.report._optimum_surface import SHOWN, shown_by_images
 
@@ -244,8 +245,14 @@ def inspected(shared_bench, tmp_path_factory):
 def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     bench, draft = inspected
     spots = result_of(bench.out)["blind_spots"]
-    section = next(s for s in optimum_page(draft).sections if s.heading == "Blind spots")
-    view, table = section.blocks
+    page = optimum_page(draft)
+    (table,) = next(s for s in page.sections if s.heading == "Blind spots").blocks
+    # the part stands in the page once, with all that it can be coloured by, defects first
+    (view,) = (b for s in page.sections for b in s.blocks if isinstance(b, SurfaceView))
+    assert page.sections[0].blocks[0] is view
+    groups = [layer.group for layer in view.surface.layers]
+    assert groups == ["Defects"] * 5 + ["Levels of the images"] * 3
+    assert page_html(page).count('<figure class="surface">') == 1
     assert list(table.rows[0][:3]) == ["all postures", "as found", f"{100 * spots['chosen']['seen']:.1f} %"]
     assert list(table.header[3:]) == list(
         dict.fromkeys(
@@ -258,7 +265,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     for row, group in zip(table.rows[::2], (spots, *spots["postures"]), strict=True):
         shares = {one["reason"]: one["share"] for one in group["chosen"]["blind"]}
         assert list(row[3:]) == [f"{100 * shares.get(reason, 0):.1f} %" for reason in table.header[3:]]
-    shares, reasons, reachable, *single = view.surface.layers
+    shares, reasons, reachable, *single = view.surface.layers[:5]
     assert len(single) == 2
     labels = [kind.label for kind in reasons.classes]
     names = {
@@ -348,6 +355,7 @@ PLANNED = {
         "left_out": [{**place(45, 0), "kind": "view", "reason": "the part leaves the image"}],
         "turns": 2,
         "every_combination_tried": True,
+        "turns_on_all_patches": True,
         "lights_best_for_postures": True,
         "patches": {"drawn": 100, "all": 800},
         "visible_share_of_surface": 0.61,
@@ -406,7 +414,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
     (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
     assert "with these lights no 2 postures of the 12 show more than 93.1 %" in proof
     assert "in these postures no other positions of the lights show more" in proof
-    assert "in 2 turns (every combination), at first on 100 patches, then on all 800" in proof
+    assert "in 2 turns (every combination) on 100 patches, then on all 800 patches." in proof
     note, shots = sections["Exposures"]
     assert "94.0 % of the surface × defects is seen, with exposure 1 alone 90.5 %" in note.text
     assert [list(row) for row in shots.rows] == [
@@ -424,13 +432,15 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
 
 def test_where_one_image_is_enough_the_greedy_bound_is_told(done):
     one = {**PLANNED["chosen_postures"], "seen_in": 1, "every_combination_tried": False}
-    one["lights_best_for_postures"] = False
+    one |= {"lights_best_for_postures": False, "turns_on_all_patches": False}
     draft = replace(done[1], document={**done[1].document, "chosen_postures": one})
     page = optimum_page(draft)
     table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
     assert dict(facts.rows)["a greedy choice has at least"] == "75.0 % of the best"
     assert "what each posture shows that those before it do not" in table.caption
-    assert any("one light moved at a time" in block.text for block in page.lead if isinstance(block, Note))
+    (proof,) = (block.text for block in page.lead if isinstance(block, Note) and "roven" in block.text)
+    assert "(one light moved at a time) on 100 of 800 patches." in proof
+    assert "no other positions of the lights" not in proof
 
 
 def test_nothing_is_shown_of_what_was_not_planned(done):

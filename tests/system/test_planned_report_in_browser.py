@@ -1,0 +1,203 @@
+"""The reports of a search for defects and of a plan as a person sees them in Chromium: on a screen and on paper."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browsers import Opened, opened
+from PIL import Image
+
+from lightopt.cli._main import run
+
+LIGHTS = """\
+lights:
+  - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [40, 60]}
+  - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 225, elevation_range_deg: [30, 50]}
+"""
+FEW = ("--patches", "1500", "--step", "10", "-q")
+PLAN = (
+    *("--choose-postures", "2", "--posture-step", "90", "--exposures", "1,1/16"),
+    *("--tolerance-deg", "2", "--pose-tolerance-deg", "1"),
+)
+
+
+def report_of(shared_bench, folder: Path, *options: str) -> Path:
+    """The report of a small rig whose lights move."""
+    bench = type(shared_bench).make(folder / "bench")
+    head, rest = bench.rig.read_text(encoding="utf-8").split("lights:\n", 1)
+    bench.rig.write_text(head + LIGHTS + rest[rest.index("stage:") :], encoding="utf-8", newline="\n")
+    command = ["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *FEW]
+    assert run([*command, "--objective", "detectability", *options]) == 0
+    return bench.out / "report.html"
+
+
+@pytest.fixture(scope="module")
+def inspected(shared_bench, tmp_path_factory) -> Path:
+    return report_of(shared_bench, tmp_path_factory.mktemp("inspected"), "--objective", "coverage")
+
+
+@pytest.fixture(scope="module")
+def planned(shared_bench, tmp_path_factory) -> Path:
+    return report_of(shared_bench, tmp_path_factory.mktemp("planned"), *PLAN)
+
+
+def result_of(report: Path):
+    return json.loads((report.parent / "result.json").read_text(encoding="utf-8"))
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def pixels(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.float64).reshape(-1, 3)
+
+
+def shown_colours(seen: Opened, png: bytes) -> set[str]:
+    """Labels of the visible legend whose colours, at some brightness, a picture shows."""
+    found = pixels(png)
+    found = found[(found < 250).any(axis=1)]
+    found /= np.linalg.norm(found, axis=1, keepdims=True) + 1e-9
+    labels = set[str]()
+    for item in seen.page.locator(".legend:not([hidden]) li").all():
+        style = item.locator(".swatch").get_attribute("style")
+        assert style is not None
+        red, green, blue = (int(style[style.index("#") + k :][:2], 16) for k in (1, 3, 5))
+        colour = np.array([red, green, blue], float)
+        if (found @ (colour / np.linalg.norm(colour)) > 0.9995).sum() > 200:
+            labels.add(item.locator("span").nth(1).inner_text())
+    return labels
+
+
+def table_under(seen: Opened, heading: str, number: int = 0) -> list[list[str]]:
+    """Header and rows of a table in the section of a heading."""
+    section = seen.page.locator("section").filter(
+        has=seen.page.get_by_role("heading", name=heading, exact=True)
+    )
+    rows = section.locator("table").nth(number).locator("tr").all()
+    return [row.locator("th, td").all_inner_texts() for row in rows]
+
+
+def check_once_and_silent(seen: Opened, report: Path) -> None:
+    """One surface, one legend, all pictures there, nothing wider than a screen or a telephone, nobody asked."""
+    page = seen.page
+    page.wait_for_selector("figure[data-state=live]")
+    assert page.locator("figure.surface").count() == 1
+    assert page.locator("canvas").count() == 1
+    assert sum(legend.is_visible() for legend in page.locator(".legend").all()) == 1
+    assert page.locator("fieldset legend").all_inner_texts() == ["Defects", "Levels of the images"]
+    for picture in page.locator("img").all():
+        assert picture.evaluate("image => image.complete && image.naturalWidth > 1")
+    for width in (1200, 420):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), width
+    page.set_viewport_size({"width": 1200, "height": 900})
+    own = [report.resolve().as_uri()]
+    assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == own
+    assert seen.said == []
+
+
+def check_surface(seen: Opened) -> None:
+    """The part is there in the colours of its legend, and other layers have other colours and legends."""
+    page, canvas = seen.page, seen.page.locator("canvas")
+    shares = canvas.screenshot()
+    assert len(shown_colours(seen, shares)) >= 2
+    page.get_by_role("radio", name="all postures, why not", exact=True).check()
+    reasons = canvas.screenshot()
+    assert reasons != shares
+    assert "contrast under noise" in shown_colours(seen, reasons)
+    page.get_by_role("radio", name="the best of all postures").check()
+    assert "saturated in two images or more" in page.inner_text(".legend:not([hidden])")
+    assert canvas.screenshot() != reasons
+    page.get_by_role("radio", name="all postures, how many defects are seen").check()
+    assert canvas.screenshot() == shares
+
+
+def check_rig_drawing(seen: Opened) -> None:
+    """The drawing of the rig is visible and drawn upon."""
+    drawing = seen.page.locator("img[alt^='The rig']").first
+    assert drawing.is_visible()
+    drawn = pixels(drawing.screenshot())
+    assert (drawn < 200).any(axis=1).mean() > 0.005
+    assert len(np.unique(drawn.astype(np.uint8), axis=0)) > 20
+
+
+def check_paper(seen: Opened) -> None:
+    """On paper a still picture, the legend of what it shows, all tables, no controls."""
+    page = seen.page
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    page.emulate_media(media="print")
+    assert not page.locator("canvas").is_visible()
+    assert not any(control.is_visible() for control in page.locator(".controls").all())
+    assert len(shown_colours(seen, page.locator("img.still").screenshot())) >= 2
+    assert sum(legend.is_visible() for legend in page.locator(".legend").all()) == 1
+    assert all(table.is_visible() for table in page.locator("table").all())
+    assert len(re.findall(rb"/Type\s*/Page\b", page.pdf())) >= 2
+    assert seen.said == []
+
+
+def check_blind_spots(seen: Opened, report: Path) -> None:
+    """The table of blind spots has the result's shares."""
+    spots = result_of(report)["blind_spots"]
+    header, *rows = table_under(seen, "Blind spots")
+    assert header[:3] == ["posture", "lights", "seen"]
+    for row, side in zip(rows[:2], ("chosen", "any_position"), strict=True):
+        assert row[2] == percent(spots[side]["seen"])
+        for entry in spots[side]["blind"]:
+            assert row[header.index(entry["reason"])] == percent(entry["share"])
+
+
+def test_the_report_of_a_search_for_defects(inspected):
+    with opened(inspected) as seen:
+        check_once_and_silent(seen, inspected)
+        check_surface(seen)
+        check_rig_drawing(seen)
+        check_blind_spots(seen, inspected)
+        answers = seen.page.locator("p.answer").all_inner_texts()
+        shares = [one["objectives"][0]["share_of_visible_area"] for one in result_of(inspected)["results"]]
+        assert [text.split(" of")[0] for text in answers] == [percent(share) for share in shares]
+        header, *rows = table_under(seen, "Defects")
+        first = result_of(inspected)["results"][0]["objectives"][0]
+        assert [rows[0][header.index(name)] for name in first["defects"]] == list(
+            map(percent, first["defects"].values())
+        )
+        check_paper(seen)
+
+
+def test_the_report_of_a_plan(planned):
+    result = result_of(planned)
+    chosen = result["chosen_postures"]
+    with opened(planned) as seen:
+        check_once_and_silent(seen, planned)
+        check_surface(seen)
+        check_rig_drawing(seen)
+        check_blind_spots(seen, planned)
+        assert seen.page.inner_text("p.answer").startswith(percent(chosen["share"]))
+        # postures, what each adds
+        _, *rows = table_under(seen, "Postures")
+        assert [row[1:] for row in rows] == [
+            [percent(one["gain"]), percent(one["share"])] for one in chosen["postures"]
+        ]
+        assert (
+            rows[0][0]
+            == f"({chosen['postures'][0]['elevation_deg']:g}°, {chosen['postures'][0]['rotation_deg']:g}°)"
+        )
+        # exposures, whether planned or not
+        _, *rows = table_under(seen, "Exposures")
+        assert [row[1:] for row in rows] == [
+            [f"{one['exposure']:g}", f"{100 * one['gain']:.2f} %", "yes" if one["planned"] else "no"]
+            for one in result["exposures"]["shots"]
+        ]
+        # tolerances, of each posture and of all
+        header, worst, *_ = table_under(seen, "How exact the angles must be")
+        assert header[-1] == "all 2 postures"
+        assert worst[1:] == [percent(one["worst_corner"]["share_of_score"]) for one in result["trust"]]
+        # the commands that carry it out
+        for command in result["commands"]:
+            assert seen.page.get_by_text(command, exact=True).first.is_visible()
+        check_paper(seen)
