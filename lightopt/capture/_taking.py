@@ -176,9 +176,7 @@ class Taking:
         shot = self._expose(devices, shooter, task, exposure, light=light, rest=(exposure,))
         shooter.light_off()
         devices.step = f"comparing the images of {posture}"
-        found = came_back(
-            first, shot.image.mean, light=light, posture=posture, exposure=exposure, scene=self._scene
-        )
+        found = came_back(first, shot.image.mean, light=light, posture=posture, scene=self._scene)
         told = f"came back to {posture}: "
         if found is None:
             self.warn(f"{told}{light} shows too little of the part to tell whether the stage lost steps")
@@ -189,7 +187,7 @@ class Taking:
                 f"{told}the part has turned since the first image there, {found.off}, and the stage does not know: "
                 "it lost steps, or the part slipped; home the stage and capture again"
             )
-        if found.unseen:
+        elif found.unseen:
             self.warn(f"{told}images cannot tell whether its {found.unseen} is what it was")
 
     def flush(self) -> None:

@@ -46,7 +46,7 @@ def looked_again(
 ) -> CameBack | None:
     first = taken(world, POSTURE, 1)
     last = taken(world, Posture(tilt_deg, turn_deg), 2, gain)
-    return came_back(first, last, light="light1", posture=POSTURE, exposure=1.0, scene=scene)
+    return came_back(first, last, light="light1", posture=POSTURE, scene=scene)
 
 
 PREDICTED: dict[str, float] = {}
@@ -74,23 +74,22 @@ def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(
     same = looked_again(scene, world, 0.0, 0.0)
     assert same is not None
     assert same.off is None
-    assert (abs(same.tilt_deg), abs(same.turn_deg)) < (0.05, 0.05)
+    assert max(abs(same.tilt_deg), abs(same.turn_deg)) < 0.1
     for tilt, turn in ((1.0, 0.0), (0.0, -1.0)):
         found = looked_again(scene, world, tilt, turn)
         assert found is not None
         assert found.off is not None
-        if reflectance is PREDICTED:  # else only that it turned is known, and not well by how much
-            assert (found.tilt_deg, found.turn_deg) == pytest.approx((tilt, turn), abs=0.7)
-            assert ("elevation" if tilt else "rotation") in found.off
+        assert (found.tilt_deg, found.turn_deg) == pytest.approx((tilt, turn), abs=0.7)
+        assert ("elevation" if tilt else "rotation") in found.off
 
 
 def test_what_cannot_be_seen_is_said_to_be_so() -> None:
     unsure = CameBack(tilt_deg=0.9, turn_deg=2.0, tilt_error_deg=0.01, turn_error_deg=0.7)
-    assert unsure.off == "its elevation by about +0.90°"
+    assert unsure.off == "its elevation by roughly +0.9°"
     assert unsure.unseen == "rotation"
     scene = scene_of("cover-knob.yaml")
     dark = np.zeros((300, 400), np.uint8)
-    assert came_back(dark, dark, light="light1", posture=POSTURE, exposure=1.0, scene=scene) is None
+    assert came_back(dark, dark, light="light1", posture=POSTURE, scene=scene) is None
 
 
 def test_a_run_that_comes_back_takes_no_more_images_and_ends_in_the_dark(take, world, bench) -> None:
@@ -101,7 +100,7 @@ def test_a_run_that_comes_back_takes_no_more_images_and_ends_in_the_dark(take, w
     assert not world.burning
     facts = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))["came_back"]
     assert (facts["light"], facts["posture"]) == ("light1", {"elevation_deg": 0.0, "rotation_deg": 0.0})
-    assert abs(facts["tilt_deg"]) < 0.05
+    assert abs(facts["tilt_deg"]) < 0.1
     take(resume=True)  # whether it came back is no part of what the set is
     take(resume=True, come_back=True)
 
@@ -115,12 +114,12 @@ def test_a_stage_that_lost_steps_on_its_way_is_told(take, world, bench) -> None:
     done = take(come_back=True)
     (told,) = done.warnings
     assert told.startswith(
-        "came back to (0°, 0°): the part has turned since the first image there, its elevation by about +"
+        "came back to (0°, 0°): the part has turned since the first image there, its elevation by roughly +"
     )
     assert "it lost steps, or the part slipped; home the stage and capture again" in told
     manifest = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["warnings"] == [told]
-    assert manifest["came_back"]["tilt_deg"] == pytest.approx(1.0, abs=0.3)
+    assert manifest["came_back"]["tilt_deg"] == pytest.approx(1.0, abs=0.7)
 
 
 def test_there_has_to_be_something_to_come_back_from(take) -> None:
