@@ -56,6 +56,7 @@ class RigCase:
     step: int | None = None
     truth: BenchTruth | None = None
     dark: bool = True
+    come_back: bool = False
     here: Callable[[], contextlib.AbstractContextManager[object]] = contextlib.nullcontext
 
 
@@ -117,13 +118,18 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
             truth=BenchTruth(ambient_level=level),
             dark=False,
         )
-    for step in (3, 39):  # at the first move and at the second
-        yield RigCase(
-            "stage tilted by 1° more than it says", "stage", "lost_step", {"axis": "1", "steps": 100}, step
-        )
-        yield RigCase(
-            "stage turned by 1° more than it says", "stage", "lost_step", {"axis": "2", "steps": 100}, step
-        )
+    for come_back in (False, True):
+        with_it = ", with --come-back" if come_back else ""
+        for when, step in (("first", 3), ("second", 39)):
+            for kind, axis in (("tilted", "1"), ("turned", "2")):
+                yield RigCase(
+                    f"stage {kind} by 1° more than it says, from its {when} move on{with_it}",
+                    "stage",
+                    "lost_step",
+                    {"axis": axis, "steps": 100},
+                    step,
+                    come_back=come_back,
+                )
     for step in (round((i + 0.5) * 76 / moments) for i in range(moments)):  # of 76 of a run
         yield RigCase("power cycle of the light controller", "lights", "power_cycle", {}, step=step)
         yield RigCase("power cycle of the stage", "stage", "power_cycle", {}, step=step)
@@ -155,7 +161,7 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
 
     message, retries, told, finished = "", 0, (), False
     wrong: list[str] = []
-    options = replace(OPTIONS, dark=case.dark)
+    options = replace(OPTIONS, dark=case.dark, come_back=case.come_back)
     with case.here():
         try:
             done = capture(loaded_rig, loaded_part, folder, options=options, connect=connect)

@@ -19,7 +19,7 @@ from pathlib import Path
 from benchmarks._fault_runs import alike
 from benchmarks.rig_faults import gige_rig
 from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
-from lightopt.config import load_part, load_rig
+from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.errors import HardwareError
 from lightopt.transforms import Posture
 from lightopt.virtualbench import BenchProcess
@@ -104,7 +104,7 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
             if counts["stops"] > most_stops:
                 raise
     ended, seconds = _resident(), time.monotonic() - begun
-    capture(rig, part, folder / "truth", options=options)
+    _undisturbed(rig, part, folder / "truth", options, most_stops)
     return Soaked(
         asked=4 * postures,
         there=alike(out, folder / "truth"),
@@ -115,6 +115,19 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
         ended_bytes=ended,
         seconds=seconds,
     )
+
+
+def _undisturbed(
+    rig: RigConfig, part: PartConfig, folder: Path, options: CaptureOptions, most_stops: int
+) -> None:
+    """What the images are without faults; a busy computer may stop that run, too, by a time-out."""
+    resume = (folder / "manifest.json").exists()
+    try:
+        capture(rig, part, folder, options=options, resume=resume)
+    except HardwareError:
+        if most_stops == 0:
+            raise
+        _undisturbed(rig, part, folder, options, most_stops - 1)
 
 
 def _ended(bench: BenchProcess, devices: Devices, counts: Counter[str]) -> None:

@@ -36,6 +36,8 @@ class CaptureOptions:
         Whether the stage seeks its origin first.
     check
         Whether each image is checked for being lit by the light that it should be lit by.
+    come_back
+        Whether the stage comes back to its first posture at the end, to see that it lost no steps.
 
     Raises
     ------
@@ -50,6 +52,7 @@ class CaptureOptions:
     dark: bool = False
     home: bool = False
     check: bool = True
+    come_back: bool = False
 
     def __post_init__(self) -> None:
         if problems := tuple(self._problems()):

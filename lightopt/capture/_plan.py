@@ -145,6 +145,10 @@ class Plan:
             if self.options.check:  # does one burn on?
                 yield self._expose(task.posture, None, self.exposures[0])
             here, first = task.posture, False
+        if self.options.come_back:
+            task = self.tasks[0]
+            yield from self._arrive(here, task.posture)
+            yield from self._light(task.posture, task.lights[0], self.exposures[:1])
 
     def _start(self) -> Iterator[Step]:
         for light in self.wiring.hardware.lights:
@@ -169,7 +173,9 @@ class Plan:
             posture=posture,
         )
 
-    def _light(self, posture: Posture, light: str) -> Iterator[Step]:
+    def _light(
+        self, posture: Posture, light: str, exposures: tuple[float, ...] | None = None
+    ) -> Iterator[Step]:
         channel = self.wiring.light(light)
         yield Step(
             kind="light on",
@@ -185,7 +191,7 @@ class Plan:
             posture=posture,
             light=light,
         )
-        for exposure in self.exposures:
+        for exposure in self.exposures if exposures is None else exposures:
             yield self._expose(posture, light, exposure)
         yield Step(kind="light off", what=light, seconds=_COMMAND_S, posture=posture, light=light)
 
@@ -253,6 +259,10 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         if name not in known
     ]
     problems += posture_problems(rig, part, wiring, options)
+    if options.come_back and (wiring.hardware.stage is None or len(postures) < 2):
+        problems.append(
+            "come back: expected a stage and two postures or more; there is nothing to come back from otherwise"
+        )
     exposures = tuple(sorted(options.exposures, reverse=True))
     problems += exposure_problems(rig, wiring, exposures)
     if problems:

@@ -18,6 +18,7 @@ from lightopt.capture._shoot import Shot
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.images import (
+    CAME_BACK_KEY,
     ENDED_DARK_KEY,
     EVENTS_KEY,
     MANIFEST_NAME,
@@ -225,6 +226,15 @@ class CapturedSet:
             extra={"capture": _facts(shot)},
         )
         self.writer.add_image(entry, png=shot.image.png)
+
+    def levels_there(self, light: str, posture: Posture, exposure: float) -> NDArray[Any]:
+        """An image that is on disk [sensor level]."""
+        entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
+        return read_png(self.writer.folder / (entry.png or ""))
+
+    def note_came_back(self, facts: Mapping[str, Any]) -> None:
+        """Put into the manifest's header how the stage stood when it came back to its first posture."""
+        self.writer.add_extra(CAME_BACK_KEY, dict(facts))
 
     def note_events(self, events: Sequence[Mapping[str, Any]]) -> None:
         """Put what happened on the links, but at no image, into the manifest's header."""

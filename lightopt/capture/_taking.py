@@ -9,6 +9,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.capture._come_back import came_back
 from lightopt.capture._devices import Devices
 from lightopt.capture._disk import DiskWork
 from lightopt.capture._frames import Exposed
@@ -66,6 +67,7 @@ class Taking:
         report: CaptureReport | None,
     ) -> None:
         self._plan = plan
+        self._scene = scene
         self._records = records
         self._timing = timing
         self._warn = warn
@@ -155,8 +157,38 @@ class Taking:
         self._refer_to_darks()
         for task in self.todo():
             self._posture(devices, shooter, task)
+        if self._plan.options.come_back:
+            self._come_back(devices, shooter)
         devices.step = "checking and writing the last images"
         self._disk.wait()
+
+    def _come_back(self, devices: Devices, shooter: Shooter) -> None:
+        """Look at the first posture once more: a stage that lost steps since then shows another image."""
+        task, exposure = self._plan.tasks[0], self._plan.exposures[0]
+        light, posture = task.lights[0], task.posture
+        devices.step = "checking and writing the image before"
+        self._disk.wait()
+        first = self._records.levels_there(light, posture, exposure)
+        self._tell(f"coming back to {posture}")
+        shooter.move(posture)
+        shooter.set_exposure(exposure)
+        shooter.light_on(light)
+        shot = self._expose(devices, shooter, task, exposure, light=light, rest=(exposure,))
+        shooter.light_off()
+        devices.step = f"comparing the images of {posture}"
+        found = came_back(first, shot.image.mean, light=light, posture=posture, scene=self._scene)
+        told = f"came back to {posture}: "
+        if found is None:
+            self.warn(f"{told}{light} shows too little of the part to tell whether the stage lost steps")
+            return
+        self._records.note_came_back({"light": light, "posture": posture.as_dict(), **found.as_dict()})
+        if found.off is not None:
+            self.warn(
+                f"{told}the part has turned since the first image there, {found.off}, and the stage does not know: "
+                "it lost steps, or the part slipped; home the stage and capture again"
+            )
+        elif found.unseen:
+            self.warn(f"{told}images cannot tell whether its {found.unseen} is what it was")
 
     def flush(self) -> None:
         """Put what was noticed into the manifest."""

@@ -51,6 +51,13 @@ def capture(
     no_check: Annotated[
         bool, typer.Option("--no-check", help="Do not check that each image is lit by its light.")
     ] = False,
+    come_back: Annotated[
+        bool,
+        typer.Option(
+            "--come-back",
+            help="Return to the first posture at the end and compare: tells whether the stage lost steps.",
+        ),
+    ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print every step with its time; open and move nothing.")
     ] = False,
@@ -88,6 +95,7 @@ def capture(
         dark=dark,
         home=home,
         check=not no_check,
+        come_back=come_back,
     )
     if dry_run:
         plan = make_plan(loaded_rig, loaded_part, options)

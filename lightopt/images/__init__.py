@@ -10,6 +10,7 @@ from lightopt.images._atomic import (
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
 from lightopt.images._folders import make_folder
 from lightopt.images._manifest import (
+    CAME_BACK_KEY,
     ENDED_DARK_KEY,
     EVENTS_KEY,
     MANIFEST_NAME,
@@ -28,6 +29,7 @@ from lightopt.images._writer import ImageSetWriter
 from lightopt.transforms import Posture
 
 __all__ = [
+    "CAME_BACK_KEY",
     "ENDED_DARK_KEY",
     "EVENTS_KEY",
     "MANIFEST_NAME",

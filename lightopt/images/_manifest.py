@@ -11,6 +11,7 @@ from typing import Any
 from lightopt.transforms import Posture
 
 __all__ = [
+    "CAME_BACK_KEY",
     "ENDED_DARK_KEY",
     "EVENTS_KEY",
     "FORMAT",
@@ -23,6 +24,9 @@ __all__ = [
 
 FORMAT = "lightopt-images/1"
 MANIFEST_NAME = "manifest.json"
+
+CAME_BACK_KEY = "came_back"
+"""Key of a captured set's manifest for how far the part had turned when the stage came back to its first posture."""
 
 EVENTS_KEY = "events"
 """Key of a captured set's manifest for what happened on the devices' links while no image was taken."""

@@ -8,12 +8,21 @@ from dataclasses import replace
 from pathlib import Path
 
 from lightopt.errors import InputError
-from lightopt.images._manifest import ENDED_DARK_KEY, EVENTS_KEY, MANIFEST_NAME, Manifest
+from lightopt.images._manifest import CAME_BACK_KEY, ENDED_DARK_KEY, EVENTS_KEY, MANIFEST_NAME, Manifest
 from lightopt.images._parse import read_manifest
 
 __all__ = ["remove_file", "remove_image_set", "remove_set", "resumable_manifest"]
 
-_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings", EVENTS_KEY, ENDED_DARK_KEY)
+_CONTENT_KEYS = (
+    "images",
+    "geometry",
+    "patches",
+    "files",
+    "warnings",
+    CAME_BACK_KEY,
+    EVENTS_KEY,
+    ENDED_DARK_KEY,
+)
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -63,7 +63,7 @@ def test_a_bench_that_hangs_while_it_renders_is_noticed(
 
 
 @contextmanager
-def rig_with(camera: str, folder: Path) -> Iterator[tuple[Path, Path, Callable[[int], int]]]:
+def rig_with(camera: str, folder: Path) -> Generator[tuple[Path, Path, Callable[[int], int]]]:
     """A rig whose lights and stage are in a process of their own; rig, part, and who the camera's process is."""
     rig_file, part_file = (gige_rig if camera == "gige" else make_rig)(folder)
     rig, part = load_rig(rig_file), load_part(part_file)

@@ -117,6 +117,9 @@ ENDS = {
     "lamp stays on": "stopped, by image",
     "lamp gives 80 % of its light": "not noticed",
     "plugs of two lamps swapped": "stopped, by image",
+    "stage tilted by 1° more than it says, from its second move on": "not noticed",
+    "stage tilted by 1° more than it says, from its second move on, with --come-back": "told in a warning",
+    "stage turned by 1° more than it says, from its second move on, with --come-back": "told in a warning",
 }
 """Faults that the tests above do not have, and how docs/reliability.md says that they end."""
 

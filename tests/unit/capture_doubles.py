@@ -20,6 +20,7 @@ class World:
 
     levels: dict[tuple[str, int], int] = field(default_factory=dict)
     posture: Posture = field(default_factory=lambda: Posture(0.0, 0.0))
+    slipped: Posture = field(default_factory=lambda: Posture(0.0, 0.0))
     log: list[tuple] = field(default_factory=list)
     trouble: Callable[[tuple], None] = lambda event: None
     events: list = field(default_factory=list)
@@ -122,7 +123,10 @@ class Camera:
             plug = (channel.controller, channel.channel)
             plug = self.world.plugs.get(plug, plug)
             shares[name] = self.world.levels.get(plug, 0) / channel.level
-        return shares, self.world.posture
+        stands, slipped = self.world.posture, self.world.slipped
+        return shares, Posture(
+            stands.elevation_deg + slipped.elevation_deg, stands.rotation_deg + slipped.rotation_deg
+        )
 
     def close(self):
         self.world.log.append(("close", "camera"))

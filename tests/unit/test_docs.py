@@ -87,3 +87,21 @@ def test_the_manifest_that_the_conventions_show_is_enough(tmp_path):
     assert [image.exposure for image in images.images] == [1, 0.0625]
     assert images.load(images.images[0]).levels.shape == (3, 4)
     assert images.manifest.kind == "captured"
+
+
+def test_the_hardware_that_a_rig_from_zero_is_tried_with_is_one(cli, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")
+    (section,) = re.findall(r"^```yaml\n(hardware:\n.*?)^```", text, re.M | re.S)
+    assert cli("init", "myrig").status == 0
+    rig = tmp_path / "myrig" / "rig.yaml"
+    own = rig.read_text(encoding="utf-8")
+    assert own.count("  # exposure_us: 10000 ") == 1
+    own = own.replace("  # exposure_us: 10000 ", "  exposure_us: 10000 ")
+    # what the simulated GigE camera needs is not on every computer
+    section = section.replace("driver: aravis, port: virtual", "driver: virtual")
+    rig.write_text(f"{own}\n{section}", encoding="utf-8", newline="\n")
+    ran = cli("capture", "myrig/rig.yaml", "myrig/part.yaml", "--dry-run", "--come-back")
+    assert ran.status == 0
+    moves = re.findall(r"move to \((.*?)\)", ran.out)
+    assert moves == ["0°, 0°", "0°, 82°", "0°, 180°", "0°, 278°", "0°, 0°"]

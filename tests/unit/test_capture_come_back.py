@@ -1,0 +1,127 @@
+"""The last look at the first posture: a stage that lost steps is told by how much, and nothing else is taken for it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.align import Placement, place_part
+from lightopt.capture._come_back import CameBack, came_back
+from lightopt.config import load_part, load_rig
+from lightopt.errors import InputError
+from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.scene import Scene, build_scene
+from lightopt.sensor import expose
+from lightopt.transforms import Posture
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+POSTURE = Posture(0.0, 0.0)
+FIXTURE = Placement(x=0.5, y=-0.3, turn=np.radians(0.5))
+
+
+def scene_of(part: str) -> Scene:
+    """The sample, seen by one light with 1/4 of the pixels each way."""
+    rig = load_rig(CONFIGS / "rigs" / "four-panel.yaml")
+    scene = build_scene(rig, load_part(CONFIGS / "parts" / part), postures=[POSTURE])
+    camera = replace(scene.camera, width=400, height=300, pixel_size=4 * scene.camera.pixel_size)
+    return replace(scene, camera=camera, lights=scene.lights[:1])
+
+
+def taken(scene: Scene, posture: Posture, seed: int, gain: float = 1.0) -> np.ndarray:
+    """A frame of the part as it lies in its fixture, half a millimetre and half a degree off."""
+    placed = place_part(scene, FIXTURE)
+    (image,) = render_posture(placed, posture, caster=cast_rays_at(placed)).lights
+    rng = np.random.default_rng(seed)
+    return expose(
+        np.float32(gain) * image.level, sensor=scene.sensor, exposure=1.0, full_scale=255.0, rng=rng
+    )
+
+
+def looked_again(
+    scene: Scene, world: Scene, tilt_deg: float, turn_deg: float, gain: float = 0.95
+) -> CameBack | None:
+    first = taken(world, POSTURE, 1)
+    last = taken(world, Posture(tilt_deg, turn_deg), 2, gain)
+    return came_back(first, last, light="light1", posture=POSTURE, scene=scene)
+
+
+PREDICTED: dict[str, float] = {}
+GLOSS = {"R_d": 70.0, "R_s": 4000.0, "sigma": 0.08}
+METAL = {"R_d": 12.0, "R_s": 30_000.0, "sigma": 0.03}
+
+
+@pytest.mark.parametrize(
+    ("part", "reflectance"),
+    [
+        ("cover-knob.yaml", PREDICTED),
+        pytest.param("spout.yaml", PREDICTED, marks=pytest.mark.slow),
+        pytest.param("cover-knob.yaml", GLOSS, marks=pytest.mark.slow),
+        pytest.param("spout.yaml", GLOSS, marks=pytest.mark.slow),
+        pytest.param("cover-knob.yaml", METAL, marks=pytest.mark.slow),
+        pytest.param("spout.yaml", METAL, marks=pytest.mark.slow),
+    ],
+)
+def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(
+    part: str, reflectance: dict[str, float]
+) -> None:
+    """Whatever the part is really like, wherever it lies, and with a lamp that has lost 5 %."""
+    scene = scene_of(part)
+    world = replace(scene, reflectance=replace(scene.reflectance, **reflectance))
+    same = looked_again(scene, world, 0.0, 0.0)
+    assert same is not None
+    assert same.off is None
+    assert max(abs(same.tilt_deg), abs(same.turn_deg)) < 0.1
+    for tilt, turn in ((1.0, 0.0), (0.0, -1.0)):
+        found = looked_again(scene, world, tilt, turn)
+        assert found is not None
+        assert found.off is not None
+        assert (found.tilt_deg, found.turn_deg) == pytest.approx((tilt, turn), abs=0.7)
+        assert ("elevation" if tilt else "rotation") in found.off
+
+
+def test_what_cannot_be_seen_is_said_to_be_so() -> None:
+    unsure = CameBack(tilt_deg=0.9, turn_deg=2.0, tilt_error_deg=0.01, turn_error_deg=0.7)
+    assert unsure.off == "its elevation by roughly +0.9°"
+    assert unsure.unseen == "rotation"
+    scene = scene_of("cover-knob.yaml")
+    dark = np.zeros((300, 400), np.uint8)
+    assert came_back(dark, dark, light="light1", posture=POSTURE, scene=scene) is None
+
+
+def test_a_run_that_comes_back_takes_no_more_images_and_ends_in_the_dark(take, world, bench) -> None:
+    done = take(come_back=True)
+    assert (done.images, done.taken, done.warnings) == (4, 4, ())
+    moves = [Posture(0.0, 0.0), Posture(-10.0, 170.0), Posture(0.0, 0.0)]
+    assert world.did("move") == [("move", posture) for posture in moves]
+    assert not world.burning
+    facts = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))["came_back"]
+    assert (facts["light"], facts["posture"]) == ("light1", {"elevation_deg": 0.0, "rotation_deg": 0.0})
+    assert abs(facts["tilt_deg"]) < 0.1
+    take(resume=True)  # whether it came back is no part of what the set is
+    take(resume=True, come_back=True)
+
+
+def test_a_stage_that_lost_steps_on_its_way_is_told(take, world, bench) -> None:
+    def slip(event):
+        if event == ("move", Posture(-10.0, 170.0)):
+            world.slipped = Posture(1.0, 0.0)
+
+    world.trouble = slip
+    done = take(come_back=True)
+    (told,) = done.warnings
+    assert told.startswith(
+        "came back to (0°, 0°): the part has turned since the first image there, its elevation by roughly +"
+    )
+    assert "it lost steps, or the part slipped; home the stage and capture again" in told
+    manifest = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["warnings"] == [told]
+    assert manifest["came_back"]["tilt_deg"] == pytest.approx(1.0, abs=0.7)
+
+
+def test_there_has_to_be_something_to_come_back_from(take) -> None:
+    with pytest.raises(InputError, match="come back: expected a stage and two postures or more"):
+        take(come_back=True, postures=(Posture(0.0, 0.0),))
