@@ -59,6 +59,9 @@ FALSE_ALARMS = 0.05
 FINE_MM = 0.0025
 """Chord tolerance of the mesh that images are rendered from; the inspection's is 0.01 mm."""
 
+LIT, DRAWS = 3.0, 4
+"""Standard deviations above black from which a surface counts as lit; draws of the noise that a mean is taken of."""
+
 DEFAULT = "residual, second largest (default)"
 
 
@@ -176,7 +179,8 @@ def ways(view: PostureView) -> Iterator[tuple[str, NDArray[np.float32], int]]:
     yield "residual, largest", score_deviations(found, seen_by=1), len(SCALES_PX)
     weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
     for fusion in FUSIONS:
-        image = fuse_images(view.level, view.deviation, weights, view.clean, fusion=fusion, probes=0)
+        good = {"predicted": view.predicted, "specular": view.specular}
+        image = fuse_images(view.level, view.deviation, weights, view.clean, fusion=fusion, probes=0, **good)
         yield f"template on fusion {fusion}", score_templates(image), TEMPLATES
     seen = np.minimum(view.level, view.limit)
     singles = {f"template on {light} alone": seen[i] for i, light in enumerate(view.lights)}
@@ -215,19 +219,25 @@ def count(
 def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float, float, float]]:
     """Per fusion: how far former highlights stand out in the synthetic image, their uncertainty, and before.
 
-    The image that the diffuse light alone makes is taken off first: what is left should be the same in a former
-    highlight and in a ring of 12 pixels around it.
+    What the same noisy images without highlights make is taken off first, as the mean over several draws of the noise:
+    what is left should be the same in a former highlight and in a ring of 12 pixels around it.
     """
     diffuse = np.stack([read_exr(image_set.path(e.exr or ""))["diffuse.Y"] for e in image_set.images])
+    lit = (diffuse >= LIT * view.deviation).astype(np.float32)
     weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
     full = ndimage.binary_dilation(view.saturated.any(axis=0), iterations=3) & view.clean
     pieces, number = ndimage.label(full)
     rows: list[tuple[str, float, float, float]] = []
     for fusion in FUSIONS:
-        image = fuse_images(view.level, view.deviation, weights, view.clean, fusion=fusion)
-        lit = (diffuse > 1.0).astype(np.float32)
-        plain = fuse_images(diffuse, view.deviation, lit, view.clean, fusion=fusion, probes=0)
-        off = image.level - plain.level
+        good = {"predicted": view.predicted, "specular": view.specular}
+        image = fuse_images(view.level, view.deviation, weights, view.clean, fusion=fusion, **good)
+        rng = np.random.default_rng(0)
+        plain = np.zeros(view.clean.shape)
+        for _ in range(DRAWS):
+            noisy = diffuse + view.deviation * rng.standard_normal(diffuse.shape, dtype=np.float32)
+            drawn = fuse_images(noisy, view.deviation, lit, view.clean, fusion=fusion, probes=0)
+            plain += drawn.level / DRAWS
+        off = image.level - plain
         worst = (0.0, 1.0, 0.0)
         for piece in range(1, number + 1):
             inside = pieces == piece

@@ -264,4 +264,12 @@ def _show(result: Inspection, verdict: Verdict) -> None:
             f"posture {posture.view.posture}: {c.inspected / whole:.1f} % of {c.seen:.0f} mm² inspected; not: "
             f"{c.edge / whole:.1f} % edges, {c.saturated / whole:.1f} % saturated, {c.shadow / whole:.1f} % dark"
         )
+    if len(result.postures) > 1:
+        s = result.surface
+        whole = max(s.seen, 1e-9) / 100.0
+        say(
+            f"all postures: {s.inspected / whole:.1f} % of {s.seen:.0f} mm² inspected in one or more; not: "
+            f"{s.edge / whole:.1f} % edges, {s.saturated / whole:.1f} % saturated, {s.shadow / whole:.1f} % dark; "
+            f"{100.0 * (1.0 - s.seen / max(s.area, 1e-9)):.1f} % of the part's {s.area:.0f} mm² is never seen"
+        )
     say(f"{verdict.word}: {'; '.join(verdict.reasons) or 'nothing found that counts'}")

@@ -1,16 +1,19 @@
 """Inspecting a part: its images fused into one without highlights, its defects found, measured and judged."""
 
-from lightopt.inspection._coverage import CONTRASTS, Coverage, measure_coverage
+from lightopt.inspection._coverage import CONTRASTS, Coverage, Reached, measure_coverage
 from lightopt.inspection._deviation import Deviations, deviations
 from lightopt.inspection._fusion import FUSIONS, Fusion
-from lightopt.inspection._inspect import InspectedPosture, Inspection, Predictions, inspect_set
+from lightopt.inspection._inspect import InspectedPosture, Inspection, inspect_set
 from lightopt.inspection._measure import FoundDefect, Sighting, gather, measure_regions
 from lightopt.inspection._options import DETECTORS, Detector, InspectOptions
 from lightopt.inspection._pod import DetectionCurve, fit_detection
 from lightopt.inspection._poisson import PoissonGrid, poisson_grid
+from lightopt.inspection._predictions import Predictions
 from lightopt.inspection._regions import find_regions
 from lightopt.inspection._register import Photometry, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, rank_probability, score_deviations, threshold
+from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, shifted
+from lightopt.inspection._surface import SurfaceCoverage, SurfaceMap, map_surface, surface_coverage
 from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
 from lightopt.inspection._template import score_templates, templates
 from lightopt.inspection._truth import KnownDefect, TrueSet, area_under_roc, compare_with_truth, summarise
@@ -40,7 +43,11 @@ __all__ = [
     "PostureView",
     "Prediction",
     "Predictions",
+    "Reached",
     "Sighting",
+    "Slopes",
+    "SurfaceCoverage",
+    "SurfaceMap",
     "SyntheticImage",
     "TrueSet",
     "Verdict",
@@ -55,16 +62,21 @@ __all__ = [
     "inspect_set",
     "judge",
     "lay_over",
+    "map_surface",
     "measure_coverage",
     "measure_regions",
+    "node_steps",
     "poisson_grid",
     "posture_view",
     "predict",
+    "prediction_slopes",
     "provenance",
     "rank_probability",
     "score_deviations",
     "score_templates",
+    "shifted",
     "summarise",
+    "surface_coverage",
     "templates",
     "threshold",
     "trust_weights",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from lightopt.inspection._deviation import Deviations
 from lightopt.inspection._score import noise_gain
 from lightopt.inspection._view import PostureView
 
-__all__ = ["CONTRASTS", "Coverage", "measure_coverage"]
+__all__ = ["CONTRASTS", "Coverage", "Reached", "measure_coverage"]
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -23,6 +24,16 @@ CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
 
 TOLD_SCALE_PX = 2.0
 """Width of the Gaussian that it is told for: defects of some 5 pixels and more."""
+
+
+class Reached(IntEnum):
+    """How far the inspection of a pixel got, the least first; with several postures the furthest counts."""
+
+    NO_PART = 0
+    EDGE = 1
+    SHADOW = 2
+    SATURATED = 3
+    INSPECTED = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +51,11 @@ class Coverage:
         silhouettes and creases, or seen at a grazing angle [mm²].
     sensitivity
         By contrast: the surface where a defect of some 5 pixels that changes the light by that share is found [mm²].
+    reached
+        :class:`Reached` of each pixel, shape (H, W).
+    least_contrast
+        Share of the light that such a defect must change to be found at a pixel, shape (H, W); infinite where nothing
+        was inspected.
     """
 
     seen: float
@@ -48,6 +64,8 @@ class Coverage:
     shadow: float
     edge: float
     sensitivity: dict[float, float]
+    reached: NDArray[np.uint8] = field(compare=False, repr=False)
+    least_contrast: Float32 = field(compare=False, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -91,6 +109,11 @@ def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high
         found.usable, z * found.scale / (noise_gain(TOLD_SCALE_PX) * np.maximum(view.predicted, 1e-6)), np.inf
     )
     kth = np.sort(least, axis=0)[needed - 1]
+    reached = np.zeros(part.shape, np.uint8)
+    reached[part] = Reached.SHADOW
+    reached[saturated] = Reached.SATURATED
+    reached[edge] = Reached.EDGE
+    reached[inspected] = Reached.INSPECTED
     return Coverage(
         seen=float(area[part].sum()),
         inspected=float(area[inspected].sum()),
@@ -98,4 +121,6 @@ def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high
         shadow=float(area[left & ~edge & ~saturated].sum()),
         edge=float(area[edge].sum()),
         sensitivity={c: float(area[inspected & (kth <= c)].sum()) for c in CONTRASTS},
+        reached=reached,
+        least_contrast=np.where(inspected, kth, np.inf).astype(np.float32),
     )

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
 from lightopt.inspection._view import PostureView
+from lightopt.kernels import kernel
+from lightopt.rendering import in_threads
 
 __all__ = ["Deviations", "deviations"]
 
@@ -26,6 +30,9 @@ LOCAL_PX = 14.0
 CLIPPED = 4.0
 """The typical deviation of a pixel's surroundings, Gaussian of this width, each clipped: where that is more than noise
 makes, the model is wrong there, and the noise counts for more."""
+
+BLOCK_PX = 4
+"""Surroundings are added up in blocks of this side first, of which there are whole ones in the rows of a thread."""
 
 MEAN_OF_NORMAL = 0.7979
 """Mean magnitude of a standard normal deviate."""
@@ -50,32 +57,110 @@ class Deviations:
     usable: Bool
 
 
-def deviations(view: PostureView) -> Deviations:
+def deviations(view: PostureView, *, threads: int | None = None) -> Deviations:
     """Compare the images of a posture with the good part.
 
     Both are clipped where the camera clips. A pixel's variance is that of the sensor's noise, of a part that lies a
     tenth of a pixel from where the model has it, and of what the model gets wrong around the pixel.
+
+    Parameters
+    ----------
+    view
+        Of the posture.
+    threads
+        Number of threads; the result does not depend on it.
     """
-    z = np.zeros(view.level.shape, np.float32)
-    scale = np.ones_like(z)
-    usable = np.zeros(z.shape, np.bool_)
+    z, scale = np.empty_like(view.level), np.empty_like(view.level)
+    usable = np.empty(z.shape, np.bool_)
+    _, height, width = view.level.shape
+    blocks = (-(-height // BLOCK_PX), -(-width // BLOCK_PX))
     for i in range(len(view.lights)):
-        model = np.clip(view.predicted[i], 0.0, view.limit[i])
-        seen = np.minimum(view.level[i], view.limit[i])
-        down, right = np.gradient(model)
-        variance = np.square(view.deviation[i]) + REGISTRATION_PX**2 * (down * down + right * right)
-        both = view.saturated[i] & (view.predicted[i] >= view.limit[i])
-        usable[i] = view.clean & ~both & (view.predicted[i] >= LIT * view.deviation[i])
-        first = np.where(usable[i], (seen - model) / np.sqrt(variance), 0.0)
-        wrong = _around(np.minimum(np.abs(first), CLIPPED), usable[i]) / MEAN_OF_NORMAL
-        factor = np.maximum(wrong, 1.0)
-        z[i] = first / factor
-        scale[i] = np.sqrt(variance) * factor
+        sums, counts = np.zeros(blocks), np.zeros(blocks)
+
+        def first(top: int, i: int = i, sums: Float64 = sums, counts: Float64 = counts) -> None:
+            _compare(
+                view.level[i], view.predicted[i], view.deviation[i], view.limit[i], view.saturated[i], view.clean,
+                top, min(top + BLOCK_ROWS, height), z[i], scale[i], usable[i], sums, counts,
+            )  # fmt: skip
+
+        in_threads(first, row_blocks(height), threads)
+        wrong = _around(sums, counts)
+
+        def second(top: int, i: int = i, wrong: Float32 = wrong) -> None:
+            _weigh(wrong, top, min(top + BLOCK_ROWS, height), z[i], scale[i])
+
+        in_threads(second, row_blocks(height), threads)
     return Deviations(z, scale, usable)
 
 
-def _around(values: NDArray[np.floating], mask: Bool) -> Float64:
-    share = ndimage.gaussian_filter(mask.astype(np.float64), LOCAL_PX)
-    return ndimage.gaussian_filter(np.where(mask, values, 0.0).astype(np.float64), LOCAL_PX) / np.maximum(
-        share, 1e-6
-    )
+def _around(sums: Float64, counts: Float64) -> Float32:
+    # the typical deviation around each block of pixels, at least that of noise
+    total, share = (ndimage.gaussian_filter(values, LOCAL_PX / BLOCK_PX) for values in (sums, counts))
+    typical = total / np.maximum(share, 1e-6 * BLOCK_PX**2) / MEAN_OF_NORMAL
+    return np.maximum(typical, 1.0).astype(np.float32)
+
+
+@kernel
+def _compare(
+    level: Float32,
+    predicted: Float32,
+    deviation: Float32,
+    limit: Float32,
+    saturated: Bool,
+    clean: Bool,
+    top: int,
+    bottom: int,
+    z: Float32,
+    scale: Float32,
+    usable: Bool,
+    sums: Float64,
+    counts: Float64,
+) -> None:
+    height, width = level.shape
+    for y in range(top, bottom):
+        above, below = max(y - 1, 0), min(y + 1, height - 1)
+        for x in range(width):
+            before, after = max(x - 1, 0), min(x + 1, width - 1)
+            down = (_model(predicted, limit, below, x) - _model(predicted, limit, above, x)) / max(
+                below - above, 1
+            )
+            right = (_model(predicted, limit, y, after) - _model(predicted, limit, y, before)) / max(
+                after - before, 1
+            )
+            noise = float(deviation[y, x])
+            own = math.sqrt(noise * noise + REGISTRATION_PX**2 * (down * down + right * right))
+            scale[y, x] = own
+            both = saturated[y, x] and predicted[y, x] >= limit[y, x]
+            usable[y, x] = clean[y, x] and not both and predicted[y, x] >= LIT * noise
+            z[y, x] = 0.0
+            if usable[y, x]:
+                off = (min(level[y, x], limit[y, x]) - _model(predicted, limit, y, x)) / own
+                z[y, x] = off
+                sums[y // BLOCK_PX, x // BLOCK_PX] += min(abs(off), CLIPPED)
+                counts[y // BLOCK_PX, x // BLOCK_PX] += 1.0
+
+
+@kernel
+def _model(predicted: Float32, limit: Float32, y: int, x: int) -> float:
+    return float(min(max(predicted[y, x], np.float32(0.0)), limit[y, x]))
+
+
+@kernel
+def _weigh(wrong: Float32, top: int, bottom: int, z: Float32, scale: Float32) -> None:
+    # blocks' values belong to their middles; between those, on straight lines
+    rows, columns = wrong.shape
+    for y in range(top, bottom):
+        v = min(max((y + 0.5) / BLOCK_PX - 0.5, 0.0), rows - 1.0)
+        i = min(int(v), max(rows - 2, 0))
+        under = min(i + 1, rows - 1)
+        t = v - i
+        for x in range(z.shape[1]):
+            u = min(max((x + 0.5) / BLOCK_PX - 0.5, 0.0), columns - 1.0)
+            k = min(int(u), max(columns - 2, 0))
+            beside = min(k + 1, columns - 1)
+            s = u - k
+            upper = wrong[i, k] + s * (wrong[i, beside] - wrong[i, k])
+            lower = wrong[under, k] + s * (wrong[under, beside] - wrong[under, k])
+            factor = upper + t * (lower - upper)
+            z[y, x] /= factor
+            scale[y, x] *= factor

@@ -17,26 +17,21 @@ from lightopt.inspection._coverage import Coverage, measure_coverage
 from lightopt.inspection._deviation import deviations
 from lightopt.inspection._measure import FoundDefect, Sighting, gather, measure_regions
 from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._predictions import Predictions
 from lightopt.inspection._regions import find_regions
 from lightopt.inspection._register import Progress, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, score_deviations, threshold
+from lightopt.inspection._slopes import node_steps
+from lightopt.inspection._surface import SurfaceCoverage, surface_coverage
 from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
 from lightopt.inspection._template import TEMPLATES, score_templates
-from lightopt.inspection._view import PostureView, Prediction, posture_view, predict
-from lightopt.raycast import RayCaster
-from lightopt.rendering import cast_rays_at
+from lightopt.inspection._view import PostureView, posture_view
 from lightopt.scene import Scene
 from lightopt.transforms import Posture
 
-__all__ = ["InspectedPosture", "Inspection", "Predictions", "inspect_set"]
+__all__ = ["InspectedPosture", "Inspection", "inspect_set"]
 
 Float32 = NDArray[np.float32]
-
-SAME_PLACE_MM = 0.002
-SAME_TURN_RAD = 5e-5
-"""A part that lies this near to the one before takes over its prediction: a fraction of the tenth of a pixel that the
-comparison allows for."""
-
 
 MOST_REGIONS = 1000
 """A posture with more regions than this is not a part with so many defects: its model does not describe it."""
@@ -102,6 +97,8 @@ class Inspection:
         What a person should know: missing lights and postures, and so on.
     nominal
         The scene with the part where its file has it.
+    surface
+        Of the part, each place counted once however many postures show it.
     """
 
     defects: tuple[FoundDefect, ...]
@@ -109,54 +106,17 @@ class Inspection:
     placement: Placement | None
     words: tuple[str, ...]
     nominal: Scene = field(repr=False, compare=False)
+    surface: SurfaceCoverage
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {
             "defects": [defect.as_dict() for defect in self.defects],
             "postures": [posture.as_dict() for posture in self.postures],
+            "surface": self.surface.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
             "warnings": list(self.words),
         }
-
-
-@dataclass
-class Predictions:
-    """Predictions of the part inspected last, for the next one if it lies in the same place.
-
-    Attributes
-    ----------
-    placement
-        Where that part lay.
-    scene
-        With it there.
-    by_posture
-        What was rendered, by posture and lights.
-    caster
-        Of the part in that place, one for all postures.
-    """
-
-    placement: Placement | None = None
-    scene: Scene | None = None
-    by_posture: dict[tuple[Posture, tuple[str, ...]], Prediction] = field(default_factory=dict)
-    caster: RayCaster | None = None
-
-    def moved_to(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
-        """The scene and place to predict with: the part lies where the one before lay, if that is the same place.
-
-        Postures and lights stay those of `scene`: sets of one batch may show different ones.
-        """
-        if self.placement is not None and self.scene is not None and _same(self.placement, placement):
-            return replace(self.scene, postures=scene.postures, lights=scene.lights), self.placement
-        self.placement, self.scene = placement, scene
-        self.by_posture.clear()
-        self.caster = None
-        return scene, placement
-
-
-def _same(a: Placement, b: Placement) -> bool:
-    apart = max(abs(a.x - b.x), abs(a.y - b.y))
-    return apart <= SAME_PLACE_MM and abs(a.turn - b.turn) <= SAME_TURN_RAD
 
 
 def inspect_set(
@@ -191,60 +151,77 @@ def inspect_set(
     options = options or InspectOptions()
     if problems := options.problems():
         raise InputError(*problems)
-    nominal, observations = good_part(rig, part, image_set)
     predictions = predictions or Predictions()
-    placement = Placement()
-    scene = nominal
-    if options.shift:
-        scene, placement = lay_over(nominal, observations, threads=options.threads, progress=progress)
-    scene, placement = predictions.moved_to(scene, placement)
+    nominal, observations = good_part(rig, part, image_set, known=predictions.nominal)
+    scene, placement, off = _find(nominal, observations, predictions, options, progress)
     postures: list[InspectedPosture] = []
     for number, posture in enumerate(scene.postures):
         if progress is not None:
             progress(f"posture {posture}", number / len(scene.postures))
         mine = [o for o in observations if o.posture == posture]
-        prediction = _prediction(scene, posture, mine, predictions, options)
-        view = posture_view(scene, mine, prediction, where=str(image_set.folder))
-        postures.append(_inspect_posture(view, options, nominal, placement, where=str(image_set.folder)))
+        lights = [light.name for light in scene.lights if any(o.light == light.name for o in mine)]
+        prediction = predictions.of(scene, posture, lights, threads=options.threads)
+        if off is not None:
+            prediction = predictions.shifted(scene, posture, lights, off, threads=options.threads)
+        where = str(image_set.folder)
+        view = posture_view(scene, mine, prediction, where=where, threads=options.threads)
+        postures.append(_inspect_posture(view, options, nominal, placement, where=where))
+    if options.shift and off is None:
+        predictions.measure_misfit(scene, observations)
+    coverages = [(p.view.posture, p.coverage) for p in postures]
     return Inspection(
         defects=gather([s for p in postures for s in p.sightings]),
         postures=tuple(postures),
         placement=placement if options.shift else None,
         words=tuple(_words(rig, part, postures, options)),
         nominal=nominal,
+        surface=surface_coverage(nominal, coverages, predictions.surface_of(scene)),
     )
 
 
-def _prediction(
-    scene: Scene,
-    posture: Posture,
+def _find(
+    nominal: Scene,
     observations: Sequence[Observation],
     predictions: Predictions,
     options: InspectOptions,
-) -> Prediction:
-    lights = tuple(light.name for light in scene.lights if any(o.light == light.name for o in observations))
-    key = posture, lights
-    if key not in predictions.by_posture:
-        predictions.caster = predictions.caster or cast_rays_at(scene)
-        predictions.by_posture[key] = predict(
-            scene, posture, predictions.caster, lights=lights, threads=options.threads
-        )
-    return predictions.by_posture[key]
+    progress: Progress | None,
+) -> tuple[Scene, Placement, NDArray[np.float64] | None]:
+    # the scene to predict with, where the part lies, and how many node steps off that scene
+    if not options.shift:
+        return *predictions.moved_to(nominal, Placement()), None
+    near = predictions.nearby(nominal, observations, threads=options.threads)
+    if near is None:
+        scene, placement = lay_over(nominal, observations, threads=options.threads, progress=progress)
+        return *predictions.moved_to(scene, placement), None
+    scene, before, off = near
+    x, y, turn = off * node_steps(scene)
+    return scene, replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn), off
 
 
 def _inspect_posture(
     view: PostureView, options: InspectOptions, nominal: Scene, placement: Placement, *, where: str
 ) -> InspectedPosture:
-    found = deviations(view)
+    found = deviations(view, threads=options.threads)
     synthetic = None
     if options.fusion is not None:
         weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
-        synthetic = fuse_images(view.level, view.deviation, weights, view.clean, fusion=options.fusion)
+        synthetic = fuse_images(
+            view.level,
+            view.deviation,
+            weights,
+            view.clean,
+            fusion=options.fusion,
+            predicted=view.predicted,
+            specular=view.specular,
+        )
     if options.detector == "template":
         assert synthetic is not None
         score, tests = score_templates(synthetic), TEMPLATES
     else:
-        score, tests = score_deviations(found, seen_by=options.seen_by), len(SCALES_PX)
+        score, tests = (
+            score_deviations(found, seen_by=options.seen_by, threads=options.threads),
+            len(SCALES_PX),
+        )
     high = threshold(options.false_alarms, int(view.clean.sum()), tests)
     labels, count = find_regions(score, high)
     if count > MOST_REGIONS:

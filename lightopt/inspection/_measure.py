@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 
 from lightopt.align import Placement
 from lightopt.inspection._deviation import Deviations
+from lightopt.inspection._filter import gaussian_taps
 from lightopt.inspection._score import SCALES_PX, smoothed_deviations
 from lightopt.inspection._view import PostureView
 from lightopt.scene import Scene, view_from_part
@@ -222,11 +223,12 @@ def measure_regions(
     """
     if not count:
         return ()
-    sums = [smoothed_deviations(found, scale)[0] for scale in SCALES_PX]
     sightings: list[Sighting] = []
     for number, box in enumerate(ndimage.find_objects(labels, count), start=1):
         assert box is not None  # each has its peak
-        row, column = _outline(labels[box] == number, sums[0][(slice(None), *box)])
+        sums = _sums(found, box)
+        row, column = _outline(labels[box] == number, sums[0])
+        z = np.stack([level[:, row, column] for level in sums])
         row, column = row + box[0].start, column + box[1].start
         world = view.prediction.images.geometry.points[row, column].astype(np.float64)
         points = to_file(world, scene, placement, view.posture)
@@ -243,7 +245,6 @@ def measure_regions(
         normal /= np.linalg.norm(normal)
         middle = np.average(points, axis=0, weights=area)
         nearest = int(np.argmin(np.sum((points - middle) ** 2, axis=1)))
-        z = np.stack([level[:, row, column] for level in sums])
         contrast = _contrasts(z, row, column, view)
         sightings.append(
             Sighting(
@@ -285,6 +286,20 @@ def gather(sightings: Sequence[Sighting]) -> tuple[FoundDefect, ...]:
         else:
             groups.append([sighting])
     return tuple(FoundDefect(number=i + 1, sightings=tuple(group)) for i, group in enumerate(groups))
+
+
+def _sums(found: Deviations, box: tuple[slice, slice]) -> list[NDArray[np.float32]]:
+    # sums over each Gaussian in a box of pixels, from what lies around it as far as the Gaussians reach
+    reach = len(gaussian_taps(max(SCALES_PX))) // 2
+    rows, columns = (slice(max(0, side.start - reach), side.stop + reach) for side in box)
+    around = Deviations(
+        found.z[:, rows, columns], found.scale[:, rows, columns], found.usable[:, rows, columns]
+    )
+    inner = tuple(
+        slice(side.start - wide.start, side.stop - wide.start)
+        for side, wide in zip(box, (rows, columns), strict=True)
+    )
+    return [smoothed_deviations(around, scale, threads=1)[0][(slice(None), *inner)] for scale in SCALES_PX]
 
 
 def _outline(

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.kernels import kernel
+
 __all__ = ["find_regions", "pixels_of"]
 
 Float32 = NDArray[np.float32]
-Bool = NDArray[np.bool_]
 
 LOW_SHARE = 0.5
 """A region spreads from where it is certain to where its score is above this share of the threshold …"""
@@ -35,21 +36,23 @@ def find_regions(score: Float32, high: float) -> tuple[NDArray[np.int32], int]:
     high
         Threshold.
     """
-    low = score >= LOW_SHARE * high
-    side = 2 * GAP_PX + 1
-    disc = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX + 0.5
-    assert disc.shape == (side, side)
-    near = np.zeros(score.shape, np.int32)
-    count = int(ndimage.label(ndimage.binary_dilation(low, disc), np.ones((3, 3)), output=near))  # pyright: ignore[reportArgumentType]
-    near[~low] = 0
+    low = np.flatnonzero(score >= LOW_SHARE * high)
+    near = np.zeros(score.shape, np.uint8)
+    side = np.arange(-GAP_PX, GAP_PX + 1)
+    reach = np.floor(np.sqrt((GAP_PX + 0.5) ** 2 - side**2)).astype(np.int64)
+    _spread(low, reach, near)
+    number = np.zeros(score.shape, np.int32)
+    count = int(ndimage.label(near, np.ones((3, 3)), output=number))  # pyright: ignore[reportArgumentType]
+    own, value = number.ravel()[low], score.ravel()[low]
     peak = np.zeros(count + 1)
-    np.maximum.at(peak, near.ravel(), score.ravel())
-    near[score < PEAK_SHARE * peak[near]] = 0
+    np.maximum.at(peak, own, value)
     kept = np.flatnonzero(peak >= high)
     kept = kept[kept > 0]
-    number = np.zeros(count + 1, np.int32)
-    number[kept] = np.arange(1, len(kept) + 1, dtype=np.int32)
-    return number[near], len(kept)
+    new = np.zeros(count + 1, np.int32)
+    new[kept] = np.arange(1, len(kept) + 1, dtype=np.int32)
+    labels = np.zeros(score.shape, np.int32)
+    labels.ravel()[low] = np.where(value < PEAK_SHARE * peak[own], 0, new[own])
+    return labels, len(kept)
 
 
 def pixels_of(labels: NDArray[np.int32], count: int) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
@@ -65,3 +68,15 @@ def pixels_of(labels: NDArray[np.int32], count: int) -> list[tuple[NDArray[np.in
     order = np.argsort(number, kind="stable")
     ends = np.searchsorted(number[order], np.arange(1, count + 2))
     return [(row[order[a:b]], column[order[a:b]]) for a, b in pairwise(ends)]
+
+
+@kernel
+def _spread(places: NDArray[np.intp], reach: NDArray[np.int64], near: NDArray[np.uint8]) -> None:
+    # marks all pixels within GAP_PX of those at `places`
+    height, width = near.shape
+    half = len(reach) // 2
+    for place in places:
+        y, x = place // width, place % width
+        for j in range(max(-half, -y), min(half, height - 1 - y) + 1):
+            for k in range(max(0, x - reach[half + j]), min(width, x + reach[half + j] + 1)):
+                near[y + j, k] = 1

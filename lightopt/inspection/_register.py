@@ -23,6 +23,7 @@ from lightopt.errors import InputError
 from lightopt.images import ImageSet
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
+from lightopt.transforms import Posture
 
 __all__ = ["Photometry", "fit_photometry", "good_part", "lay_over", "refuse_another_part"]
 
@@ -66,13 +67,30 @@ class Photometry:
     dark: float
 
 
-def good_part(rig: RigConfig, part: PartConfig, image_set: ImageSet) -> tuple[Scene, tuple[Observation, ...]]:
-    """The part without defects where its file has it, under the lights and in the postures of a set, and the images."""
+def good_part(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    *,
+    known: dict[tuple[tuple[Posture, ...], tuple[str, ...]], Scene] | None = None,
+) -> tuple[Scene, tuple[Observation, ...]]:
+    """The part without defects where its file has it, under the lights and in the postures of a set, and the images.
+
+    Parameters
+    ----------
+    rig, part, image_set
+        What the images show.
+    known
+        Scenes of the same rig and part by postures and lights, to take and to add to: reading a mesh takes its time.
+    """
     observations = read_observations(image_set, rig, part)
     used = {o.light for o in observations}
-    names = [light.name for light in rig.lights if light.name in used]
-    scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, defects=False)
-    return scene, observations
+    names = tuple(light.name for light in rig.lights if light.name in used)
+    key = observed_postures(image_set), names
+    known = {} if known is None else known
+    if key not in known:
+        known[key] = build_scene(rig, part, postures=key[0], lights=names, defects=False)
+    return known[key], observations
 
 
 def lay_over(
@@ -135,16 +153,16 @@ def fit_photometry(
     names = [light.name for light in scene.lights]
     n = len(names)
     rows: list[tuple[int, Float64, Float64, Float64]] = []
-    for o, model, mask in zip(observations, predicted, clean, strict=True):
-        noise = np.sqrt(sensor.noise_variance(model, frames=o.frames))
-        top = sensor.saturated_from - sensor.black_level - o.subtracted
-        usable = mask & ~o.saturated & (model + 4.0 * noise < top) & (model > 4.0 * noise)
-        index = np.flatnonzero(usable)
+    for o, image, mask in zip(observations, predicted, clean, strict=True):
+        index = np.flatnonzero(mask & ~o.saturated)
         index = index[:: max(1, len(index) // PIXELS_PER_IMAGE)]
+        model = image.ravel()[index].astype(np.float64)
+        noise = np.sqrt(sensor.noise_variance(model, frames=o.frames))
+        taken = np.broadcast_to(np.float32(o.subtracted), image.shape).ravel()[index]
+        top = sensor.saturated_from - sensor.black_level - taken
+        usable = (model + 4.0 * noise < top) & (model > 4.0 * noise)
         level = o.levels.ravel()[index].astype(np.float64) - sensor.black_level
-        rows.append(
-            (names.index(o.light), model.ravel()[index].astype(np.float64), level, noise.ravel()[index])
-        )
+        rows.append((names.index(o.light), model[usable], level[usable], noise[usable]))
     x = np.append(np.ones(n), 0.0)
     held = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
     nominal = x.copy()
@@ -188,17 +206,22 @@ def refuse_another_part(
     InputError
         The model explains too little; says what would fit better.
     """
+    places = np.flatnonzero(mask)
+    places = places[:: max(1, len(places) // PIXELS_PER_IMAGE)]
+
+    def picked(images: Float32) -> Float64:
+        return images.reshape(len(images), -1)[:, places].astype(np.float64)
+
+    model = picked(predicted)
 
     def explained(flip: tuple[slice, slice]) -> float:
-        flipped = (slice(None), *flip)
-        seen, model = measured[flipped][:, mask].astype(np.float64), predicted[:, mask].astype(np.float64)
+        seen = picked(measured[(slice(None), *flip)])
         spread = float(np.var(seen))
         return 1.0 - float(np.mean((seen - model) ** 2)) / spread if spread > 0.0 else 0.0
 
-    levels, noise = predicted[:, mask], deviation[:, mask]
-    if not levels.size:
+    if not model.size:
         return
-    if float(np.std(levels)) < LEAST_RELIEF * float(np.median(noise)):
+    if float(np.std(model)) < LEAST_RELIEF * float(np.median(picked(deviation))):
         return
     own = explained((slice(None), slice(None)))
     if own >= STRANGER_R2:
@@ -211,7 +234,7 @@ def refuse_another_part(
     }
     values = {name: explained(flip) for name, flip in flips.items()}
     best = max(values, key=lambda name: values[name])
-    rms = float(np.sqrt(np.mean((measured[:, mask] - levels).astype(np.float64) ** 2)))
+    rms = float(np.sqrt(np.mean((picked(measured) - model) ** 2)))
     hint = (
         f"they fit far better {best} ({100.0 * values[best]:.0f} %): turn them, or correct the camera's roll and "
         "azimuth in the rig"

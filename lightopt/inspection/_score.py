@@ -6,9 +6,12 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, special
+from scipy import special
 
 from lightopt.inspection._deviation import Deviations
+from lightopt.inspection._filter import BLOCK_ROWS, filtered, gaussian_taps, row_blocks
+from lightopt.kernels import kernel
+from lightopt.rendering import in_threads
 
 __all__ = [
     "SCALES_PX",
@@ -32,13 +35,18 @@ LEAST_SHARE = 0.5
 GREATEST_Z = 25.0
 """Deviations beyond this are as certain as numbers can tell."""
 
+TABLE_STEPS = 256
+"""Scores are tabulated in steps of 1/256 of a standard deviation."""
+
 
 def noise_gain(scale: float) -> float:
     """By how much the sum over a Gaussian of a width [px] of an even deviation stands out more than one pixel of it."""
     return math.sqrt(4.0 * math.pi) * scale
 
 
-def smoothed_deviations(found: Deviations, scale: float) -> tuple[Float32, Bool]:
+def smoothed_deviations(
+    found: Deviations, scale: float, *, threads: int | None = None
+) -> tuple[Float32, Bool]:
     """Sums over Gaussians of deviations, in standard deviations of such a sum, and where they count; (lights, H, W).
 
     Parameters
@@ -47,29 +55,28 @@ def smoothed_deviations(found: Deviations, scale: float) -> tuple[Float32, Bool]
         Of a posture.
     scale
         Width of the Gaussian [px].
+    threads
+        Number of threads; the result does not depend on it.
     """
-    kernel = _gaussian(scale)
-    sums = np.zeros_like(found.z)
-    counts = np.zeros(found.z.shape, np.bool_)
+    sums, counts = np.zeros_like(found.z), np.zeros(found.z.shape, np.bool_)
     for i, (z, usable) in enumerate(zip(found.z, found.usable, strict=True)):
-        weight = usable.astype(np.float32)
-        variance = _filtered(weight, kernel * kernel)
-        counts[i] = usable & (_filtered(weight, kernel) >= LEAST_SHARE)
-        total = _filtered(z, kernel)
-        sums[i] = np.where(counts[i], total / np.sqrt(np.maximum(variance, 1e-12)), 0.0)
+        sums[i], counts[i] = _sums(z, usable, gaussian_taps(scale), threads)
     return sums, counts
 
 
-def _gaussian(scale: float) -> Float64:
-    reach = math.ceil(4.0 * scale)
-    kernel = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / scale))
-    return kernel / kernel.sum()
+def _sums(z: Float32, usable: Bool, taps: Float32, threads: int | None) -> tuple[Float32, Bool]:
+    weight = usable.astype(np.float32)
+    sums = filtered(z, taps, threads=threads)
+    share, variance = (filtered(weight, own, threads=threads) for own in (taps, taps * taps))
+    counts = np.empty(usable.shape, np.bool_)
 
+    def block(top: int) -> None:
+        rows = slice(top, top + BLOCK_ROWS)
+        counts[rows] = usable[rows] & (share[rows] >= LEAST_SHARE)
+        sums[rows] *= counts[rows] / np.sqrt(np.maximum(variance[rows], np.float32(1e-12)))
 
-def _filtered(image: Float32, kernel: Float64) -> Float32:
-    # nothing lies beyond the image: a pixel that was mirrored there would count twice
-    down = ndimage.correlate1d(image, kernel, axis=0, mode="constant")
-    return np.asarray(ndimage.correlate1d(down, kernel, axis=1, mode="constant"), np.float32)
+    in_threads(block, row_blocks(len(z)), threads)
+    return sums, counts
 
 
 def rank_probability(z: Float64, count: NDArray[np.intp], rank: int) -> Float64:
@@ -93,7 +100,7 @@ def rank_probability(z: Float64, count: NDArray[np.intp], rank: int) -> Float64:
     return special.betainc(k, np.maximum(count, 1) - k + 1, tail)
 
 
-def score_deviations(found: Deviations, *, seen_by: int) -> Float32:
+def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = None) -> Float32:
     """−log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W); 0 where nothing tells.
 
     Parameters
@@ -102,17 +109,55 @@ def score_deviations(found: Deviations, *, seen_by: int) -> Float32:
         Of a posture.
     seen_by
         A defect is what shows in so many images: its score is that of the `seen_by`-th largest deviation.
+    threads
+        Number of threads; the result does not depend on it.
     """
     score = np.zeros(found.z.shape[1:], np.float32)
+    table = _table(len(found.z), seen_by)
     for scale in SCALES_PX:
-        sums, counts = smoothed_deviations(found, scale)
-        count = counts.sum(axis=0)
-        size = np.sort(np.where(counts, np.abs(sums), np.float32(-1.0)), axis=0)[::-1]
-        rank = np.clip(np.minimum(seen_by, count) - 1, 0, len(size) - 1)
-        kth = np.take_along_axis(size, rank[None], axis=0)[0].astype(np.float64)
-        chance = rank_probability(np.maximum(kth, 0.0), count, seen_by)
-        np.maximum(score, np.where(count > 0, -np.log10(chance), 0.0), out=score, casting="unsafe")
+        sums, counts = smoothed_deviations(found, scale, threads=threads)
+
+        def block(top: int, sums: Float32 = sums, counts: Bool = counts) -> None:
+            _raise(sums, counts, table, seen_by, top, min(top + BLOCK_ROWS, len(score)), score)
+
+        in_threads(block, row_blocks(len(score)), threads)
     return score
+
+
+def _table(images: int, rank: int) -> Float32:
+    # scores by the number of images that count and the deviation in steps of 1/TABLE_STEPS; in between they are read
+    # off straight lines, which is off by 1e-5 at most
+    z = np.arange(int(GREATEST_Z * TABLE_STEPS) + 2) / TABLE_STEPS
+    rows = [-np.log10(rank_probability(z, np.full(len(z), count), rank)) for count in range(1, images + 1)]
+    return np.stack([np.zeros(len(z)), *rows]).astype(np.float32)
+
+
+@kernel
+def _raise(
+    sums: Float32, counts: Bool, table: Float32, rank: int, top: int, bottom: int, score: Float32
+) -> None:
+    images, _, width = sums.shape
+    size = np.empty(images, np.float32)
+    for y in range(top, bottom):
+        for x in range(width):
+            count = 0
+            for i in range(images):
+                if counts[i, y, x]:
+                    # in order, the largest first
+                    own = abs(sums[i, y, x])
+                    k = count
+                    while k > 0 and size[k - 1] < own:
+                        size[k] = size[k - 1]
+                        k -= 1
+                    size[k] = own
+                    count += 1
+            if count == 0:
+                continue
+            place = min(size[min(rank, count) - 1], np.float32(GREATEST_Z)) * np.float32(TABLE_STEPS)
+            left = int(place)
+            share = place - np.float32(left)
+            value = table[count, left] + share * (table[count, left + 1] - table[count, left])
+            score[y, x] = max(score[y, x], value)
 
 
 def threshold(false_alarms: float, pixels: int, tests: int) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ __all__ = ["SyntheticImage", "fuse_images", "trust_weights"]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+_Fused = tuple[Float64, Bool]
 
 BLOOMING_PX = 2
 """Pixels this near to a saturated one are not trusted: charge, glare and lens spread there."""
@@ -23,8 +25,12 @@ BLOOMING_PX = 2
 LIT = 3.0
 """A pixel that is predicted to be less than this many standard deviations of noise above black is in shadow."""
 
+AVERAGING: Final = ("paper",)
+"""Rules that average the gradients of images, and so miss the shading of those that have no say."""
+
 FILL_WEIGHT = 1e-3
-"""Weight of an edge of which no image tells: its difference is 0 unless the others want otherwise."""
+"""Weight of an edge of which no image tells: its difference is that of the good part for a rule that averages, else 0,
+unless the others want otherwise."""
 
 PROBES = 4
 PROBE_TOLERANCE = 1e-4
@@ -44,7 +50,8 @@ class SyntheticImage:
     level
         [grey level at exposure 1], shape (H, W); 0 outside of the mask.
     deviation
-        Its standard deviation: the noise of the images, propagated, and what was filled in where no image tells.
+        Its standard deviation: the noise of the images, propagated, what was filled in where no image tells, and the
+        shading that a rule misses by choosing among the images that have a say.
     filled
         Pixels of the mask at which no image tells any gradient, shape (H, W).
     mask
@@ -94,10 +101,17 @@ def fuse_images(
     mask: Bool,
     *,
     fusion: Fusion,
+    predicted: Float32 | None = None,
+    specular: Float32 | None = None,
     seed: int = 0,
     probes: int = PROBES,
 ) -> SyntheticImage:
     """Fuse the images of a posture by their gradients and integrate those.
+
+    The predicted light of the highlights that is left where an image has a say is taken off. Where one has no say, its
+    shading is missing from a mean of gradients: they change from one set of images to another, and a former highlight
+    stands out by what that adds up to. On the good part that is known from the prediction, and is put back. Rules that
+    choose one gradient follow noise as much as shading: nothing is put back, and it counts as uncertainty.
 
     Parameters
     ----------
@@ -109,20 +123,36 @@ def fuse_images(
         Pixels to make an image of, shape (H, W).
     fusion
         As :func:`lightopt.inspection._fusion.fuse_gradients` takes it.
+    predicted, specular
+        Levels of the good part, and the highlights' share of them, shape of `levels`; nothing is taken off without.
     seed
         Of the noise that the uncertainty is found with.
     probes
         How many times noise is added to find it; 0 for an uncertainty of 0.
     """
-    usable = trusted(weights, 1), trusted(weights, 0)
 
-    def gradients(images: Float32) -> tuple[tuple[Float64, Bool], tuple[Float64, Bool]]:
+    def usable_edges(weights: Float32) -> tuple[Bool, Bool]:
+        return trusted(weights, 1), trusted(weights, 0)
+
+    usable = usable_edges(weights)
+
+    def gradients(images: Float32, usable: tuple[Bool, Bool] = usable) -> tuple[_Fused, _Fused]:
         return (
             fuse_gradients(images, deviations, usable[0], axis=1, fusion=fusion),
             fuse_gradients(images, deviations, usable[1], axis=0, fusion=fusion),
         )
 
+    missing: tuple[Float64 | float, Float64 | float] = 0.0, 0.0
+    if predicted is not None and specular is not None:
+        levels, diffuse = levels - specular, predicted - specular
+        lit = (diffuse >= LIT * deviations).astype(np.float32)
+        (all_x, _), (all_y, _) = gradients(diffuse, usable_edges(lit))
+        (some_x, _), (some_y, _) = gradients(diffuse)
+        missing = all_x - some_x, all_y - some_y
+    averaging = fusion in AVERAGING
+    put_back = missing if averaging else (0.0, 0.0)
     (gx, unknown_x), (gy, unknown_y) = gradients(levels)
+    gx, gy = gx + put_back[0], gy + put_back[1]
     grid = poisson_grid(mask, np.where(unknown_x, FILL_WEIGHT, 1.0), np.where(unknown_y, FILL_WEIGHT, 1.0))
     total = weights.sum(axis=0, dtype=np.float64)
     mean = (weights * levels).sum(axis=0, dtype=np.float64) / np.maximum(total, 1e-9)
@@ -130,11 +160,21 @@ def fuse_images(
     prior_x, prior_y = _prior(gx, unknown_x), _prior(gy, unknown_y)
     rng = np.random.default_rng(seed)
     square = np.zeros(mask.shape)
+    if probes and not averaging:
+        square += np.square(
+            grid.integrate(
+                np.zeros_like(gx) + missing[0],
+                np.zeros_like(gy) + missing[1],
+                level=np.zeros(mask.shape),
+                tolerance=PROBE_TOLERANCE,
+            )
+        )
     for _ in range(probes):
         noisy = levels + deviations * rng.standard_normal(levels.shape, dtype=np.float32)
         (nx, _), (ny, _) = gradients(noisy.astype(np.float32))
-        nx = np.where(unknown_x, prior_x * rng.standard_normal(nx.shape), nx)
-        ny = np.where(unknown_y, prior_y * rng.standard_normal(ny.shape), ny)
+        nx, ny = nx + put_back[0], ny + put_back[1]
+        nx = np.where(unknown_x, gx + prior_x * rng.standard_normal(nx.shape), nx)
+        ny = np.where(unknown_y, gy + prior_y * rng.standard_normal(ny.shape), ny)
         off = grid.integrate(nx - gx, ny - gy, level=np.zeros(mask.shape), tolerance=PROBE_TOLERANCE)
         square += off * off / probes
     return SyntheticImage(

@@ -23,7 +23,7 @@ class Verdict:
     counting
         Numbers of the defects that count.
     inspected
-        Share of the visible surface that was inspected, over all postures.
+        Share of the visible surface that was inspected in one posture or several.
     reasons
         Why it is not; empty for a good part.
     """
@@ -63,8 +63,7 @@ def judge(result: Inspection, limits: InspectionConfig) -> Verdict:
         for defect in result.defects
         if defect.size[0] >= limits.least_size_mm and defect.greatest_contrast >= limits.least_contrast
     ]
-    seen = sum(p.coverage.seen for p in result.postures)
-    inspected = sum(p.coverage.inspected for p in result.postures) / seen if seen > 0.0 else 0.0
+    inspected = result.surface.share
     reasons: list[str] = []
     if len(counting) > limits.most_defects:
         reasons.append(f"{counted(len(counting), 'defect')} where {limits.most_defects} are allowed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 
 from lightopt.align import Observation
 from lightopt.inspection._register import Photometry, fit_photometry, refuse_another_part
+from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
-from lightopt.rendering import PostureImages, render_posture, trace_pixels
+from lightopt.rendering import PostureImages, in_threads, render_posture, trace_pixels
 from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
 from lightopt.transforms import Posture
 
@@ -139,6 +141,7 @@ def posture_view(
     prediction: Prediction,
     *,
     where: str,
+    threads: int | None = None,
 ) -> PostureView:
     """Lay the images of one posture over its prediction.
 
@@ -152,6 +155,8 @@ def posture_view(
         Of that posture, with the lights of the observations.
     where
         The set, for messages.
+    threads
+        Number of threads; the result does not depend on it.
 
     Raises
     ------
@@ -163,15 +168,13 @@ def posture_view(
     models = [images[o.light].level * np.float32(scale * o.exposure) for o in observations]
     photometry = fit_photometry(observations, models, [prediction.clean] * len(models), scene)
     lights = tuple(name for name in images if any(o.light == name for o in observations))
-    merged = [
-        _merge(
-            scene,
-            sorted((o for o in observations if o.light == light), key=lambda o: -o.exposure),
-            images[light].level,
-            photometry,
-        )
-        for light in lights
-    ]
+
+    def merge(number: int) -> tuple[Float32, Float32, Float32, Bool]:
+        light = lights[number]
+        exposures = sorted((o for o in observations if o.light == light), key=lambda o: -o.exposure)
+        return _merge(scene, exposures, images[light].level, photometry)
+
+    merged = in_threads(merge, range(len(lights)), threads)
     level, deviation, limit, saturated = (np.stack(arrays) for arrays in zip(*merged, strict=True))
     predicted = np.stack([images[light].level for light in lights])
     specular = np.stack([_specular(images[light].specular) for light in lights])
@@ -213,16 +216,62 @@ def _merge(
     saturated = np.zeros(shape, np.bool_)
     open_ = np.ones(shape, np.bool_)
     for number, o in enumerate(exposures):
-        top = np.broadcast_to(np.float32(sensor.saturated_from - sensor.black_level) - o.subtracted, shape)
         scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
-        signal = np.minimum(predicted * np.float32(scale), top)
-        take = open_ if number + 1 == len(exposures) else open_ & ~o.saturated & (signal < top)
-        noise = np.sqrt(sensor.noise_variance(signal, frames=o.frames))
-        values = (o.levels - np.float32(sensor.black_level + photometry.dark)) / np.float32(scale)
-        level[take] = values[take]
-        deviation[take] = (noise / np.float32(scale))[take]
-        limit[take] = ((top - 0.5 - photometry.dark) / scale)[take]
-        saturated[take] = o.saturated[take]
-        open_ = open_ & ~take
-    limit[saturated] = np.minimum(limit, level)[saturated]
+        still = sensor.noise_variance(0.0, frames=o.frames)
+        _take(
+            np.ascontiguousarray(o.levels),
+            o.saturated,
+            np.ascontiguousarray(np.broadcast_to(np.float32(o.subtracted), shape)),
+            predicted,
+            open_,
+            number + 1 == len(exposures),
+            scale,
+            sensor.black_level + photometry.dark,
+            photometry.dark,
+            sensor.saturated_from - sensor.black_level,
+            still,
+            sensor.noise_variance(1.0, frames=o.frames) - still,  # the variance is linear in the signal
+            level,
+            deviation,
+            limit,
+            saturated,
+        )
     return level, deviation, limit, saturated
+
+
+@kernel
+def _take(
+    levels: Float32,
+    full: Bool,
+    subtracted: Float32,
+    predicted: Float32,
+    open_: Bool,
+    last: bool,
+    scale: float,
+    black: float,
+    dark: float,
+    saturation: float,
+    still: float,
+    shot: float,
+    level: Float32,
+    deviation: Float32,
+    limit: Float32,
+    saturated: Bool,
+) -> None:
+    # what one exposure says of the pixels that no longer one could tell of: where it is not full, or is the last
+    height, width = levels.shape
+    for y in range(height):
+        for x in range(width):
+            if not open_[y, x]:
+                continue
+            top = saturation - subtracted[y, x]
+            signal = min(predicted[y, x] * scale, top)
+            if not last and (full[y, x] or signal >= top):
+                continue
+            open_[y, x] = False
+            level[y, x] = (levels[y, x] - black) / scale
+            deviation[y, x] = math.sqrt(still + shot * signal) / scale
+            limit[y, x] = (top - 0.5 - dark) / scale
+            saturated[y, x] = full[y, x]
+            if full[y, x]:
+                limit[y, x] = min(limit[y, x], level[y, x])

@@ -30,6 +30,7 @@ from lightopt.rendering._patches import (
     visible_points,
 )
 from lightopt.rendering._pixels import (
+    LEAST_COS_VIEW,
     LEFT_OUT,
     UNLIT,
     WHOLE,
@@ -44,6 +45,7 @@ from lightopt.rendering._variants import SurfaceVariants, VariantLevels, shade_v
 
 __all__ = [
     "DEFAULT_PATCH_BUDGET",
+    "LEAST_COS_VIEW",
     "LEFT_OUT",
     "UNLIT",
     "WHOLE",

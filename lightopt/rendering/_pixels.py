@@ -15,7 +15,7 @@ from lightopt.rendering._threads import in_threads
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
 from lightopt.transforms import Posture
 
-__all__ = ["LEFT_OUT", "UNLIT", "WHOLE", "PosturePixels", "panel_verdict", "trace_pixels"]
+__all__ = ["LEAST_COS_VIEW", "LEFT_OUT", "UNLIT", "WHOLE", "PosturePixels", "panel_verdict", "trace_pixels"]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from lightopt.images import read_exr, read_image_set
 from lightopt.inspection import (
     FUSIONS,
     InspectOptions,
-    Predictions,
     SyntheticImage,
     area_under_roc,
     fuse_images,
@@ -25,7 +25,8 @@ from lightopt.inspection import (
 from lightopt.rendering import RenderOptions, render_image_set
 from lightopt.transforms import Posture
 
-FLAT = "posture: {elevation_deg: 0, rotation_deg: 0}"
+FIRST = "elevation_deg: 0, rotation_deg: 0"
+FLAT = f"posture: {{{FIRST}}}"
 DEFECTS = f"""\
 defects:
   - {{name: stain, kind: stain, at_pixel: {{{FLAT}, pixel: [58, 60]}}, size_mm: 3, R_d_factor: 0.8}}
@@ -35,9 +36,19 @@ defects:
 OPTIONS = RenderOptions(noise=7, postures=(Posture(0.0, 0.0),), patch_budget=500, layers=True)
 
 
+def four_lights(bench):
+    """Text of the small rig with a light in each corner."""
+    lights = "".join(
+        f"  - {{name: light{i + 1}, distance_mm: 330, elevation_deg: 60, azimuth_deg: {45 + 90 * i}}}\n"
+        for i in range(4)
+    )
+    text = bench.rig.read_text(encoding="utf-8")
+    return re.sub(r"lights:\n(  - .*\n)+", f"lights:\n{lights}", text)
+
+
 @pytest.fixture(scope="module")
 def trial(shared_bench, tmp_path_factory):
-    """Rig and part, and image sets of parts 0.4 mm, 0.3 mm and 0.5° off: with defects, and a good one."""
+    """Rig and part, and the images of a part with defects that lies 0.4 mm, 0.3 mm and 0.5° off."""
     folder = tmp_path_factory.mktemp("trial")
     text = shared_bench.part.read_text(encoding="utf-8") + DEFECTS
     nominal = "translate_mm: [0, 0, 0]"
@@ -46,28 +57,16 @@ def trial(shared_bench, tmp_path_factory):
     path.write_text(
         text.replace(nominal, "translate_mm: [0.4, -0.3, 0], rotate_deg: [0, 0, 0.5]"), encoding="utf-8"
     )
-    lights = "".join(
-        f"  - {{name: light{i + 1}, distance_mm: 330, elevation_deg: 60, azimuth_deg: {45 + 90 * i}}}\n"
-        for i in range(4)
-    )
     four = shared_bench.rig.with_name("four.yaml")
-    text = shared_bench.rig.read_text(encoding="utf-8")
-    four.write_text(re.sub(r"lights:\n(  - .*\n)+", f"lights:\n{lights}", text), encoding="utf-8")
+    four.write_text(four_lights(shared_bench), encoding="utf-8")
     rig = load_rig(four)
     render_image_set(rig, load_part(path), folder / "bad", options=OPTIONS)
-    good = RenderOptions(**{**vars(OPTIONS), "defects": False})
-    render_image_set(rig, load_part(path), folder / "good", options=good)
-    return (
-        rig,
-        load_part(shared_bench.part),
-        read_image_set(folder / "bad"),
-        read_image_set(folder / "good"),
-    )
+    return rig, load_part(shared_bench.part), read_image_set(folder / "bad")
 
 
 @pytest.fixture(scope="module")
 def found(trial):
-    rig, part, bad, _ = trial
+    rig, part, bad = trial
     return inspect_set(rig, part, bad, options=InspectOptions(threads=2))
 
 
@@ -102,25 +101,64 @@ def test_the_default_beats_every_image_alone_and_the_pixelwise_minimum(trial, fo
     assert area(posture.score) > max(baselines)
 
 
+PARTS = Path(__file__).parents[2] / "configs" / "parts"
+
+
+@pytest.fixture(scope="module", params=["cover-knob", "spout"])
+def good_part_seen(request, shared_bench, tmp_path_factory):
+    """A good sample part under four lights, and the diffuse light of its images."""
+    text = four_lights(shared_bench)
+    text = text.replace("[160, 120]", "[240, 180]").replace(
+        "pixel_size_um: 44", f"pixel_size_um: {44 * 2 / 3}"
+    )
+    finer = shared_bench.rig.with_name("finer.yaml")
+    finer.write_text(text, encoding="utf-8")
+    rig = load_rig(finer)
+    text = (PARTS / f"{request.param}.yaml").read_text(encoding="utf-8")
+    text = re.sub(r"file: \S+", f"file: '{(PARTS / f'{request.param}.step').as_posix()}'", text)
+    text = re.sub(
+        r"postures:.*?\nreflectance:", f"postures: [{{{FIRST}}}]\n\nreflectance:", text, flags=re.DOTALL
+    )
+    folder = tmp_path_factory.mktemp(request.param)
+    path = folder / "part.yaml"
+    path.write_text(text, encoding="utf-8")
+    render_image_set(rig, load_part(path), folder / "images", options=OPTIONS)
+    images = read_image_set(folder / "images")
+    result = inspect_set(rig, load_part(path), images, options=InspectOptions(fusion=None, shift=False))
+    assert result.defects == ()
+    diffuse = np.stack([read_exr(images.path(e.exr))["diffuse.Y"] for e in images.images])
+    return result.postures[0].view, diffuse
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fusion", FUSIONS)
-def test_former_highlights_differ_from_what_is_around_by_less_than_the_uncertainty(trial, fusion):
-    rig, part, _, good = trial
-    options = InspectOptions(fusion=fusion, threads=2)
-    result = inspect_set(rig, part, good, options=options, predictions=Predictions())
-    assert result.defects == ()
-    view, image = result.postures[0].view, result.postures[0].synthetic
-    assert image is not None
-    diffuse = np.stack([read_exr(good.path(e.exr))["diffuse.Y"] for e in good.images])
-    lit = trust_weights(view.saturated, view.predicted, 0 * view.specular, view.deviation, view.limit)
-    plain = fuse_images(
-        diffuse, view.deviation, (lit > 0).astype(np.float32), view.clean, fusion=fusion, probes=0
-    )
-    off = image.level - plain.level
-    inside = ndimage.binary_dilation(view.saturated.any(axis=0), iterations=2) & view.clean & ~image.filled
-    ring = ndimage.binary_dilation(inside, iterations=6) & view.clean & ~inside
-    assert inside.sum() > 100
-    step = abs(off[inside].mean() - off[ring].mean())
-    assert step < image.deviation[inside].mean()
-    before = np.minimum(view.level, view.limit).max(axis=0)
-    assert before[inside].mean() - before[ring].mean() > 20 * step
+def test_former_highlights_differ_from_what_is_around_by_less_than_the_uncertainty(good_part_seen, fusion):
+    view, diffuse = good_part_seen
+    weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
+    image = fuse_images(
+        view.level, view.deviation, weights, view.clean, fusion=fusion, predicted=view.predicted,
+        specular=view.specular,
+    )  # fmt: skip
+    # what the same noisy images without highlights make
+    lit = (diffuse >= 3.0 * view.deviation).astype(np.float32)
+    rng = np.random.default_rng(0)
+    draws = [
+        fuse_images(
+            diffuse + view.deviation * rng.standard_normal(diffuse.shape, dtype=np.float32),
+            view.deviation, lit, view.clean, fusion=fusion, probes=0,
+        ).level
+        for _ in range(3)
+    ]  # fmt: skip
+    off = image.level - np.mean(draws, axis=0)
+    full = ndimage.binary_dilation(view.saturated.any(axis=0), iterations=2) & view.clean
+    pieces, count = ndimage.label(full)
+    told = 0
+    for piece in range(1, count + 1):
+        inside = (pieces == piece) & ~image.filled
+        ring = ndimage.binary_dilation(pieces == piece, iterations=6) & view.clean & ~full
+        if min(inside.sum(), ring.sum()) < 60:
+            continue
+        told += 1
+        step = abs(off[inside].mean() - off[ring].mean())
+        assert step < image.deviation[inside].mean()
+    assert told >= 1

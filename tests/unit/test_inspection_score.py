@@ -13,6 +13,7 @@ from lightopt.inspection import (
     Deviations,
     Inspection,
     Sighting,
+    SurfaceCoverage,
     find_regions,
     gather,
     judge,
@@ -154,7 +155,13 @@ def test_a_defect_is_as_large_and_as_strong_as_any_posture_shows_it():
     assert (defect.size, defect.area, defect.greatest_contrast) == ((3.0, 1.0), 3.0, 0.4)
     told = defect.as_dict()
     assert (told["size_mm"], told["area_mm2"], told["greatest_contrast"]) == ([3.0, 1.0], 3.0, 0.4)
-    result = Inspection(defects=(defect,), postures=(), placement=None, words=(), nominal=None)
+    surface = SurfaceCoverage(
+        area=9.0, seen=5.0, inspected=4.0, saturated=0.0, shadow=0.0, edge=1.0, sensitivity={}
+    )
+    result = Inspection(
+        defects=(defect,), postures=(), placement=None, words=(), nominal=None, surface=surface
+    )
+    assert judge(result, InspectionConfig()).inspected == 0.8
     assert judge(result, InspectionConfig(least_size_mm=2.5, least_contrast=0.3)).counting == (1,)
     assert judge(result, InspectionConfig(least_size_mm=3.5)).counting == ()
     assert judge(result, InspectionConfig(least_contrast=0.5)).counting == ()

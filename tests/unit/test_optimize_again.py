@@ -13,7 +13,7 @@ import pytest
 
 from lightopt.errors import InputError
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, Posture
-from lightopt.optimize import LuminanceMatrix, OptimizeOptions, _run, optimize
+from lightopt.optimize import LuminanceMatrix, OptimizeOptions, _matrices, _provenance, optimize
 from lightopt.optimize._earlier import begin_writing
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -169,22 +169,22 @@ def test_a_kept_matrix_is_reused_as_long_as_no_level_changes(three):
 
 def test_the_matrix_depends_on_the_version_of_what_loads_the_mesh(three, monkeypatch):
     optimize(three.rig, three.part, three.out, options=KEPT)
-    real = _run.version
-    monkeypatch.setattr(_run, "version", lambda name: "0" if name == "trimesh" else real(name))
+    real = _provenance.version
+    monkeypatch.setattr(_provenance, "version", lambda name: "0" if name == "trimesh" else real(name))
     assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
 
 
 def test_matrices_are_held_together_only_where_lights_are_common(three, monkeypatch):
     refs: list[weakref.ref[LuminanceMatrix]] = []
     alive: list[int] = []
-    real = _run.luminance_matrix
+    real = _matrices.luminance_matrix
 
     def make(*arguments, **options):
         alive.append(sum(ref() is not None for ref in refs))
         refs.append(weakref.ref(made := real(*arguments, **options)))
         return made
 
-    monkeypatch.setattr(_run, "luminance_matrix", make)
+    monkeypatch.setattr(_matrices, "luminance_matrix", make)
     options = replace(KEPT, keep_matrix=False)
     optimize(three.rig, three.part, three.out / "own", options=options)
     optimize(three.rig, three.part, three.out / "common", options=replace(options, common_lights=True))
@@ -195,7 +195,7 @@ def test_the_budget_is_of_all_that_is_held(three, monkeypatch):
     options = replace(KEPT, keep_matrix=False)
     found = optimize(three.rig, three.part, three.out, options=options)
     positions, patches = sum(found.candidates.space.sizes), max(result.patches for result in found.results)
-    monkeypatch.setattr(_run, "MOST_BYTES", round(1.5 * positions * patches))
+    monkeypatch.setattr(_matrices, "MOST_BYTES", round(1.5 * positions * patches))
     optimize(three.rig, three.part, three.out, options=options)
     with pytest.raises(InputError, match=r"GB a posture; take a larger --step or fewer --patches"):
         optimize(three.rig, three.part, three.out / "all", options=replace(options, common_lights=True))

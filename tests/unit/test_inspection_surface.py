@@ -1,0 +1,107 @@
+"""The surface over all postures: each place counts once, by the posture that shows it best."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lightopt import build_scene
+from lightopt.inspection import Coverage, Reached, map_surface, surface_coverage
+from lightopt.mesh import face_areas
+from lightopt.rendering import cast_rays_at, trace_pixels
+from lightopt.transforms import Posture
+
+FLAT, TURN, TILTED = Posture(0.0, 0.0), Posture(0.0, 360.0), Posture(-40.0, 170.0)
+CONTRASTS = (0.05, 0.1, 0.2, 0.4)
+
+
+@pytest.fixture(scope="module")
+def scene(shared_bench):
+    return build_scene(shared_bench.rig, shared_bench.part, postures=(FLAT, TURN, TILTED), defects=False)
+
+
+def coverage(scene, reached, least):
+    """Of a posture, its pixels in arrays; areas are not looked at where there are several."""
+    none = dict.fromkeys(CONTRASTS, 0.0)
+    return Coverage(
+        seen=1.0, inspected=1.0, saturated=0.0, shadow=0.0, edge=0.0, sensitivity=none,
+        reached=np.full((scene.camera.height, scene.camera.width), reached, np.uint8),
+        least_contrast=np.full((scene.camera.height, scene.camera.width), least, np.float32),
+    )  # fmt: skip
+
+
+def over(scene, *postures):
+    """Of postures, each with how far it got and what contrast it finds."""
+    here = replace(scene, postures=tuple(posture for posture, _, _ in postures))
+    surface = map_surface(here, cast_rays_at(here))
+    return surface_coverage(
+        here, [(posture, coverage(here, reached, least)) for posture, reached, least in postures], surface
+    )
+
+
+def test_the_same_view_twice_counts_once(scene):
+    once = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TURN, Reached.INSPECTED, 0.1))
+    assert once.area == pytest.approx(float(face_areas(scene.mesh).sum()))
+    assert once.inspected + once.edge == pytest.approx(once.seen)
+    assert 0.5 * once.seen < once.inspected < once.seen  # walls are seen at a grazing angle
+    assert once.share == pytest.approx(once.inspected / once.seen)
+
+
+def test_a_patch_has_what_the_pixel_has_that_sees_it(scene):
+    pixels = trace_pixels(scene, FLAT, cast_rays_at(scene))
+    depth = (pixels.surface.points - pixels.view.camera.position) @ pixels.view.camera.forward
+    side = depth * scene.camera.pixel_size / scene.camera.image_distance
+    cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
+    steep = cosine > 0.15
+    here = replace(scene, postures=(FLAT, TURN))
+    own = coverage(scene, Reached.EDGE, np.inf)
+    own.reached[pixels.row[steep], pixels.column[steep]] = Reached.INSPECTED
+    surface = map_surface(here, cast_rays_at(here))
+    found = surface_coverage(here, [(FLAT, own), (TURN, own)], surface)
+    assert found.inspected == pytest.approx(np.sum(side[steep] ** 2 / cosine[steep]), rel=0.05)
+    assert found.edge == pytest.approx(found.seen - found.inspected)
+
+
+def test_several_postures_show_more_and_no_place_twice(scene):
+    flat = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TURN, Reached.INSPECTED, 0.1))
+    tilted = over(scene, (TILTED, Reached.INSPECTED, 0.1), (TILTED, Reached.INSPECTED, 0.1))
+    both = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TILTED, Reached.INSPECTED, 0.1))
+    for name in ("seen", "inspected"):
+        one, other, union = (getattr(found, name) for found in (flat, tilted, both))
+        assert max(one, other) + 1.0 < union < one + other - 1.0
+    assert both.seen < both.area
+
+
+def test_the_furthest_counts_and_the_rest_has_its_reason(scene):
+    flat = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TURN, Reached.INSPECTED, 0.1)).inspected
+    found = over(scene, (FLAT, Reached.INSPECTED, 0.3), (TILTED, Reached.SATURATED, np.inf))
+    # each map has patches of its own
+    assert found.inspected == pytest.approx(flat, rel=5e-3)
+    assert found.saturated > 1.0
+    assert found.saturated + found.edge == pytest.approx(found.seen - found.inspected)
+    assert found.shadow == 0.0
+    assert found.sensitivity == pytest.approx({0.05: 0.0, 0.1: 0.0, 0.2: 0.0, 0.4: found.inspected})
+    better = over(scene, (FLAT, Reached.INSPECTED, 0.3), (TURN, Reached.INSPECTED, 0.07))
+    assert better.sensitivity == pytest.approx({0.05: 0.0, 0.1: flat, 0.2: flat, 0.4: flat})
+    # a patch that the camera sees beside the last pixel of the part is at its edge
+    beside = over(scene, (FLAT, Reached.NO_PART, np.inf), (TILTED, Reached.SHADOW, np.inf))
+    assert beside.edge + beside.shadow == pytest.approx(beside.seen)
+    assert min(beside.edge, beside.shadow) > 1.0
+    told = beside.as_dict()
+    assert told["edge"] + told["shadow"] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_single_posture_tells_by_its_own_pixels(scene):
+    own = replace(
+        coverage(scene, Reached.EDGE, np.inf), seen=8.0, inspected=5.0, saturated=1.0, shadow=1.5, edge=0.5
+    )
+    found = surface_coverage(scene, [(FLAT, own)], None)
+    assert (found.seen, found.inspected, found.saturated, found.shadow, found.edge) == (
+        8.0,
+        5.0,
+        1.0,
+        1.5,
+        0.5,
+    )
