@@ -12,7 +12,8 @@ those just below the threshold across it, and by the mean of nine pixels.
 
 *Pits*: cones of known slope are strewn over the part by the function behind ``lightopt defects``, rendered by
 ``render_posture``, exposed with noise, and the pixels on their walls counted. Compared with what the patches under
-those pixels predict of walls that lean to the eight directions.
+those pixels predict of walls that lean to the eight directions. Defects of about a pixel are for
+``python -m benchmarks.narrow``.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks._strewn import off, strew
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import CatalogueEntryConfig, PartConfig, RigConfig
 from lightopt.defects import (
@@ -35,11 +37,8 @@ from lightopt.defects import (
     PlacedDefect,
     radial_place,
     surface_coordinates,
-    tangent_direction,
     tangent_references,
 )
-from lightopt.errors import InputError
-from lightopt.mesh import SurfaceFinder
 from lightopt.optimize import (
     GRAZING_COSINE,
     Contrast,
@@ -61,7 +60,6 @@ from lightopt.rendering import (
     trace_samples,
 )
 from lightopt.report._chart import ChartPanel, draw_chart
-from lightopt.scatter import scatter_defects
 from lightopt.scene import PanelLight, Scene, build_catalogue, view_from_part
 from lightopt.sensor import expose, image_rng
 
@@ -79,6 +77,9 @@ MEANS = (1, 9)
 """Pixels whose mean level is compared."""
 EVERY = 4
 """Pixel and row that is looked at where the whole surface leans."""
+
+FILLS_MM = 1000.0
+"""Defects of this size fill every pixel."""
 
 PITS = 60
 PIT_SLOPES = (4.0, 8.0)
@@ -146,7 +147,8 @@ def compare(rig: RigConfig, part: PartConfig, *, patches: int, pits: int = PITS)
 
 
 def _walls(case: _Case, part: PartConfig, finish: str) -> Iterator[Point]:
-    trials = unroll(build_catalogue(part))
+    # walls that fill the pixel, whatever the size of the defect: how far it does is for benchmarks.narrow
+    trials = tuple(replace(trial, length=FILLS_MM, width=FILLS_MM) for trial in unroll(build_catalogue(part)))
     visibility = case.predict(trials).visibility
     assert visibility is not None
     surface, areas = _pixels(case)
@@ -162,10 +164,9 @@ def _walls(case: _Case, part: PartConfig, finish: str) -> Iterator[Point]:
         )
         for k, light in enumerate(lights):
             level = _level(case, turned, light, trial)
-            level = good[k] + _fill(case, surface, trial) * (level - good[k])
             noisy = _noisy(case, np.tile(level, (max(MEANS), 1)), light=k, trial=t)
             for pixels, own in counts.items():
-                own[t] += _off(case, noisy[:pixels].mean(axis=0), good[k])
+                own[t] += off(noisy[:pixels].mean(axis=0), good[k], case.scene, case.contrast.threshold)
     weights = np.array([trial.weight for trial in trials])
     names = [trial.name for trial in trials]
     for seen_in, pixels in itertools.product(SEEN_IN, MEANS):
@@ -211,16 +212,6 @@ def _references(scene: Scene, surface: SurfacePoints) -> NDArray[np.float64]:
     return tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
 
 
-def _fill(case: _Case, surface: SurfacePoints, trial: Trial) -> NDArray[np.float64]:
-    camera = view_from_part(case.scene, case.scene.postures[0]).camera
-    footprint = (
-        (surface.points - camera.position) @ camera.forward * camera.pixel_size / camera.image_distance
-    )
-    cosine = np.einsum("ij,ij->i", surface.normals, surface.views)
-    across = np.minimum(1.0, trial.width * np.maximum(cosine, 0.0) / footprint)
-    return across * np.minimum(1.0, trial.length / footprint)
-
-
 def _level(
     case: _Case, surface: SurfacePoints, light: PanelLight, trial: Trial | None = None
 ) -> NDArray[np.float64]:
@@ -240,20 +231,6 @@ def _noisy(case: _Case, level: NDArray[np.float64], *, light: int, trial: int) -
     return delivered.astype(np.float64)
 
 
-def _off(case: _Case, delivered: NDArray[np.float64], good: NDArray[np.float64]) -> NDArray[np.bool_]:
-    # the plain contrast test: a delivered level against the noise-free one of the good part
-    sensor = case.scene.sensor
-    scale = sensor.max_level / case.scene.reflectance.full_scale
-    expected = np.minimum(sensor.black_level + scale * good, sensor.saturated_from)
-    photons = (
-        0.0
-        if sensor.electrons_per_level is None
-        else (expected - sensor.black_level) / sensor.electrons_per_level
-    )
-    noise = np.sqrt(sensor.read_noise_levels**2 + photons + 1.0 / 12.0)
-    return np.abs(np.minimum(delivered, sensor.saturated_from) - expected) >= case.contrast.threshold * noise
-
-
 def _pits(case: _Case, rig: RigConfig, part: PartConfig, finish: str, count: int) -> Iterator[Point]:
     posture = case.scene.postures[0]
     patches = case.table.patches
@@ -263,7 +240,7 @@ def _pits(case: _Case, rig: RigConfig, part: PartConfig, finish: str, count: int
         entry = CatalogueEntryConfig(kind="pit", name="pit", size_mm=PIT_MM, slope_deg=slope)
         visibility = case.predict(unroll([CatalogueEntry("pit", entry.shape)])).visibility
         assert visibility is not None
-        placed = _strewn(case, rig, part, entry, count)
+        placed = strew(rig, part, case.scene, count=count, seed=SEED, catalogue=[entry])
         bad = render_posture(
             replace(case.scene, defects=placed), posture, caster=case.caster, patches=patches
         )
@@ -276,41 +253,14 @@ def _pits(case: _Case, rig: RigConfig, part: PartConfig, finish: str, count: int
         for k, (one, other) in enumerate(zip(good.lights, bad.lights, strict=True)):
             level = other.level.ravel()[pixels].astype(np.float64)
             noisy = _noisy(case, level, light=k, trial=1000 + int(slope))
-            counts += _off(case, noisy[0], one.level.ravel()[pixels].astype(np.float64))
+            plain = one.level.ravel()[pixels].astype(np.float64)
+            counts += off(noisy[0], plain, case.scene, case.contrast.threshold)
         for seen_in in SEEN_IN:
             flags = flags_of(visibility.seen((0,) * len(good.lights), seen_in), len(visibility.trials))
             yield Point(
                 part=part.name, finish=finish, kind=f"pits of {slope:g}°", seen_in=seen_in, pixels=1,
                 predicted=float(flags[rows].mean()), measured=float((counts >= seen_in).mean()),
             )  # fmt: skip
-
-
-def _strewn(
-    case: _Case, rig: RigConfig, part: PartConfig, entry: CatalogueEntryConfig, count: int
-) -> tuple[PlacedDefect, ...]:
-    # as many as there is room for, by the function behind `lightopt defects`
-    own = part.model_copy(update={"defect_catalogue": (entry,), "postures": part.postures[:1]})
-    while True:
-        try:
-            found = scatter_defects(rig, own, count=count, seed=SEED)
-            break
-        except InputError:
-            if count < 4:
-                raise
-            count //= 2
-    placement, finder = case.scene.placement, SurfaceFinder(case.scene.mesh)
-    placed: list[PlacedDefect] = []
-    for one in found:
-        place = finder.nearest(placement.to_part(np.array(one.at_mm)))
-        along = tangent_direction(
-            place.normal, 0.0, x_axis=placement.rotation[:, 0], y_axis=placement.rotation[:, 1]
-        )
-        placed.append(
-            PlacedDefect(
-                name=one.name, shape=entry.shape, position=place.point, normal=place.normal, along=along
-            )
-        )
-    return tuple(placed)
 
 
 def _on_walls(placed: tuple[PlacedDefect, ...], case: _Case) -> NDArray[np.intp]:
