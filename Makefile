@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 OUT    ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo batch test test-all check golden golden-check bench docs clean
+.PHONY: help install demo plan batch test test-all check golden golden-check bench docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -37,6 +37,13 @@ demo: $(BIN)/.installed  ## the whole loop on the sample: render, fit, plan the 
 	$(BIN)/lightopt capture $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml -o $(OUT)/demo-part --posture 0,0 --resume
 	$(BIN)/lightopt inspect $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml $(OUT)/demo-part -o $(OUT)/demo-inspected --truth
 	@echo "what the optimisation found: $(OUT)/demo-best/report.html"
+
+plan: $(BIN)/.installed  ## the sample planned: which postures, lights and exposures, how exact the angles, then its images; into out/plan…
+	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/plan --choose-postures 2 --posture-step 45 --exposures 1,1/4,1/16 \
+	    --tolerance-deg 2 --pose-tolerance-deg 1 --patches 50000 --no-images
+	$(BIN)/lightopt render $(OUT)/plan/rig.optimized.yaml $(OUT)/plan/part.planned.yaml -o $(OUT)/plan-images --sheet
+	$(BIN)/lightopt capture $(OUT)/plan/rig.optimized.yaml $(OUT)/plan/part.planned.yaml --exposures 1,1/16 -o $(OUT)/plan-captured --dry-run
+	@echo "what was planned: $(OUT)/plan/report.html"
 
 batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
 	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch
