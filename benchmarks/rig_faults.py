@@ -12,6 +12,7 @@ import argparse
 import contextlib
 import errno
 import os
+import re
 import sys
 import tempfile
 import time
@@ -251,11 +252,28 @@ def table(found: list[Seen]) -> str:
     return "\n".join(lines)
 
 
+def renewed(old: str, new: str, kinds: list[str]) -> str:
+    """The old table with the rows of the new one, in the order of `kinds`, and sums over all of them."""
+    rows = {
+        line.split(" | ")[0].removeprefix("| "): line
+        for text in (old, new)
+        for line in text.splitlines()
+        if line.startswith("| ") and not line.startswith(("| fault", "| **all**"))
+    }
+    kept = [rows[kind] for kind in dict.fromkeys(kinds) if kind in rows]
+    counts = [[int(n) for n in row.removesuffix(" |").split(" | ")[1:]] for row in kept]
+    total = " | ".join(map(str, map(sum, zip(*counts, strict=True))))
+    return "\n".join([*new.splitlines()[:2], *kept, f"| **all** | {total} |"])
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the campaign and write the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.rig_faults", description=__doc__)
     parser.add_argument(
         "--moments", type=int, default=3, help="how many moments of a run each fault strikes at"
+    )
+    parser.add_argument(
+        "--only", help="regular expression: only faults of which the name has it; other rows stay"
     )
     parser.add_argument("--page", type=Path, default=PAGE, help="Markdown page whose table is renewed")
     chosen = parser.parse_args(arguments)
@@ -267,7 +285,8 @@ def main(arguments: list[str] | None = None) -> int:
         for dark in (True, False):
             options = replace(OPTIONS, dark=dark)
             capture(load_rig(rig), load_part(part), folder / f"truth-{dark}", options=options)
-        cases = list(rig_cases(chosen.moments))
+        every = list(rig_cases(chosen.moments))
+        cases = [case for case in every if chosen.only is None or re.search(chosen.only, case.kind)]
         for number, case in enumerate(cases):
             print(f"\r{number + 1} of {len(cases)}", end="", file=sys.stderr, flush=True)
             try:
@@ -280,11 +299,18 @@ def main(arguments: list[str] | None = None) -> int:
         for wrong in seen.wrong:
             print(f"  WRONG: {wrong}")
     minutes = (time.monotonic() - begun) / 60
-    about = f"`python -m benchmarks.rig_faults --moments {chosen.moments}`, {minutes:.0f} minutes."
+    only = "" if chosen.only is None else f' --only "{chosen.only}"'
+    about = f"`python -m benchmarks.rig_faults --moments {chosen.moments}{only}`, {minutes:.0f} minutes."
     page = chosen.page.read_text(encoding="utf-8")
     before, _, rest = page.partition(BEGIN)
-    after = rest.partition(END)[2]
+    there, _, after = rest.partition(END)
     text = table(found)
+    if chosen.only is not None:
+        text = renewed(there, text, [case.kind for case in every])
+        ran = [
+            line for line in there.splitlines() if line.startswith("`python -m") and f"{only}`" not in line
+        ]
+        about = "\n".join([*ran, about])
     print(text)
     chosen.page.write_text(
         f"{before}{BEGIN}\n{text}\n\n{about}\n{END}{after}", encoding="utf-8", newline="\n"

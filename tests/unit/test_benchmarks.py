@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks import auto, bare, command, peers
+from benchmarks import auto, bare, command, peers, rig_faults
 from benchmarks._case import TOY, case_scene, chrome, resized
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Table, ratios, rounds
@@ -193,3 +193,14 @@ def test_the_table_of_faults_counts_every_run() -> None:
         "| b | 1 | 0 | 1 | 0 | 1 | 1 | 1 |",
         "| **all** | 3 | 1 | 2 | 1 | 3 | 1 | 1 |",
     ]
+
+
+def test_rows_of_a_table_of_rig_faults_are_renewed_and_summed() -> None:
+    """Rows that did not run stay, those of faults that there are no more go, and the last line counts what is there."""
+    head = "| fault | runs | wrong |\n|---|---:|---:|\n"
+    old = f"{head}| a, once | 2 | 1 |\n| gone | 5 | 5 |\n| c | 1 | 0 |\n| **all** | 8 | 6 |"
+    new = f"{head}| b | 3 | 0 |\n| a, once | 2 | 0 |\n| **all** | 5 | 0 |"
+    kinds = ["a, once", "a, once", "b", "c"]
+    assert rig_faults.renewed(old, new, kinds) == (
+        f"{head}| a, once | 2 | 0 |\n| b | 3 | 0 |\n| c | 1 | 0 |\n| **all** | 6 | 0 |"
+    )
