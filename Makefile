@@ -34,8 +34,8 @@ demo: $(BIN)/.installed  ## the whole loop on the sample: render, fit, plan the 
 	$(BIN)/lightopt capture $(RIG) $(PART) -o $(OUT)/demo-captured --posture 0,82 --exposures 1,1/16 --resume
 	$(BIN)/lightopt fit-diffuse $(RIG) $(PART) $(OUT)/demo-captured -o $(OUT)/demo-captured-fit
 	$(BIN)/lightopt defects $(OUT)/demo-best/rig.optimized.yaml $(PART) -o $(OUT)/demo-defects.yaml --seed 4 --count 8
-	$(BIN)/lightopt capture $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml -o $(OUT)/demo-part --posture 0,0 --resume
-	$(BIN)/lightopt inspect $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml $(OUT)/demo-part -o $(OUT)/demo-inspected --truth
+	$(BIN)/lightopt capture $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml -o $(OUT)/demo-with-defects --posture 0,0 --resume
+	$(BIN)/lightopt inspect $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml $(OUT)/demo-with-defects -o $(OUT)/demo-inspected --truth
 	@echo "what the optimisation found: $(OUT)/demo-best/report.html"
 
 plan: $(BIN)/.installed  ## the sample planned: which postures, lights and exposures, how exact the angles, then its images; into out/plan…

@@ -26,6 +26,10 @@ SAME_PLACE_MM = 0.002
 SAME_TURN_RAD = 5e-5
 """A part that was found this near to the one before takes over its prediction as it is."""
 
+MOST_BYTES = 1 << 30
+"""Slopes of predictions are kept up to this size: six images for each image of a set. Where they are larger, parts are
+looked for anew."""
+
 
 @dataclass
 class Predictions:
@@ -132,6 +136,9 @@ class Predictions:
         if any(key not in self.by_posture for key in keys.values()):
             return None
         if any(key not in self.slopes for key in keys.values()):
+            pixels = sum(len(key[1]) for key in keys.values()) * scene.camera.width * scene.camera.height
+            if 6 * 4 * pixels > MOST_BYTES:
+                return None
             off, misfit = self._fit(scene, observations, keys, moves=True)
             if not _near(off) or misfit > LOOSE * self.misfit:
                 return None

@@ -30,7 +30,7 @@ SCALES_PX = (1.0, 2.0, 3.5)
 """Widths of the Gaussians that deviations are added up with: small and large defects have one that suits them."""
 
 LEAST_SHARE = 0.5
-"""A sum counts where at least this share of its pixels is usable."""
+"""A sum counts where at least this share of the variance that it would have is of usable pixels."""
 
 GREATEST_Z = 25.0
 """Deviations beyond this are as certain as numbers can tell."""
@@ -65,14 +65,17 @@ def smoothed_deviations(
 
 
 def _sums(z: Float32, usable: Bool, taps: Float32, threads: int | None) -> tuple[Float32, Bool]:
-    weight = usable.astype(np.float32)
+    # the square of a Gaussian is narrower
+    cut = int((len(taps) // 2) * (1.0 - math.sqrt(0.5)))
+    squares = np.square(taps[cut : len(taps) - cut])
     sums = filtered(z, taps, threads=threads)
-    share, variance = (filtered(weight, own, threads=threads) for own in (taps, taps * taps))
+    variance = filtered(usable.astype(np.float32), squares, threads=threads)
+    least = np.float32(LEAST_SHARE * float(squares.sum()) ** 2)
     counts = np.empty(usable.shape, np.bool_)
 
     def block(top: int) -> None:
         rows = slice(top, top + BLOCK_ROWS)
-        counts[rows] = usable[rows] & (share[rows] >= LEAST_SHARE)
+        counts[rows] = usable[rows] & (variance[rows] >= least)
         sums[rows] *= counts[rows] / np.sqrt(np.maximum(variance[rows], np.float32(1e-12)))
 
     in_threads(block, row_blocks(len(z)), threads)
@@ -112,16 +115,24 @@ def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = N
     threads
         Number of threads; the result does not depend on it.
     """
-    score = np.zeros(found.z.shape[1:], np.float32)
+    whole = np.zeros(found.z.shape[1:], np.float32)
+    sides = [np.flatnonzero(found.usable.any(axis=axes)) for axes in ((0, 2), (0, 1))]
+    if not all(map(len, sides)):
+        return whole
+    window = tuple(slice(int(side[0]), int(side[-1]) + 1) for side in sides)
+    box = (slice(None), *window)
+    inner = Deviations(found.z[box], found.scale[box], found.usable[box])
+    score = np.zeros(inner.z.shape[1:], np.float32)
     table = _table(len(found.z), seen_by)
-    for scale in SCALES_PX:
-        sums, counts = smoothed_deviations(found, scale, threads=threads)
+    for width in SCALES_PX:
+        sums, counts = smoothed_deviations(inner, width, threads=threads)
 
         def block(top: int, sums: Float32 = sums, counts: Bool = counts) -> None:
             _raise(sums, counts, table, seen_by, top, min(top + BLOCK_ROWS, len(score)), score)
 
         in_threads(block, row_blocks(len(score)), threads)
-    return score
+    whole[window] = score
+    return whole
 
 
 def _table(images: int, rank: int) -> Float32:

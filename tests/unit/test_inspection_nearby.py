@@ -121,5 +121,13 @@ def test_a_part_further_off_is_looked_for_anew(first, shared_bench, tmp_path, sh
     assert first.nearby(nominal, observations) is None
 
 
+def test_slopes_too_large_to_keep_are_not_rendered(first, shared_bench, tmp_path, monkeypatch):
+    rig, part, images = images_of(shared_bench, tmp_path / "second", (0.46, -0.34, 0.55), seed=2)
+    nominal, observations = good_part(rig, part, images, known=first.nominal)
+    monkeypatch.setattr("lightopt.inspection._predictions.MOST_BYTES", 1000)
+    assert first.nearby(nominal, observations) is None
+    assert not first.slopes
+
+
 def test_nothing_is_near_before_a_first_part_was(nominal):
     assert Predictions().nearby(nominal, []) is None
