@@ -15,7 +15,16 @@ from lightopt.images import ImageSet
 from lightopt.inspection._inspect import InspectedPosture, Inspection
 from lightopt.inspection._pod import fit_detection
 
-__all__ = ["KnownDefect", "TrueSet", "area_under_roc", "compare_with_truth", "summarise", "true_labels"]
+__all__ = [
+    "KnownDefect",
+    "TrueSet",
+    "area_under_roc",
+    "compare_with_truth",
+    "defect_size",
+    "region_hits",
+    "summarise",
+    "true_labels",
+]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -148,7 +157,7 @@ def compare_with_truth(image_set: ImageSet, result: Inspection) -> TrueSet:
         KnownDefect(
             name=str(one["name"]),
             kind=str(one["kind"]),
-            size=float(np.sqrt(np.prod(one["size_mm"]))),
+            size=defect_size(one),
             pixels=int(pixels[i]),
             found=bool(found[i]),
         )
@@ -161,6 +170,11 @@ def compare_with_truth(image_set: ImageSet, result: Inspection) -> TrueSet:
         postures=len(result.postures),
         areas=tuple(areas),
     )
+
+
+def defect_size(one: Mapping[str, Any]) -> float:
+    """Size of a defect of a set's manifest, for curves of detection: square root of length times width [mm]."""
+    return float(np.sqrt(np.prod(one["size_mm"])))
 
 
 def region_hits(labels: NDArray[np.int32], truth: NDArray[np.int32]) -> list[NDArray[np.int32]]:
