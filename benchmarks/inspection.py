@@ -1,16 +1,18 @@
 """Every detector and fusion on parts strewn with defects, and baselines; writes the tables of docs/inspection.md.
 
 ``python -m benchmarks.inspection [--sets N]`` renders the sample parts from a mesh four times as fine as the
-inspection's, 0.5 mm and 0.5° off their place, with noise and saturation; about a minute a set.
+inspection's, 0.5 mm and 0.5° off their place, with noise and saturation; about a minute a set. ``--toy`` is for the
+tests: one part in small images.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt import load_part, load_rig
+from lightopt.align import Placement, place_part
 from lightopt.config import PartConfig, RigConfig
 from lightopt.images import ImageSet, read_exr, read_image_set
 from lightopt.inspection import (
@@ -29,6 +32,7 @@ from lightopt.inspection import (
     PostureView,
     SyntheticImage,
     area_under_roc,
+    defect_size,
     deviations,
     find_regions,
     fit_detection,
@@ -37,6 +41,7 @@ from lightopt.inspection import (
     lay_over,
     posture_view,
     predict,
+    region_hits,
     score_deviations,
     score_templates,
     threshold,
@@ -53,16 +58,56 @@ PAGE = ROOT / "docs" / "inspection.md"
 PARTS = ("cover-knob", "spout")
 FIRST = Posture(elevation_deg=0.0, rotation_deg=0.0)
 
-PIXEL_MM = 0.088
-SLOPES, SIZES, WIDTHS, LOSSES = (2, 4, 8), (3, 8, 20), (3, 6), (0.1, 0.2, 0.4)
+SLOPES, LOSSES = (2, 4, 8), (0.1, 0.2, 0.4)
 FALSE_ALARMS = 0.05
 FINE_MM = 0.0025
 """Chord tolerance of the mesh that images are rendered from; the inspection's is 0.01 mm."""
 
 LIT, DRAWS = 3.0, 4
 """Standard deviations above black from which a surface counts as lit; draws of the noise that a mean is taken of."""
+LIES = Placement(x=0.4, y=-0.3, turn=math.radians(0.5))
+"""Where the part is rendered."""
 
 DEFAULT = "residual, second largest (default)"
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a trial is.
+
+    Attributes
+    ----------
+    width
+        Of the images [px]; they are 4 : 3.
+    fine
+        Whether images are rendered from the finer mesh, and the part is searched for: both take long.
+    parts
+        Names of the sample parts.
+    across
+        Of dents and stains [px].
+    widths
+        Of scratches, which are eight times as long [px].
+    """
+
+    width: int
+    fine: bool
+    parts: tuple[str, ...]
+    across: tuple[int, ...]
+    widths: tuple[int, ...]
+
+    @property
+    def defects(self) -> int:
+        """How many there are to strew."""
+        return len(SLOPES) * (len(self.across) + len(self.widths)) + len(LOSSES) * len(self.across)
+
+    @property
+    def pixel_mm(self) -> float:
+        """Side of a pixel on the table [mm]."""
+        return 0.044 * 1600 / self.width
+
+
+FULL = Size(800, True, PARTS, (3, 8, 20), (3, 6))
+TOY = Size(200, False, PARTS[:1], (3, 8), ())
 
 
 @dataclass
@@ -74,7 +119,8 @@ class Tally:
     placed: int = 0
     false_alarms: int = 0
     good_alarms: int = 0
-    by_name: dict[str, list[bool]] = field(default_factory=dict)
+    by_name: dict[str, list[tuple[float, bool]]] = field(default_factory=dict)
+    """Size [mm] and whether it was found, of each defect of a name."""
 
     def add(self, other: Tally) -> None:
         """Count along what was found in other images."""
@@ -88,58 +134,58 @@ class Tally:
 
 
 @contextmanager
-def finer_mesh() -> Iterator[None]:
-    """CAD surfaces tessellated more finely."""
+def finer_mesh(size: Size) -> Iterator[None]:
+    """CAD surfaces tessellated more finely, where the size asks for that."""
     usual = _build.CHORD_TOLERANCE_MM
-    _build.CHORD_TOLERANCE_MM = FINE_MM
+    _build.CHORD_TOLERANCE_MM = FINE_MM if size.fine else usual
     try:
         yield
     finally:
         _build.CHORD_TOLERANCE_MM = usual
 
 
-def catalogue() -> str:
-    """The defects to strew, sizes in pixels of 0.088 mm."""
+def catalogue(size: Size) -> str:
+    """The defects to strew."""
     lines = ["defect_catalogue:"]
     for slope in SLOPES:
         lines += [
-            f"  - {{name: dent {slope}° {n} px, kind: dent, size_mm: {n * PIXEL_MM:.4g}, slope_deg: {slope}}}"
-            for n in SIZES
+            f"  - {{name: dent {slope}° {n} px, kind: dent, size_mm: {n * size.pixel_mm:.4g}, slope_deg: {slope}}}"
+            for n in size.across
         ]
         lines += [
-            f"  - {{name: scratch {slope}° {n} px, kind: scratch, size_mm: [{8 * n * PIXEL_MM:.4g}, "
-            f"{n * PIXEL_MM:.4g}], slope_deg: {slope}}}"
-            for n in WIDTHS
+            f"  - {{name: scratch {slope}° {n} px, kind: scratch, size_mm: [{8 * n * size.pixel_mm:.4g}, "
+            f"{n * size.pixel_mm:.4g}], slope_deg: {slope}}}"
+            for n in size.widths
         ]
     for loss in LOSSES:
         lines += [
-            f"  - {{name: stain {round(100 * loss)} % {n} px, kind: stain, size_mm: {n * PIXEL_MM:.4g}, "
+            f"  - {{name: stain {round(100 * loss)} % {n} px, kind: stain, size_mm: {n * size.pixel_mm:.4g}, "
             f"R_d_factor: {1 - loss:g}}}"
-            for n in SIZES
+            for n in size.across
         ]
     return "\n".join(lines) + "\n"
 
 
-def prepare(folder: Path, name: str) -> tuple[RigConfig, Path]:
-    """The sample rig with an 800 × 600 camera, and a part of one posture with the catalogue."""
+def prepare(folder: Path, name: str, size: Size = FULL) -> tuple[RigConfig, Path]:
+    """The sample rig with a smaller camera, and a part of one posture with the catalogue."""
     rig = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
-    rig = rig.replace("[1600, 1200]", "[800, 600]").replace("pixel_size_um: 4.4", "pixel_size_um: 8.8")
+    rig = rig.replace("[1600, 1200]", f"[{size.width}, {size.width * 3 // 4}]")
+    rig = rig.replace("pixel_size_um: 4.4", f"pixel_size_um: {100 * size.pixel_mm:.4g}")
     (folder / "rig.yaml").write_text(rig, encoding="utf-8")
     part = (CONFIGS / "parts" / f"{name}.yaml").read_text(encoding="utf-8")
     part = re.sub(r"file: \S+", f"file: '{(CONFIGS / 'parts' / f'{name}.step').as_posix()}'", part)
     one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"
     part = re.sub(r"postures:.*?\nreflectance:", one, part, flags=re.DOTALL)
     path = folder / f"{name}.yaml"
-    path.write_text(part + catalogue(), encoding="utf-8")
+    path.write_text(part + catalogue(size), encoding="utf-8")
     return load_rig(folder / "rig.yaml"), path
 
 
-def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool) -> ImageSet:
+def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool, size: Size = FULL) -> ImageSet:
     """Noisy images of a part 0.5 mm and 0.5° off, with defects of a seed or none."""
     from lightopt.cli._main import run
 
     strewn = folder / f"{part.stem}-{seed}.yaml"
-    count = len(SLOPES) * (len(SIZES) + len(WIDTHS)) + len(LOSSES) * len(SIZES)
     command = [
         "defects",
         rig.source.path,
@@ -147,7 +193,7 @@ def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool) -
         "--seed",
         seed,
         "--count",
-        count,
+        size.defects,
         "-o",
         strewn,
         "-q",
@@ -155,19 +201,23 @@ def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool) -
     ]
     assert run([str(word) for word in command]) == 0
     text = strewn.read_text(encoding="utf-8")
-    moved = "placement: {anchor: rest_on_table, translate_mm: [0.4, -0.3, 0], rotate_deg: [0, 0, 0.5]}\n\npostures:"
+    turn = math.degrees(LIES.turn)
+    moved = (
+        f"placement: {{anchor: rest_on_table, translate_mm: [{LIES.x}, {LIES.y}, 0], rotate_deg: [0, 0, {turn:.6g}]}}"
+        "\n\npostures:"
+    )
     strewn.write_text(re.sub(r"placement:.*?\npostures:", moved, text, flags=re.DOTALL), encoding="utf-8")
     out = folder / f"{part.stem}-{seed}-{'good' if good else 'bad'}"
-    with finer_mesh():
+    with finer_mesh(size):
         options = RenderOptions(noise=seed, defects=not good, patch_budget=2000, layers=good)
         render_image_set(rig, load_part(strewn), out, options=options)
     return read_image_set(out)
 
 
-def look(rig: RigConfig, part: PartConfig, image_set: ImageSet) -> PostureView:
-    """The images laid over the model."""
+def look(rig: RigConfig, part: PartConfig, image_set: ImageSet, *, told: bool = False) -> PostureView:
+    """The images laid over the model, where the search finds the part or where it is told to lie."""
     scene, observations = good_part(rig, part, image_set)
-    scene, _ = lay_over(scene, observations)
+    scene = place_part(scene, LIES) if told else lay_over(scene, observations)[0]
     prediction = predict(scene, FIRST, cast_rays_at(scene), lights=[o.light for o in observations])
     return posture_view(scene, observations, prediction, where=str(image_set.folder))
 
@@ -201,17 +251,14 @@ def count(
     truth = image_set.load_geometry(image_set.geometry[0])["defect"].astype(np.int32)
     clean = view.clean
     tally.areas.append(area_under_roc(score[clean].astype(np.float64), truth[clean] >= 0))
-    hit: set[int] = set()
-    for region in range(1, regions + 1):
-        near = ndimage.binary_dilation(labels == region, iterations=2)
-        touched = set(np.unique(truth[near & (truth >= 0)]).tolist())
-        hit |= touched
-        tally.false_alarms += not touched
+    hits = region_hits(labels, truth)
+    tally.false_alarms += sum(not len(touched) for touched in hits)
+    hit = {int(index) for touched in hits for index in touched}
     for index, defect in enumerate(image_set.manifest.extra["defects"]):
         if not (clean & (truth == index)).any():
             continue
         name = defect["name"].rsplit("-", 1)[0]
-        tally.by_name.setdefault(name, []).append(index in hit)
+        tally.by_name.setdefault(name, []).append((defect_size(defect), index in hit))
         tally.placed += 1
         tally.found += index in hit
 
@@ -254,14 +301,16 @@ def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float,
     return rows
 
 
-def try_set(task: tuple[str, int, int]) -> tuple[dict[str, Tally], list[tuple[str, float, float, float]]]:
+def try_set(
+    task: tuple[str, int, int, Size],
+) -> tuple[dict[str, Tally], list[tuple[str, float, float, float]]]:
     """One set of a part: with defects, or the good part where the seed is beyond the number of sets."""
-    part_name, seed, sets = task
+    part_name, seed, sets, size = task
     good = seed > sets
     with tempfile.TemporaryDirectory(prefix="lightopt-inspection-") as name:
-        rig, path = prepare(Path(name), part_name)
-        image_set = images(Path(name), rig, path, seed, good=good)
-        view = look(rig, load_part(path), image_set)
+        rig, path = prepare(Path(name), part_name, size)
+        image_set = images(Path(name), rig, path, seed, good=good, size=size)
+        view = look(rig, load_part(path), image_set, told=not size.fine)
         tallies: dict[str, Tally] = defaultdict(Tally)
         for way, score, tests in ways(view):
             count(tallies[way], score, tests, view, None if good else image_set)
@@ -277,17 +326,19 @@ def replace_block(name: str, text: str) -> None:
     PAGE.write_text(pattern.sub(lambda _: f"{begin}\n{text}\n{end}", content), encoding="utf-8")
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", type=int, default=2, help="sets of images with defects per part")
     parser.add_argument("--workers", type=int, default=2, help="sets that are worked on at once")
     parser.add_argument("--no-page", action="store_true", help="print the tables only")
-    arguments = parser.parse_args()
+    parser.add_argument("--toy", action="store_true", help="one part in small images; prints the tables only")
+    given = parser.parse_args(arguments)
+    size = TOY if given.toy else FULL
     tallies: dict[tuple[str, str], Tally] = defaultdict(Tally)
     gone: list[str] = []
-    tasks = [(part, seed, arguments.sets) for part in PARTS for seed in range(1, arguments.sets + 2)]
-    with ProcessPoolExecutor(arguments.workers) as pool:
-        for (part, seed, _), (found, rows) in zip(tasks, pool.map(try_set, tasks), strict=True):
+    tasks = [(part, seed, given.sets, size) for part in size.parts for seed in range(1, given.sets + 2)]
+    with ProcessPoolExecutor(given.workers) as pool:
+        for (part, seed, *_), (found, rows) in zip(tasks, pool.map(try_set, tasks), strict=True):
             print(f"{part}, seed {seed}: done", flush=True)
             for way, tally in found.items():
                 tallies[part, way].add(tally)
@@ -295,7 +346,7 @@ def main() -> None:
                 f"| {part} | {fusion} | {before:.0f} | {step:.2f} | {deviation:.2f} |"
                 for fusion, step, deviation, before in rows
             ]
-    blocks = {"ways": ways_table(tallies), "defects": defects_table(tallies)}
+    blocks = {"ways": ways_table(tallies, size.parts), "defects": defects_table(tallies, size.parts)}
     head = [
         "| part | fusion | before [level] | left [level] | uncertainty [level] |",
         "|---|---|---|---|---|",
@@ -303,18 +354,18 @@ def main() -> None:
     blocks["highlights"] = "\n".join([*head, *gone])
     for block, text in blocks.items():
         print(f"\n{text}")
-        if not arguments.no_page:
+        if not given.no_page and not given.toy:
             replace_block(block, text)
 
 
-def ways_table(tallies: dict[tuple[str, str], Tally]) -> str:
+def ways_table(tallies: dict[tuple[str, str], Tally], parts: Sequence[str]) -> str:
     """All ways to look, on every part."""
     names = list(dict.fromkeys(way for _, way in tallies))
-    head = "| | " + " | ".join(f"{part}: ROC-AUC | found | false alarms" for part in PARTS) + " |"
-    lines = [head, "|---|" + "---|" * (3 * len(PARTS))]
+    head = "| | " + " | ".join(f"{part}: ROC-AUC | found | false alarms" for part in parts) + " |"
+    lines = [head, "|---|" + "---|" * (3 * len(parts))]
     for way in names:
         cells = [way]
-        for part in PARTS:
+        for part in parts:
             t = tallies[part, way]
             alarms = f"{t.false_alarms / max(1, len(t.areas)):.2g}, good part {t.good_alarms}"
             cells += [f"{np.mean(t.areas):.3f}", f"{t.found} of {t.placed}", alarms]
@@ -322,28 +373,21 @@ def ways_table(tallies: dict[tuple[str, str], Tally]) -> str:
     return "\n".join(lines)
 
 
-def defects_table(tallies: dict[tuple[str, str], Tally]) -> str:
+def defects_table(tallies: dict[tuple[str, str], Tally], parts: Sequence[str]) -> str:
     """What the default finds, by defect, and the sizes found 90 % of the time."""
-    mine = [tallies[part, DEFAULT] for part in PARTS]
+    mine = [tallies[part, DEFAULT] for part in parts]
     lines = ["| defect | found |", "|---|---|"]
     for name in dict.fromkeys(name for t in mine for name in t.by_name):
-        hits = [hit for t in mine for hit in t.by_name.get(name, [])]
+        hits = [hit for t in mine for _, hit in t.by_name.get(name, [])]
         lines.append(f"| {name} | {sum(hits)} of {len(hits)} |")
     kinds = {"all": "", "dents": "dent", "scratches": "scratch", "stains": "stain"}
     lines += ["", "| | found | a90 [mm] | a90/95 [mm] |", "|---|---|---|---|"]
     for title, start in kinds.items():
-        names = [n for t in mine for n in t.by_name if n.startswith(start)]
-        sizes = [size_of(n) for n in dict.fromkeys(names) for t in mine for _ in t.by_name.get(n, [])]
-        hits = [hit for n in dict.fromkeys(names) for t in mine for hit in t.by_name.get(n, [])]
-        curve = fit_detection(sizes, hits)
+        pairs = [pair for t in mine for n, own in t.by_name.items() if n.startswith(start) for pair in own]
+        curve = fit_detection([size for size, _ in pairs], [hit for _, hit in pairs])
         a90, bound = ("-" if a is None else f"{a:.2g}" for a in (curve.a90, curve.a90_95))
         lines.append(f"| {title} | {curve.found} of {curve.defects} | {a90} | {bound} |")
     return "\n".join(lines)
-
-
-def size_of(name: str) -> float:
-    """Width of a catalogue's defect by its name [mm]."""
-    return float(name.split()[-2]) * PIXEL_MM
 
 
 if __name__ == "__main__":

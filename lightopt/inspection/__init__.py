@@ -1,14 +1,30 @@
 """Inspecting a part: its images fused into one without highlights, its defects found, measured and judged."""
 
+from lightopt.inspection._calibrate import calibrate, calibrate_laid, refuse_too_few
+from lightopt.inspection._calibration import (
+    CALIBRATION_NAME,
+    CalibratedPosture,
+    Calibration,
+    CalibrationFolder,
+    made_for,
+    read_calibration,
+)
 from lightopt.inspection._coverage import CONTRASTS, Coverage, Reached, measure_coverage
 from lightopt.inspection._deviation import Deviations, deviations
 from lightopt.inspection._fusion import FUSIONS, Fusion
-from lightopt.inspection._inspect import InspectedPosture, Inspection, inspect_set
+from lightopt.inspection._inspect import (
+    InspectedPosture,
+    Inspection,
+    LaidSet,
+    inspect_set,
+    lay_set,
+)
 from lightopt.inspection._measure import FoundDefect, Sighting, gather, measure_regions
 from lightopt.inspection._options import DETECTORS, Detector, InspectOptions
 from lightopt.inspection._pod import DetectionCurve, fit_detection
 from lightopt.inspection._poisson import PoissonGrid, poisson_grid
 from lightopt.inspection._predictions import Predictions
+from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, sets_needed
 from lightopt.inspection._regions import find_regions
 from lightopt.inspection._register import Photometry, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, rank_probability, score_deviations, threshold
@@ -16,17 +32,43 @@ from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, s
 from lightopt.inspection._surface import SurfaceCoverage, SurfaceMap, map_surface, surface_coverage
 from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
 from lightopt.inspection._template import score_templates, templates
-from lightopt.inspection._truth import KnownDefect, TrueSet, area_under_roc, compare_with_truth, summarise
+from lightopt.inspection._truth import (
+    KnownDefect,
+    TrueSet,
+    area_under_roc,
+    compare_with_truth,
+    defect_size,
+    region_hits,
+    summarise,
+)
 from lightopt.inspection._verdict import Verdict, judge
 from lightopt.inspection._view import PostureView, Prediction, posture_view, predict
-from lightopt.inspection._write import DEFECTS_NAME, InspectionFolder, provenance
+from lightopt.inspection._write import (
+    BATCH_NAME,
+    DEFECTS_NAME,
+    REPORT_NAME,
+    TRUTH_NAME,
+    BatchFolder,
+    InspectionFolder,
+    provenance,
+    truth_text,
+)
 
 __all__ = [
+    "BATCH_NAME",
+    "CALIBRATION_NAME",
+    "CONFIDENCE",
     "CONTRASTS",
     "DEFECTS_NAME",
     "DETECTORS",
     "FUSIONS",
+    "REPORT_NAME",
     "SCALES_PX",
+    "TRUTH_NAME",
+    "BatchFolder",
+    "CalibratedPosture",
+    "Calibration",
+    "CalibrationFolder",
     "Coverage",
     "DetectionCurve",
     "Detector",
@@ -38,6 +80,7 @@ __all__ = [
     "Inspection",
     "InspectionFolder",
     "KnownDefect",
+    "LaidSet",
     "Photometry",
     "PoissonGrid",
     "PostureView",
@@ -52,16 +95,23 @@ __all__ = [
     "TrueSet",
     "Verdict",
     "area_under_roc",
+    "calibrate",
+    "calibrate_laid",
     "compare_with_truth",
+    "defect_size",
     "deviations",
     "find_regions",
     "fit_detection",
     "fuse_images",
     "gather",
     "good_part",
+    "held_threshold",
     "inspect_set",
     "judge",
     "lay_over",
+    "lay_set",
+    "least_rate",
+    "made_for",
     "map_surface",
     "measure_coverage",
     "measure_regions",
@@ -72,12 +122,17 @@ __all__ = [
     "prediction_slopes",
     "provenance",
     "rank_probability",
+    "read_calibration",
+    "refuse_too_few",
+    "region_hits",
     "score_deviations",
     "score_templates",
+    "sets_needed",
     "shifted",
     "summarise",
     "surface_coverage",
     "templates",
     "threshold",
     "trust_weights",
+    "truth_text",
 ]

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy import special
 
 from lightopt.inspection._deviation import Deviations
-from lightopt.inspection._score import noise_gain
+from lightopt.inspection._score import disc_gain
 from lightopt.inspection._view import PostureView
 
-__all__ = ["CONTRASTS", "Coverage", "Reached", "measure_coverage"]
+__all__ = ["CONTRASTS", "Coverage", "Reached", "least_contrast", "measure_coverage"]
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -22,8 +22,8 @@ Bool = NDArray[np.bool_]
 CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
 """Shares of the light that a defect takes away, for which the sensitivity is told."""
 
-TOLD_SCALE_PX = 2.0
-"""Width of the Gaussian that it is told for: defects of some 5 pixels and more."""
+TOLD_SIZE_PX = 5.0
+"""Diameter of the even disc that it is told for."""
 
 
 class Reached(IntEnum):
@@ -50,11 +50,12 @@ class Coverage:
         Of it, not judged: too few lights because image and prediction are saturated, because it is dark; next to
         silhouettes and creases, or seen at a grazing angle [mm²].
     sensitivity
-        By contrast: the surface where a defect of some 5 pixels that changes the light by that share is found [mm²].
+        By contrast: the surface where an even disc of 5 pixels that changes the light by that share is found half of
+        the time [mm²].
     reached
         :class:`Reached` of each pixel, shape (H, W).
     least_contrast
-        Share of the light that such a defect must change to be found at a pixel, shape (H, W); infinite where nothing
+        Share of the light that such a disc must change to be found at a pixel, shape (H, W); infinite where nothing
         was inspected.
     """
 
@@ -102,13 +103,7 @@ def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high
     left = part & ~inspected
     edge = left & ~view.clean
     saturated = left & view.clean & (full >= lights - usable - full) & (full > 0)
-    # deviation that `needed` images must show for the threshold, whatever the others do
-    pairs = float(special.binom(lights, needed))
-    z = -float(special.ndtri(0.5 * (10.0**-high / pairs) ** (1.0 / needed)))
-    least = np.where(
-        found.usable, z * found.scale / (noise_gain(TOLD_SCALE_PX) * np.maximum(view.predicted, 1e-6)), np.inf
-    )
-    kth = np.sort(least, axis=0)[needed - 1]
+    least = least_contrast(found, view.predicted, seen_by=needed, high=high)
     reached = np.zeros(part.shape, np.uint8)
     reached[part] = Reached.SHADOW
     reached[saturated] = Reached.SATURATED
@@ -120,7 +115,34 @@ def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high
         saturated=float(area[saturated].sum()),
         shadow=float(area[left & ~edge & ~saturated].sum()),
         edge=float(area[edge].sum()),
-        sensitivity={c: float(area[inspected & (kth <= c)].sum()) for c in CONTRASTS},
+        sensitivity={c: float(area[inspected & (least <= c)].sum()) for c in CONTRASTS},
         reached=reached,
-        least_contrast=np.where(inspected, kth, np.inf).astype(np.float32),
+        least_contrast=np.where(inspected, least, np.inf).astype(np.float32),
     )
+
+
+def least_contrast(
+    found: Deviations, predicted: Float32, *, seen_by: int, high: float
+) -> NDArray[np.float64]:
+    """Share of the light that an even disc of 5 pixels must take away to be found half of the time, shape (H, W).
+
+    Parameters
+    ----------
+    found
+        Of a posture.
+    predicted
+        Of the good part [grey level], shape (lights, H, W).
+    seen_by
+        In how many images it must show, as many as there are at most.
+    high
+        Threshold of the score.
+    """
+    # deviation that so many images must show for the threshold, whatever the others do
+    pairs = float(special.binom(len(predicted), seen_by))
+    z = -float(special.ndtri(0.5 * (10.0**-high / pairs) ** (1.0 / seen_by)))
+    # half of the time all of them do
+    z += float(special.ndtri(0.5 ** (1.0 / seen_by)))
+    least = np.where(
+        found.usable, z * found.scale / (disc_gain(TOLD_SIZE_PX) * np.maximum(predicted, 1e-6)), np.inf
+    )
+    return np.sort(least, axis=0)[seen_by - 1]

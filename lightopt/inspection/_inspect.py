@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,8 +13,9 @@ from lightopt.align import Observation, Placement
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.images import ImageSet
+from lightopt.inspection._calibration import CalibratedPosture, Calibration, Shots, shots_of
 from lightopt.inspection._coverage import Coverage, measure_coverage
-from lightopt.inspection._deviation import deviations
+from lightopt.inspection._deviation import Deviations, deviations
 from lightopt.inspection._measure import FoundDefect, Sighting, gather, measure_regions
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._predictions import Predictions
@@ -23,13 +24,14 @@ from lightopt.inspection._register import Progress, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, score_deviations, threshold
 from lightopt.inspection._slopes import node_steps
 from lightopt.inspection._surface import SurfaceCoverage, surface_coverage
-from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
+from lightopt.inspection._synthetic import PROBES, SyntheticImage, fuse_images, trust_weights
+from lightopt.inspection._systematic import nominal_pixels, without_systematic
 from lightopt.inspection._template import TEMPLATES, score_templates
 from lightopt.inspection._view import PostureView, posture_view
 from lightopt.scene import Scene
 from lightopt.transforms import Posture
 
-__all__ = ["InspectedPosture", "Inspection", "inspect_set"]
+__all__ = ["InspectedPosture", "Inspection", "LaidSet", "inspect_set", "lay_set", "score_posture"]
 
 Float32 = NDArray[np.float32]
 
@@ -126,6 +128,7 @@ def inspect_set(
     *,
     options: InspectOptions | None = None,
     predictions: Predictions | None = None,
+    calibration: Calibration | None = None,
     progress: Progress | None = None,
 ) -> Inspection:
     """Find the defects of the part that a set of images shows.
@@ -140,43 +143,90 @@ def inspect_set(
         How to inspect.
     predictions
         Kept from part to part of a batch.
+    calibration
+        What good parts taught: thresholds are theirs, and what they have in common is no defect.
     progress
         Called as the inspection goes on.
 
     Raises
     ------
     InputError
-        Images that are not the rig's or not the part's.
+        Images that are not the rig's or not the part's, or not as those of the calibration.
     """
     options = options or InspectOptions()
     if problems := options.problems():
         raise InputError(*problems)
+    if calibration is not None:
+        calibration.refuse_others(rig, part, options)
     predictions = predictions or Predictions()
-    nominal, observations = good_part(rig, part, image_set, known=predictions.nominal)
-    scene, placement, off = _find(nominal, observations, predictions, options, progress)
+    laid = lay_set(rig, part, image_set, options=options, predictions=predictions, progress=progress)
+    where = str(image_set.folder)
     postures: list[InspectedPosture] = []
-    for number, posture in enumerate(scene.postures):
-        if progress is not None:
-            progress(f"posture {posture}", number / len(scene.postures))
-        mine = [o for o in observations if o.posture == posture]
-        lights = [light.name for light in scene.lights if any(o.light == light.name for o in mine)]
-        prediction = predictions.of(scene, posture, lights, threads=options.threads)
-        if off is not None:
-            prediction = predictions.shifted(scene, posture, lights, off, threads=options.threads)
-        where = str(image_set.folder)
-        view = posture_view(scene, mine, prediction, where=where, threads=options.threads)
-        postures.append(_inspect_posture(view, options, nominal, placement, where=where))
-    if options.shift and off is None:
-        predictions.measure_misfit(scene, observations)
+    for view, shots in laid.views:
+        learned = None if calibration is None else calibration.of(view.posture, shots, where=where)
+        postures.append(_inspect_posture(view, options, laid, learned, where=where))
     coverages = [(p.view.posture, p.coverage) for p in postures]
     return Inspection(
         defects=gather([s for p in postures for s in p.sightings]),
         postures=tuple(postures),
-        placement=placement if options.shift else None,
-        words=tuple(_words(rig, part, postures, options)),
-        nominal=nominal,
-        surface=surface_coverage(nominal, coverages, predictions.surface_of(scene)),
+        placement=laid.placement if options.shift else None,
+        words=tuple(_words(rig, part, postures, options, calibrated=calibration is not None)),
+        nominal=laid.nominal,
+        surface=surface_coverage(laid.nominal, coverages, predictions.surface_of(laid.scene)),
     )
+
+
+@dataclass(frozen=True)
+class LaidSet:
+    """A set of images over which the model was laid.
+
+    Attributes
+    ----------
+    nominal
+        The scene with the part where its file has it.
+    placement
+        Where it lies from there.
+    scene
+        That the model is predicted from: the part lies where it was found, or nearly there.
+    views
+        Of each posture, in the set's order, made one at a time; with the exposures of its images.
+    """
+
+    nominal: Scene
+    placement: Placement
+    scene: Scene
+    views: Iterator[tuple[PostureView, Shots]]
+
+
+def lay_set(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    *,
+    options: InspectOptions,
+    predictions: Predictions,
+    progress: Progress | None = None,
+) -> LaidSet:
+    """Look for the part of a set, and lay the good part over its images; takes what :func:`inspect_set` takes."""
+    nominal, observations = good_part(rig, part, image_set, known=predictions.nominal)
+    scene, placement, off = _find(nominal, observations, predictions, options, progress)
+
+    def views() -> Iterator[tuple[PostureView, Shots]]:
+        for number, posture in enumerate(scene.postures):
+            if progress is not None:
+                progress(f"posture {posture}", number / len(scene.postures))
+            mine = [o for o in observations if o.posture == posture]
+            lights = [light.name for light in scene.lights if any(o.light == light.name for o in mine)]
+            prediction = predictions.of(scene, posture, lights, threads=options.threads)
+            if off is not None:
+                prediction = predictions.shifted(scene, posture, lights, off, threads=options.threads)
+            where = str(image_set.folder)
+            view = posture_view(scene, mine, prediction, where=where, threads=options.threads)
+            yield view, shots_of(mine, view.lights)
+        if options.shift and off is None:
+            predictions.measure_misfit(scene, observations)
+
+    return LaidSet(nominal, placement, scene, views())
 
 
 def _find(
@@ -198,10 +248,32 @@ def _find(
     return scene, replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn), off
 
 
-def _inspect_posture(
-    view: PostureView, options: InspectOptions, nominal: Scene, placement: Placement, *, where: str
-) -> InspectedPosture:
-    found = deviations(view, threads=options.threads)
+@dataclass(frozen=True)
+class Scored:
+    """The scores of a posture, and what they were made from.
+
+    Attributes
+    ----------
+    found
+        Deviations from the good part.
+    synthetic
+        The image without highlights; None where none was asked for.
+    score
+        Shape (H, W).
+    tests
+        Scores that each pixel's is the greatest of.
+    """
+
+    found: Deviations
+    synthetic: SyntheticImage | None
+    score: Float32
+    tests: int
+
+
+def score_posture(
+    view: PostureView, found: Deviations, options: InspectOptions, *, probes: int = PROBES
+) -> Scored:
+    """The scores of a posture by the detector that was chosen; `probes` as :func:`fuse_images` takes it."""
     synthetic = None
     if options.fusion is not None:
         weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
@@ -213,16 +285,33 @@ def _inspect_posture(
             fusion=options.fusion,
             predicted=view.predicted,
             specular=view.specular,
+            probes=probes,
         )
     if options.detector == "template":
         assert synthetic is not None
-        score, tests = score_templates(synthetic), TEMPLATES
+        return Scored(found, synthetic, score_templates(synthetic), TEMPLATES)
+    score = score_deviations(found, seen_by=options.seen_by, threads=options.threads)
+    return Scored(found, synthetic, score, len(SCALES_PX))
+
+
+def _inspect_posture(
+    view: PostureView,
+    options: InspectOptions,
+    laid: LaidSet,
+    learned: CalibratedPosture | None,
+    *,
+    where: str,
+) -> InspectedPosture:
+    found = deviations(view, threads=options.threads)
+    if learned is not None and learned.systematic is not None:
+        nominal = nominal_pixels(view, laid.nominal, laid.placement)
+        found = without_systematic(found, learned.systematic, nominal)
+    scored = score_posture(view, found, options)
+    score = scored.score
+    if learned is None:
+        high = threshold(options.false_alarms, int(view.clean.sum()), scored.tests)
     else:
-        score, tests = (
-            score_deviations(found, seen_by=options.seen_by, threads=options.threads),
-            len(SCALES_PX),
-        )
-    high = threshold(options.false_alarms, int(view.clean.sum()), tests)
+        high = learned.threshold(options.false_alarms)
     labels, count = find_regions(score, high)
     if count > MOST_REGIONS:
         raise InputError(
@@ -232,21 +321,33 @@ def _inspect_posture(
         )
     return InspectedPosture(
         view=view,
-        synthetic=synthetic,
+        synthetic=scored.synthetic,
         score=score,
         labels=labels,
         threshold=high,
-        sightings=measure_regions(labels, count, score, view, found, scene=nominal, placement=placement),
+        sightings=measure_regions(
+            labels, count, score, view, found, scene=laid.nominal, placement=laid.placement
+        ),
         coverage=measure_coverage(view, found, seen_by=options.seen_by, high=high),
     )
 
 
 def _words(
-    rig: RigConfig, part: PartConfig, postures: Sequence[InspectedPosture], options: InspectOptions
+    rig: RigConfig,
+    part: PartConfig,
+    postures: Sequence[InspectedPosture],
+    options: InspectOptions,
+    *,
+    calibrated: bool = False,
 ) -> list[str]:
     words: list[str] = []
     sensor = rig.camera.sensor
-    if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
+    if options.detector == "template" and not calibrated:
+        words.append(
+            "--detector template: its rate of false alarms is that of an image of even texture; on this part it is "
+            "known only with --calibration"
+        )
+    if not calibrated and sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
         words.append(
             f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
             "is all the noise there is; good parts may show regions; give what the sensor has"

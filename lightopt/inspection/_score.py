@@ -15,6 +15,7 @@ from lightopt.rendering import in_threads
 
 __all__ = [
     "SCALES_PX",
+    "disc_gain",
     "noise_gain",
     "rank_probability",
     "score_deviations",
@@ -42,6 +43,15 @@ TABLE_STEPS = 256
 def noise_gain(scale: float) -> float:
     """By how much the sum over a Gaussian of a width [px] of an even deviation stands out more than one pixel of it."""
     return math.sqrt(4.0 * math.pi) * scale
+
+
+def disc_gain(diameter: float) -> float:
+    """By how much an even deviation of a disc [px] stands out more in the sum that suits it than in one pixel of it.
+
+    Of a Gaussian of width s the disc fills the share 1 − exp(−r²/(2s²)).
+    """
+    radius = 0.5 * diameter
+    return max(noise_gain(scale) * -math.expm1(-(radius**2) / (2.0 * scale**2)) for scale in SCALES_PX)
 
 
 def smoothed_deviations(

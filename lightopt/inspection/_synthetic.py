@@ -12,7 +12,7 @@ from scipy import ndimage
 from lightopt.inspection._fusion import Fusion, fuse_gradients, trusted
 from lightopt.inspection._poisson import PoissonGrid, poisson_grid
 
-__all__ = ["SyntheticImage", "fuse_images", "trust_weights"]
+__all__ = ["PROBES", "SyntheticImage", "fuse_images", "trust_weights"]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,7 +16,15 @@ from lightopt.inspection._inspect import Inspection
 from lightopt.inspection._labels import true_labels
 from lightopt.inspection._pod import fit_detection
 
-__all__ = ["KnownDefect", "TrueSet", "area_under_roc", "compare_with_truth", "summarise"]
+__all__ = [
+    "KnownDefect",
+    "TrueSet",
+    "area_under_roc",
+    "compare_with_truth",
+    "defect_size",
+    "region_hits",
+    "summarise",
+]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -127,7 +135,7 @@ def compare_with_truth(
         KnownDefect(
             name=str(one["name"]),
             kind=str(one["kind"]),
-            size=float(np.sqrt(np.prod(one["size_mm"]))),
+            size=defect_size(one),
             pixels=int(pixels[i]),
             found=bool(found[i]),
         )
@@ -141,6 +149,11 @@ def compare_with_truth(
         areas=tuple(areas),
         labels=labels.source,
     )
+
+
+def defect_size(one: Mapping[str, Any]) -> float:
+    """Size of a defect of a set's manifest, for curves of detection: square root of length times width [mm]."""
+    return float(np.sqrt(np.prod(one["size_mm"])))
 
 
 def region_hits(labels: NDArray[np.int32], truth: NDArray[np.int32]) -> list[NDArray[np.int32]]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation
+from lightopt.errors import InputError, counted
 from lightopt.inspection._register import Photometry, fit_photometry, refuse_another_part
 from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
@@ -161,8 +162,15 @@ def posture_view(
     Raises
     ------
     InputError
-        Images that do not look like the prediction.
+        Images that do not look like the prediction, or that are all saturated.
     """
+    clean = prediction.clean
+    if clean.any() and all(o.saturated[clean].all() for o in observations):
+        raise InputError(
+            f"{where}, posture {observations[0].posture}: all {clean.sum():,} pixels of the part that can be judged "
+            f"are saturated in each of {counted(len(observations), 'image')}: they show nothing; take them with a "
+            "shorter exposure or less light"
+        )
     images = {image.light: image for image in prediction.images.lights}
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     models = [images[o.light].level * np.float32(scale * o.exposure) for o in observations]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,14 +23,25 @@ from lightopt.images import (
     write_exr,
     write_png,
 )
+from lightopt.inspection._calibration import Calibration
 from lightopt.inspection._inspect import InspectedPosture, Inspection
 from lightopt.inspection._measure import to_file
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._regions import pixels_of
 
-__all__ = ["DEFECTS_NAME", "InspectionFolder", "provenance"]
+__all__ = [
+    "BATCH_NAME",
+    "DEFECTS_NAME",
+    "REPORT_NAME",
+    "TRUTH_NAME",
+    "BatchFolder",
+    "InspectionFolder",
+    "provenance",
+    "truth_text",
+]
 
-DEFECTS_NAME = "defects.json"
+DEFECTS_NAME, BATCH_NAME = "defects.json", "batch.json"
+TRUTH_NAME, REPORT_NAME = "truth.json", "report.html"
 FORMAT = "lightopt-defects/1"
 SHAPE_RGB, STAIN_RGB, UNKNOWN_RGB = (230, 60, 40), (70, 110, 190), (240, 170, 30)
 COLUMNS = (
@@ -39,11 +51,17 @@ COLUMNS = (
 
 
 def provenance(
-    rig: RigConfig, part: PartConfig, image_set: ImageSet, options: InspectOptions
+    rig: RigConfig,
+    part: PartConfig,
+    sets: Sequence[ImageSet],
+    options: InspectOptions,
+    *,
+    calibration: Calibration | None = None,
 ) -> dict[str, Any]:
     """What an inspection was made from: versions, hashes of the inputs, options; names only, no folders."""
     images = [
         entry.sha256 or {"file": file_sha256(image_set.path(entry.png or entry.exr or ""))}
+        for image_set in sets
         for entry in image_set.images
     ]
     return {
@@ -53,6 +71,11 @@ def provenance(
         "part": {"file": part.source.path.name, "sha256": part.source.sha256},
         "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
         "images": [dict(hashes) for hashes in images],
+        **(
+            {}
+            if calibration is None
+            else {"calibration": {"file": calibration.name, "sha256": calibration.sha256}}
+        ),
         "options": options.as_dict(),
     }
 
@@ -77,7 +100,13 @@ class InspectionFolder(ResultFolder):
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
         super().__init__(
-            folder, made_from, name=DEFECTS_NAME, format=FORMAT, what="an inspection", force=force
+            folder,
+            made_from,
+            name=DEFECTS_NAME,
+            format=FORMAT,
+            what="an inspection",
+            also=(TRUTH_NAME,),
+            force=force,
         )
 
     def write_posture(self, posture: InspectedPosture) -> None:
@@ -118,6 +147,26 @@ class InspectionFolder(ResultFolder):
             self.write_text("defects.ply", _points(result)),
         ]
         return [self.finish({**result.as_dict(), **more}), *written]
+
+
+class BatchFolder(ResultFolder):
+    """The folder above those of several parts; takes what :class:`lightopt.images.ResultFolder` takes."""
+
+    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
+        super().__init__(
+            folder,
+            made_from,
+            name=BATCH_NAME,
+            format="lightopt-inspections/1",
+            what="inspections",
+            also=(TRUTH_NAME,),
+            force=force,
+        )
+
+
+def truth_text(summary: Mapping[str, Any]) -> str:
+    """``truth.json`` of what :func:`lightopt.inspection.summarise` says."""
+    return json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _table(result: Inspection) -> str:

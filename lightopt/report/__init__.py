@@ -4,6 +4,7 @@ from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
 from lightopt.report._fit_pictures import fit_chart, residual_picture
 from lightopt.report._frames_drawing import frames_drawing
 from lightopt.report._inspection_pictures import defect_overlay
+from lightopt.report._inspection_report import BatchRow, batch_report, inspection_page, inspection_report
 from lightopt.report._optimum_report import optimum_page, optimum_report
 from lightopt.report._page import (
     Answer,
@@ -24,6 +25,7 @@ from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 
 __all__ = [
     "Answer",
+    "BatchRow",
     "Block",
     "ColouredSurface",
     "Facts",
@@ -38,10 +40,13 @@ __all__ = [
     "Table",
     "Warnings",
     "add_contact_sheets",
+    "batch_report",
     "contact_sheet",
     "defect_overlay",
     "fit_chart",
     "frames_drawing",
+    "inspection_page",
+    "inspection_report",
     "optimum_page",
     "optimum_report",
     "page_html",

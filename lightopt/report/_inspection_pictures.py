@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from lightopt.inspection import InspectedPosture
+from lightopt.inspection import InspectedPosture, SyntheticImage
 from lightopt.report._canvas import write_picture
 from lightopt.report._typeface import Typeface
 
-__all__ = ["defect_overlay"]
+__all__ = ["COLOURS", "defect_overlay", "deviation_picture", "overlay_image", "synthetic_picture"]
 
 BOX_MARGIN_PX = 4
 LABEL_SIZE = 15
@@ -21,14 +21,18 @@ COLOURS = {"shape": (230, 60, 40), "stain": (60, 130, 230), "unknown": (240, 170
 
 
 def defect_overlay(path: Path, posture: InspectedPosture, numbers: Mapping[int, int]) -> Path:
-    """Write a PNG of the posture's darkest image without highlights, with the outlines and numbers of its defects.
+    """Write the picture that :func:`overlay_image` makes as PNG, into a folder that exists."""
+    return write_picture(path, overlay_image(posture, numbers))
 
-    Red for shape, blue for stain, orange for what could not be told.
+
+def overlay_image(posture: InspectedPosture, numbers: Mapping[int, int]) -> Image.Image:
+    """The posture's image without highlights, with the outlines and numbers of its defects.
+
+    Red for shape, blue for stain, orange for what could not be told. Where no such image was made, the least level of
+    each pixel.
 
     Parameters
     ----------
-    path
-        In a folder that exists.
     posture
         Of an inspection.
     numbers
@@ -38,9 +42,7 @@ def defect_overlay(path: Path, posture: InspectedPosture, numbers: Mapping[int, 
         level, mask = posture.synthetic.level, posture.synthetic.mask
     else:
         level, mask = np.minimum(posture.view.level, posture.view.limit).min(axis=0), posture.view.part
-    white = float(np.percentile(level[mask], 99.9)) if mask.any() else 1.0
-    grey = np.clip(level / max(white, 1e-6), 0.0, 1.0)
-    rgb = np.repeat((255.0 * grey + 0.5).astype(np.uint8)[..., None], 3, axis=2)
+    rgb, _ = _grey(level, mask)
     for index, sighting in enumerate(posture.sightings):
         rgb[_rim(posture.labels == index + 1)] = COLOURS[sighting.kind]
     image = Image.fromarray(rgb)
@@ -58,7 +60,25 @@ def defect_overlay(path: Path, posture: InspectedPosture, numbers: Mapping[int, 
             fill="#{:02x}{:02x}{:02x}".format(*colour),
             align="left",
         )
-    return write_picture(path, image)
+    return image
+
+
+def synthetic_picture(image: SyntheticImage) -> tuple[Image.Image, float]:
+    """The image without highlights, and the level that is shown white [grey level]."""
+    rgb, white = _grey(image.level, image.mask)
+    return Image.fromarray(rgb), white
+
+
+def deviation_picture(image: SyntheticImage) -> tuple[Image.Image, float]:
+    """How uncertain the image without highlights is, and the deviation that is shown white [grey level]."""
+    rgb, white = _grey(image.deviation, image.mask)
+    return Image.fromarray(rgb), white
+
+
+def _grey(level: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[NDArray[np.uint8], float]:
+    white = max(float(np.percentile(level[mask], 99.9)), 1e-6) if mask.any() else 1.0
+    grey = (255.0 * np.clip(level / white, 0.0, 1.0) + 0.5).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=2), white
 
 
 def _rim(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

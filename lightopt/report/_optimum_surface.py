@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lightopt.optimize import AREA_UNIT_MM2, Draft, Levels, Thresholds, area_units
 from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
-from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
+from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
 from lightopt.transforms import Posture
 
 __all__ = ["SHOWN", "Shown", "shown_by_images", "surface_blocks"]
@@ -77,7 +77,7 @@ def surface_blocks(draft: Draft) -> list[Block]:
             triangles=draft.table.patches.triangles,
             layers=tuple(layers),
             up=np.array([0.0, 0.0, 1.0]),
-            toward=_toward(draft),
+            toward=first_view(draft.scene.camera),
         ),
         alt=f"{draft.part.name}, coloured by what the images of the best set show of it",
         caption=" ".join(_captions(draft)),
@@ -171,10 +171,3 @@ def _together_note(draft: Draft, shown: list[Shown]) -> list[Block]:
             f"{unseen:.1f} % the camera never sees."
         )
     ]
-
-
-def _toward(draft: Draft) -> NDArray[np.float64]:
-    """From where the camera looks, but a third aside and not from straight above: shows sides, too."""
-    toward = draft.scene.camera.position / np.linalg.norm(draft.scene.camera.position)
-    mixed = toward + np.array([0.35, -0.9, 0.0])
-    return mixed / np.linalg.norm(mixed)

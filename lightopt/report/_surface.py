@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.errors import InputError
+from lightopt.scene import PinholeCamera
 
-__all__ = ["MOST_TRIANGLES", "ColouredSurface", "SurfaceClass", "SurfaceLayer", "simplified"]
+__all__ = ["MOST_TRIANGLES", "ColouredSurface", "SurfaceClass", "SurfaceLayer", "first_view", "simplified"]
 
 Float64 = NDArray[np.float64]
 
@@ -139,6 +140,16 @@ def simplified(surface: ColouredSurface, *, most: int = MOST_TRIANGLES) -> tuple
         ),
         cell,
     )
+
+
+def first_view(camera: PinholeCamera) -> Float64:
+    """Unit vector to where a part is looked at from first, shape (3,): from the camera, but a third aside.
+
+    Not from straight above: that shows sides, too.
+    """
+    toward = camera.position / np.linalg.norm(camera.position)
+    mixed = toward + np.array([0.35, -0.9, 0.0])
+    return mixed / np.linalg.norm(mixed)
 
 
 def _frozen(array: Any) -> Any:

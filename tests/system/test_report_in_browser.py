@@ -202,3 +202,72 @@ def test_the_report_of_an_optimisation(bench, cli, images):
         assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [
             (bench.out / "report.html").resolve().as_uri()
         ]
+
+
+STAIN_AND_DENT = """\
+defects:
+  - {name: stain, kind: stain, size_mm: 3.5, R_d_factor: 0.6,
+     at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [58, 60]}}
+  - {name: dent, kind: dent, size_mm: 5, slope_deg: 12,
+     at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [92, 72]}}
+"""
+
+
+def of_itself_only(seen, path):
+    assert seen.said == []
+    assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [path.resolve().as_uri()]
+
+
+def test_the_reports_of_inspected_parts(bench, cli):
+    bench.edit("part.yaml", "name: knob", "name: '<b>knob</b>'")
+    good = bench.part.read_text(encoding="utf-8")
+    bad = bench.part.with_name("bad.yaml")
+    bad.write_text(good + STAIN_AND_DENT, encoding="utf-8")
+    few = ("-q", "--patches", "300", "--posture", "0,0", "--noise", "3")
+    assert cli("render", bench.rig, bad, "-o", bench.folder / "bad", *few).status == 0
+    assert cli("render", bench.rig, bad, "-o", bench.folder / "worse", *few[:-1], "4").status == 0
+    sets = (bench.folder / "bad", bench.folder / "worse")
+    ran = cli("inspect", bench.rig, bench.part, *sets, "-o", bench.out, "--no-shift", "--truth", "-q")
+    assert ran.status == 0, ran.err
+    ran = cli(
+        "inspect", bench.rig, bench.part, sets[0], "-o", bench.folder / "one", "--no-shift", "--truth", "-q"
+    )
+    assert ran.status == 0, ran.err
+    one = json.loads((bench.folder / "one" / "defects.json").read_text(encoding="utf-8"))
+    assert {"report.html", "truth.json"} <= set(one["files"])
+    with opened(bench.folder / "one" / "report.html") as seen:
+        page = seen.page
+        page.wait_for_selector("figure[data-state=live]")
+        assert page.inner_text("h1") == "NG: <b>knob</b>"
+        assert page.inner_text("p.answer").startswith("NG ")
+        found = page.locator("section", has=page.get_by_role("heading", name="Defects", exact=True))
+        rows = found.locator("tbody tr")
+        assert rows.count() == len(one["defects"]) == 2
+        first = rows.nth(0).locator("td").all_inner_texts()
+        assert first[:2] == ["1", one["defects"][0]["kind"]]
+        assert first[4] == ", ".join(f"{x:.2f}" for x in one["defects"][0]["position_mm"])
+        legend = page.locator(".legend:not([hidden]) li .amount").all_inner_texts()
+        assert sum(map(int, filter(None, legend))) == 2
+        pixels = np.asarray(
+            Image.open(io.BytesIO(page.locator("canvas").screenshot())).convert("RGB"), np.int32
+        )
+        assert np.count_nonzero(np.ptp(pixels, axis=2) > 80) > 50, "the balls are coloured, the part is grey"
+        pictures = page.locator("img").all()
+        assert len(pictures) == 4  # still, overlay, without highlights, its uncertainty
+        assert all(p.evaluate("image => image.complete && image.naturalWidth > 1") for p in pictures)
+        surface = page.locator("section", has=page.get_by_role("heading", name="What was inspected"))
+        share = one["postures"][0]["surface"]["inspected"]
+        assert f"{100 * share:.1f} %" in surface.inner_text()
+        assert "2 of 2 defects in view" in page.inner_text("main")
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+        of_itself_only(seen, bench.folder / "one" / "report.html")
+    batch = json.loads((bench.out / "batch.json").read_text(encoding="utf-8"))
+    assert batch["files"] == ["report.html", "truth.json"]
+    assert [(row["folder"], row["verdict"]) for row in batch["sets"]] == [("bad", "NG"), ("worse", "NG")]
+    with opened(bench.out / "report.html") as seen:
+        page = seen.page
+        assert page.inner_text("p.answer") == "0 of 2 parts are OK"
+        parts = page.locator("section").nth(0).locator("tbody tr")
+        assert [row.locator("td").nth(0).inner_text() for row in parts.all()] == ["bad", "worse"]
+        assert "4 of 4 defects in view" in page.inner_text("main")
+        of_itself_only(seen, bench.out / "report.html")

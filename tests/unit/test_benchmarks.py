@@ -204,3 +204,39 @@ def test_rows_of_a_table_of_rig_faults_are_renewed_and_summed() -> None:
     assert rig_faults.renewed(old, new, kinds) == (
         f"{head}| a, once | 2 | 0 |\n| b | 3 | 0 |\n| c | 1 | 0 |\n| **all** | 6 | 0 |"
     )
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    from benchmarks import inspection
+
+    before = inspection.PAGE.read_bytes()
+    inspection.main(["--toy", "--sets", "1", "--workers", "1"])
+    assert inspection.PAGE.read_bytes() == before
+    lines = capsys.readouterr().out.splitlines()
+    ways = [line.split(" | ") for line in lines if line.startswith(("| residual", "| template"))]
+    assert len(ways) == 2 + len(inspection.FUSIONS) + 5
+    default = next(way for way in ways if inspection.DEFAULT in way[0])
+    assert float(default[1]) > 0.85
+    assert default[3].startswith("0, good part 0")
+    assert inspection.TOY.defects == 12
+    assert sum(" of 1 |" in line for line in lines) == 12
+    found = sum(" 1 of 1 |" in line for line in lines)
+    assert default[2] == f"{found} of 12"
+    assert sum(line.startswith("| cover-knob | ") for line in lines) == len(inspection.FUSIONS)
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_calibration_counts_good_sets(
+    capsys: pytest.CaptureFixture[str], monkeypatch
+) -> None:
+    from benchmarks import calibration
+
+    monkeypatch.setattr(calibration, "RATE", 0.5)
+    rows = calibration.try_part(("cover-knob", 5, calibration.TOY))
+    cells = [row.strip("| ").split(" | ") for row in rows]
+    assert [row[:2] for row in cells] == [["cover-knob", "residual"], ["cover-knob", "template"]]
+    for row in cells:
+        plain, held = (int(row[k].split(" of ")[0]) for k in (2, 4))
+        assert plain == 5
+        assert held <= 2

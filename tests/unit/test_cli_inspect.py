@@ -154,6 +154,12 @@ def test_several_parts_get_a_folder_each(cli, bench, parts):
     ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--fail-on-defect")
     assert ran.status == 1
     assert "2 parts, 1 OK" in ran.out
+    batch = json.loads((bench.out / "batch.json").read_text(encoding="utf-8"))
+    assert [(one["folder"], one["verdict"], one["defects"]) for one in batch["sets"]] == [
+        ("good", "OK", 0),
+        ("bad", "NG", 2),
+    ]
+    assert batch["files"] == ["report.html"]
     assert (found(bench, "out/good")["verdict"], found(bench, "out/bad")["verdict"]) == ("OK", "NG")
     again = inspect(cli, bench, [parts["good"], parts["good"]])
     assert again.status == 2
@@ -193,6 +199,7 @@ def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
     ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--truth")
     assert ran.status == 0
     assert "2 of 2 defects found" in ran.out
+    assert "truth.json" in found(bench)["files"]
     told = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
     assert (told["defects"], told["found"], told["hidden"]) == (2, 2, [])
     assert told["false_alarms_per_posture"] == 0
@@ -202,6 +209,15 @@ def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
         {"kind": "stain", "size_mm": 3.5, "defects": 1, "found": 1},
     ]
     assert told["detection"]["all"]["a90"] is None  # two are too few to say
+
+
+def test_the_truth_of_a_run_goes_when_the_next_has_none(cli, bench, parts):
+    assert inspect(cli, bench, parts["bad"], "--fusion", "none", "--truth", "--no-report").status == 0
+    assert "report.html" not in found(bench)["files"]
+    assert (bench.out / "truth.json").exists()
+    assert inspect(cli, bench, parts["bad"], "--fusion", "none").status == 0
+    assert not (bench.out / "truth.json").exists()
+    assert (bench.out / "report.html").exists()
 
 
 def test_labels_are_asked_for_where_there_are_none(cli, bench, parts):
@@ -227,7 +243,7 @@ def test_mirrored_images_are_refused_with_what_would_fit(cli, bench, images):
     assert not bench.out.exists() or not list(bench.out.iterdir())
 
 
-def test_saturated_images_say_that_nothing_was_inspected(cli, bench, images):
+def test_images_that_are_saturated_all_over_are_refused(cli, bench, images):
     manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
     for image in manifest["images"]:
         full = np.full((120, 160), 255, np.uint8)
@@ -235,7 +251,43 @@ def test_saturated_images_say_that_nothing_was_inspected(cli, bench, images):
     (images / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     ran = inspect(cli, bench, images, "--fail-on-defect")
     assert ran.status == 2
-    assert "do not look like this part" in ran.err
+    assert "pixels of the part that can be judged are saturated in each of 2 images" in ran.err
+    assert "shorter exposure" in ran.err
+    assert not (bench.out / "defects.json").exists()
+
+
+def test_a_posture_without_a_pixel_to_judge_is_said_and_no_good_part(cli, bench, parts, monkeypatch):
+    from dataclasses import replace
+
+    from lightopt.inspection import _inspect
+
+    def nothing_clean(*given, **more):
+        found = predict(*given, **more)
+        return replace(found, clean=np.zeros_like(found.clean))
+
+    predict = _inspect.predict
+    monkeypatch.setattr(_inspect, "predict", nothing_clean)
+    ran = inspect(cli, bench, parts["good"], "--fail-on-defect")
+    assert ran.status == 1
+    assert "posture (0°, 0°): no pixel shows the part off its edges; nothing was inspected" in ran.err
+    assert "NG, nothing of the surface was inspected" in ran.err
+    assert found(bench)["postures"][0]["surface"]["inspected"] == 0.0
+
+
+def test_sets_of_exr_alone_will_do(cli, bench, parts, tmp_path):
+    out = shutil.copytree(parts["bad"], tmp_path / "linear")
+    manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
+    for image in manifest["images"]:
+        (out / image["png"]).unlink()
+        del image["png"], image["sha256"]["png"]
+    (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    ran = inspect(cli, bench, out, "--fusion", "none")
+    assert (ran.status, ran.err) == (0, "")
+    truth = read_image_set(parts["bad"]).manifest.extra["defects"]
+    places = [one["position_mm"] for one in found(bench)["defects"]]
+    assert len(places) == 2
+    for one in truth:
+        assert min(math.dist(place, one["position_mm"]) for place in places) < 2.0
 
 
 def test_sixteen_bits_and_exposures_and_sets_without_exr_will_do(cli, bench, tmp_path):

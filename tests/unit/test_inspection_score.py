@@ -204,3 +204,32 @@ def test_the_pixels_of_regions_are_those_of_their_numbers():
     for number, (row, column) in enumerate(pixels_of(labels, 3), start=1):
         assert np.array_equal(np.stack([row, column]), np.stack(np.nonzero(labels == number)))
     assert pixels_of(np.zeros((2, 2), np.int32), 0) == []
+
+
+@pytest.mark.parametrize("seen_by", [1, 2])
+def test_a_disc_of_the_contrast_that_is_told_is_found_half_of_the_time(seen_by):
+    from lightopt.inspection import Deviations
+    from lightopt.inspection._coverage import least_contrast
+
+    side, step = 480, 24
+    rng = np.random.default_rng(5)
+    level, scale, high = 100.0, 2.0, 6.5
+    flat = np.full((4, side, side), scale, np.float32)
+    usable = np.ones_like(flat, bool)
+    noise = rng.standard_normal(flat.shape, dtype=np.float32)
+    told = least_contrast(Deviations(noise, flat, usable), flat * (level / scale), seen_by=seen_by, high=high)
+    assert np.ptp(told) == 0.0
+    places = side // step
+    y, x = np.mgrid[:step, :step] + 0.5 - step / 2
+    shifts = rng.uniform(-0.5, 0.5, (places, places, 2))
+    inside = [[np.hypot(y - a, x - b) < 2.5 for a, b in row] for row in shifts]
+    found = {}
+    for share in (0.6, 1.0, 1.5):
+        z = noise.copy()
+        z[:seen_by] -= np.block(inside) * np.float32(share * told[0, 0] * level / scale)
+        score = score_deviations(Deviations(z, flat, usable), seen_by=seen_by)
+        peaks = score.reshape(places, step, places, step).max(axis=(1, 3))
+        found[share] = float(np.mean(peaks >= high))
+    assert 0.4 < found[1.0] < 0.75
+    assert found[0.6] < 0.1
+    assert found[1.5] > 0.95

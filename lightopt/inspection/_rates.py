@@ -1,0 +1,48 @@
+"""Which rate of false alarms so many good sets bear, whatever the law of their scores: order statistics.
+
+Of `n` good sets let the k-th largest of their greatest scores be the threshold. A further good set exceeds it with a
+probability that is distributed as Beta(k, n − k + 1) over all ways to draw the sets, whatever they are drawn from
+(Wilks 1941, doi:10.1214/aoms/1177731788): a distribution-free tolerance limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from scipy import special
+
+__all__ = ["CONFIDENCE", "held_threshold", "least_rate", "sets_needed"]
+
+CONFIDENCE: Final = 0.95
+"""That a threshold holds its rate."""
+
+
+def sets_needed(rate: float) -> int:
+    """How many good sets it takes to hold a rate: the least n of 1 − (1 − rate)ⁿ ≥ 95 %."""
+    return math.ceil(math.log1p(-CONFIDENCE) / math.log1p(-min(rate, 1.0 - 1e-12)))
+
+
+def least_rate(sets: int) -> float:
+    """The least rate that so many good sets bear."""
+    return 1.0 - (1.0 - CONFIDENCE) ** (1.0 / sets)
+
+
+def held_threshold(peaks: Sequence[float], rate: float) -> float | None:
+    """The lowest threshold that at most this share of good sets exceeds, with 95 % confidence; None if none is borne.
+
+    Parameters
+    ----------
+    peaks
+        Greatest score of each of the good sets.
+    rate
+        Share of good sets.
+    """
+    ordered = sorted(peaks, reverse=True)
+    kept = None
+    for k, peak in enumerate(ordered, start=1):
+        if float(special.betainc(k, len(ordered) - k + 1, min(rate, 1.0))) < CONFIDENCE - 1e-9:
+            break
+        kept = peak
+    return kept

@@ -1,0 +1,92 @@
+"""An inspection held against what is known to be on the part: recall, false alarms, curves of detection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lightopt.report._canvas import png_bytes
+from lightopt.report._chart import ChartLine, ChartPanel, chart_image
+from lightopt.report._page import Block, Facts, Note, Picture, Table
+
+__all__ = ["truth_blocks"]
+
+# Okabe and Ito (2008), as on the other charts
+LINE_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00", "#0072b2", "#56b4e9", "#5c636e")
+POINTS = 60
+ROOM = 1.3
+"""Curves are drawn from the smallest size over this to the largest times this."""
+
+
+def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
+    """What :func:`lightopt.inspection.summarise` says, for people."""
+    area = summary["roc_auc"]
+    facts = Facts(
+        rows=[
+            ("found", f"{summary['found']} of {summary['defects']} defects in view"),
+            ("out of view", ", ".join(summary["hidden"]) or "none"),
+            ("false alarms", f"{summary['false_alarms_per_posture']:g} per posture"),
+            ("area under the pixels' ROC", "-" if area is None else f"{area:.4f}"),
+        ]
+    )
+    recall = Table(
+        header=["kind", "size [mm]", "defects", "found"],
+        rows=[
+            [row["kind"], f"{row['size_mm']:g}", str(row["defects"]), str(row["found"])]
+            for row in summary["recall"]
+        ],
+        caption="Size is the square root of length times width.",
+    )
+    curves = Table(
+        header=["kind", "defects", "found", "a90 [mm]", "a90/95 [mm]"],
+        rows=[
+            [kind, str(curve["defects"]), str(curve["found"]), *map(_shown, (curve["a90"], curve["a90_95"]))]
+            for kind, curve in summary["detection"].items()
+        ],
+        caption="a90 is the size found 90 % of the time by logistic regression on ln size, a90/95 its upper bound of "
+        "95 % confidence; - where hits and misses do not tell it.",
+    )
+    return [facts, recall, curves, *_chart(summary)]
+
+
+def _chart(summary: Mapping[str, Any]) -> list[Block]:
+    each: Sequence[Mapping[str, Any]] = summary["each"]
+    told = {kind: c for kind, c in summary["detection"].items() if c["steepness"] is not None}
+    if not told or not each:
+        return [
+            Note(
+                text="No curve of detection: too few defects, or hits and misses that do not rise with size."
+            )
+        ]
+    sizes = np.array([one["size_mm"] for one in each], np.float64)
+    x = np.geomspace(sizes.min() / ROOM, sizes.max() * ROOM, POINTS)
+    lines = [
+        ChartLine(label=kind, x=x, values=_curve(curve, x), colour=LINE_COLOURS[i % len(LINE_COLOURS)])
+        for i, (kind, curve) in enumerate(told.items())
+    ]
+    dots = np.array([(one["size_mm"], float(one["found"])) for one in each])
+    image = chart_image(
+        title="Probability of detection",
+        x_label="size of the defect [mm]",
+        x=x,
+        panels=[
+            ChartPanel(label="found: 1, missed: 0", values=lines[0].values, dots=dots, lines=tuple(lines))
+        ],
+        log_x=True,
+    )
+    kinds = ", ".join(told)
+    return [
+        Picture(
+            png=png_bytes(image), alt=f"Curves of detection against size: {kinds}; dots are single defects"
+        )
+    ]
+
+
+def _curve(curve: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
+    return 1.0 / (1.0 + np.exp(-(curve["intercept"] + curve["steepness"] * np.log(x))))
+
+
+def _shown(size: float | None) -> str:
+    return "-" if size is None else f"{size:.3g}"
