@@ -44,7 +44,7 @@ from lightopt.rendering import PostureImages, cast_rays_at, render_posture
 from lightopt.scene import Scene, build_scene
 from lightopt.sensor import expose, image_rng, saturated
 
-RATE = 0.2
+RATE = 0.1
 SMALL = replace(FULL, width=160, fine=False, across=(3, 8), widths=())
 TOY = replace(SMALL, parts=FULL.parts[:1])
 
@@ -104,9 +104,9 @@ def view_of(
     return posture_view(scene, taken(scene, images, seed), prediction, where=f"set {seed}"), told
 
 
-def try_part(task: tuple[str, int, Size]) -> list[str]:
+def try_part(task: tuple[str, int, Size, float]) -> list[str]:
     """Rows of the table: one part, so many good sets to learn from and as many to hold against that."""
-    name, half, size = task
+    name, half, size, rate = task
     with tempfile.TemporaryDirectory(prefix="lightopt-calibration-") as place:
         folder = Path(place)
         rig, path = prepare(folder, name, size)
@@ -129,7 +129,7 @@ def try_part(task: tuple[str, int, Size]) -> list[str]:
     rows: list[str] = []
     for detector in DETECTORS:
         options = InspectOptions(
-            detector=detector, fusion="paper" if detector == "template" else None, false_alarms=RATE
+            detector=detector, fusion="paper" if detector == "template" else None, false_alarms=rate
         )
         shots = dict.fromkeys(sets[0][0].lights, ((1.0, 1),))
         laid = (
@@ -182,18 +182,19 @@ def table(rows: Sequence[str]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sets", type=int, default=sets_needed(RATE), help="good sets that calibrate a part")
+    parser.add_argument("--rate", type=float, default=RATE, help="of false alarms, to be held")
+    parser.add_argument("--sets", type=int, help="good sets that calibrate a part; as many as the rate takes")
     parser.add_argument("--workers", type=int, default=2, help="parts that are worked on at once")
     parser.add_argument("--no-page", action="store_true", help="print the table only")
     parser.add_argument("--toy", action="store_true", help="one part; prints the table only")
     given = parser.parse_args(arguments)
     size = TOY if given.toy else SMALL
-    if least_rate(given.sets) > RATE:
-        parser.error(f"--sets: {RATE:g} takes {sets_needed(RATE)} good sets")
+    sets = given.sets or sets_needed(given.rate)
+    if least_rate(sets) > given.rate:
+        parser.error(f"--sets: {given.rate:g} takes {sets_needed(given.rate)} good sets")
+    tasks = [(part, sets, size, given.rate) for part in size.parts]
     with ProcessPoolExecutor(given.workers) as pool:
-        rows = [
-            row for rows in pool.map(try_part, [(p, given.sets, size) for p in size.parts]) for row in rows
-        ]
+        rows = [row for rows in pool.map(try_part, tasks) for row in rows]
     print(table(rows))
     if not given.no_page and not given.toy:
         replace_block("calibration", table(rows))

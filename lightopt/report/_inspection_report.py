@@ -32,7 +32,7 @@ from lightopt.report._truth_blocks import truth_blocks
 
 __all__ = ["BatchRow", "batch_report", "inspection_page", "inspection_report"]
 
-OVERLAY_PX, SMALL_PX = 1000, 480
+OVERLAY_PX, SMALL_PX = 1600, 480
 """No side of a picture in the report is longer."""
 
 

@@ -227,13 +227,10 @@ def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFix
 
 
 @pytest.mark.slow
-def test_the_benchmark_of_calibration_counts_good_sets(
-    capsys: pytest.CaptureFixture[str], monkeypatch
-) -> None:
+def test_the_benchmark_of_calibration_counts_good_sets() -> None:
     from benchmarks import calibration
 
-    monkeypatch.setattr(calibration, "RATE", 0.5)
-    rows = calibration.try_part(("cover-knob", 5, calibration.TOY))
+    rows = calibration.try_part(("cover-knob", 5, calibration.TOY, 0.5))
     cells = [row.strip("| ").split(" | ") for row in rows]
     assert [row[:2] for row in cells] == [["cover-knob", "residual"], ["cover-knob", "template"]]
     for row in cells:
