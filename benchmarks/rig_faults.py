@@ -77,7 +77,7 @@ def gige_rig(folder: Path) -> tuple[Path, Path]:
     rig, part = make_rig(folder)
     text = rig.read_text(encoding="utf-8")
     text = text.replace("camera: {driver: virtual}", "camera: {driver: aravis, port: virtual}")
-    text = text.replace("stage_ms: 5}", "stage_ms: 5, frame_timeout_s: 1}")
+    text = text.replace("stage_ms: 5}", "stage_ms: 5, frame_timeout_s: 3}")
     rig.write_text(text, encoding="utf-8", newline="\n")
     return rig, part
 
