@@ -13,7 +13,18 @@ from benchmarks._report import Report, machine
 
 __all__ = ["NAMES", "main", "save"]
 
-NAMES = ("bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "capture")
+NAMES = (
+    "bare",
+    "peers",
+    "auto",
+    "command",
+    "search",
+    "detectability",
+    "plan",
+    "fit",
+    "inspecting",
+    "capture",
+)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -78,6 +78,8 @@ def _across(image: Float32, taps: Float32, top: int, bottom: int, result: Float3
         for x in range(width):
             result[y, x] = np.float32(0.0)
         for j in range(-reach, reach + 1):
-            tap = taps[reach + j]
-            for x in range(max(0, -j), min(width, width - j)):
-                result[y, x] += tap * image[y, x + j]
+            # slices, so that the compiler sees that no index is negative
+            tap, left, right = taps[reach + j], max(0, -j), min(width, width - j)
+            sums, source = result[y, left:right], image[y, left + j : right + j]
+            for x in range(len(sums)):
+                sums[x] += tap * source[x]

@@ -174,13 +174,15 @@ def fit_photometry(
             off = np.abs(level - x[light] * model - x[n]) / noise
             spread = max(1.4826 * float(np.median(off)), 1.0)
             weight = np.minimum(1.0, HUBER * spread / np.maximum(off, 1e-9)) / noise**2
-            both = float(weight @ model)
-            normal[light, light] += float(weight @ model**2)
+            # plain sums: threads of a linear algebra library cost more than so few products
+            weighted = weight * model
+            both = float(weighted.sum())
+            normal[light, light] += float((weighted * model).sum())
             normal[n, n] += float(weight.sum())
             normal[light, n] += both
             normal[n, light] += both
-            right[light] += float((weight * model) @ level)
-            right[n] += float(weight @ level)
+            right[light] += float((weighted * level).sum())
+            right[n] += float((weight * level).sum())
         x = np.linalg.solve(normal, right)
     if not np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN)):
         x = nominal  # not these lights, or not this part: what is told of the images must not hide that

@@ -259,14 +259,14 @@ def test_images_that_are_saturated_all_over_are_refused(cli, bench, images):
 def test_a_posture_without_a_pixel_to_judge_is_said_and_no_good_part(cli, bench, parts, monkeypatch):
     from dataclasses import replace
 
-    from lightopt.inspection import _inspect
+    from lightopt.inspection import _predictions
 
     def nothing_clean(*given, **more):
         found = predict(*given, **more)
         return replace(found, clean=np.zeros_like(found.clean))
 
-    predict = _inspect.predict
-    monkeypatch.setattr(_inspect, "predict", nothing_clean)
+    predict = _predictions.predict
+    monkeypatch.setattr(_predictions, "predict", nothing_clean)
     ran = inspect(cli, bench, parts["good"], "--fail-on-defect")
     assert ran.status == 1
     assert "posture (0°, 0°): no pixel shows the part off its edges; nothing was inspected" in ran.err
