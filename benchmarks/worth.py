@@ -29,6 +29,7 @@ from benchmarks.truth import FINISHES, PARTS, RIG, SEED
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.defects import PlacedDefect
+from lightopt.errors import counted as counted_text
 from lightopt.optimize import (
     OBJECTIVES,
     Contrast,
@@ -256,11 +257,15 @@ def plans(rig: RigConfig, part: PartConfig, *, patches: int, defects: int = DEFE
                 said, found = looked.seen(choice.postures, choice.panels, exposures)
                 yield Row(
                     part=part.name, finish="glossy", seen_in=seen_in,
-                    what=what + (f", {sum(map(len, exposures)) - len(exposures)} exposures more" if bracketed else ""),
+                    what=what + (f", {_further(exposures)}" if bracketed else ""),
                     lights=_places(choice.panels), share=brackets.after if bracketed else brackets.before,
                     defects=len(looked.defects), predicted=int((said >= seen_in).sum()),
                     counted=int((found >= seen_in).sum()),
                 )  # fmt: skip
+
+
+def _further(exposures: Sequence[Sequence[float]]) -> str:
+    return counted_text(sum(map(len, exposures)) - len(exposures), "further exposure")
 
 
 def _places(panels: Sequence[PanelLight]) -> str:
