@@ -33,11 +33,15 @@ SCALES_PX = (1.0, 2.0, 3.5)
 LEAST_SHARE = 0.5
 """A sum counts where at least this share of the variance that it would have is of usable pixels."""
 
-GREATEST_Z = 25.0
-"""Deviations beyond this are as certain as numbers can tell."""
+TABLED_Z = 25.0
+"""Probabilities beyond this are too small for a number. Scores go on from there by the normal law's leading term, since
+how strong a defect is decides how far its sums spread beyond it."""
 
 TABLE_STEPS = 256
 """Scores are tabulated in steps of 1/256 of a standard deviation."""
+
+
+_LN_10 = math.log(10.0)
 
 
 def noise_gain(scale: float) -> float:
@@ -108,7 +112,7 @@ def rank_probability(z: Float64, count: NDArray[np.intp], rank: int) -> Float64:
     rank
         1 for the largest.
     """
-    tail = 2.0 * special.ndtr(-np.minimum(z, GREATEST_Z))
+    tail = 2.0 * special.ndtr(-np.minimum(z, TABLED_Z))
     k = np.minimum(rank, np.maximum(count, 1))
     return special.betainc(k, np.maximum(count, 1) - k + 1, tail)
 
@@ -148,7 +152,7 @@ def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = N
 def _table(images: int, rank: int) -> Float32:
     # scores by the number of images that count and the deviation in steps of 1/TABLE_STEPS; in between they are read
     # off straight lines, which is off by 1e-5 at most
-    z = np.arange(int(GREATEST_Z * TABLE_STEPS) + 2) / TABLE_STEPS
+    z = np.arange(int(TABLED_Z * TABLE_STEPS) + 1) / TABLE_STEPS
     rows = [-np.log10(rank_probability(z, np.full(len(z), count), rank)) for count in range(1, images + 1)]
     return np.stack([np.zeros(len(z)), *rows]).astype(np.float32)
 
@@ -174,10 +178,16 @@ def _raise(
                     count += 1
             if count == 0:
                 continue
-            place = min(size[min(rank, count) - 1], np.float32(GREATEST_Z)) * np.float32(TABLE_STEPS)
-            left = int(place)
-            share = place - np.float32(left)
-            value = table[count, left] + share * (table[count, left + 1] - table[count, left])
+            k = min(rank, count)
+            z = size[k - 1]
+            if z >= np.float32(TABLED_Z):
+                further = 0.5 * (z * z - TABLED_Z * TABLED_Z) + math.log(z / TABLED_Z)
+                value = table[count, -1] + np.float32(k * further / _LN_10)
+            else:
+                place = z * np.float32(TABLE_STEPS)
+                left = int(place)
+                share = place - np.float32(left)
+                value = table[count, left] + share * (table[count, left + 1] - table[count, left])
             score[y, x] = max(score[y, x], value)
 
 
