@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align._observations import Observation
 from lightopt.align._pixels import PixelSet, light_at, sensor_scale, view_of_placed
-from lightopt.mesh import transformed
 from lightopt.raycast import RayCaster
 from lightopt.rendering import trace_pixels
-from lightopt.scene import Scene, screen_window, view_from_part
+from lightopt.scene import Scene, move_part, screen_window, view_from_part
 from lightopt.transforms import rotation_z
 
 __all__ = ["Placement", "find_placement", "place_part", "refine_placement"]
@@ -82,7 +81,7 @@ def place_part(scene: Scene, placement: Placement) -> Scene:
     """The scene with its part where it really lies."""
     turn = rotation_z(placement.turn)
     shift = scene.pivot - turn @ scene.pivot + np.array([placement.x, placement.y, 0.0])
-    return replace(scene, mesh=transformed(scene.mesh, turn, shift))
+    return move_part(scene, turn, shift)
 
 
 def find_placement(

@@ -26,7 +26,7 @@ from lightopt.scene._sampling import (
     point_spacing,
     points_advice,
 )
-from lightopt.scene._scene import PartView, Placement, Scene, view_from_part
+from lightopt.scene._scene import PartView, Placement, Scene, move_part, view_from_part
 from lightopt.scene._travel import travel_order, travel_s
 from lightopt.transforms import Posture
 
@@ -55,6 +55,7 @@ __all__ = [
     "image_area",
     "is_absurd",
     "like_panels",
+    "move_part",
     "panel_corners",
     "panel_grid",
     "pixel_directions",

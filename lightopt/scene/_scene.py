@@ -1,19 +1,19 @@
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.defects import PlacedDefect
-from lightopt.mesh import TriangleMesh
+from lightopt.mesh import TriangleMesh, transformed
 from lightopt.reflectance import Reflectance
 from lightopt.scene._camera import PinholeCamera
 from lightopt.scene._light import PanelLight
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
-__all__ = ["PartView", "Placement", "Scene", "view_from_part"]
+__all__ = ["PartView", "Placement", "Scene", "move_part", "view_from_part"]
 
 Float64 = NDArray[np.float64]
 
@@ -86,6 +86,35 @@ class Scene:
     warnings: tuple[str, ...] = ()
     placement: Placement = field(default_factory=Placement)
     defects: tuple[PlacedDefect, ...] = ()
+
+
+def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:
+    """The scene with its part elsewhere, and what is on it with it: p' = R·p + t at posture (0, 0).
+
+    Parameters
+    ----------
+    scene
+        Of the part.
+    rotation, translation
+        World frame, shapes (3, 3) and (3,) [mm].
+    """
+    place = scene.placement
+    return replace(
+        scene,
+        mesh=transformed(scene.mesh, rotation, translation),
+        placement=Placement(
+            rotation=rotation @ place.rotation, translation=rotation @ place.translation + translation
+        ),
+        defects=tuple(
+            replace(
+                one,
+                position=rotation @ one.position + translation,
+                normal=rotation @ one.normal,
+                along=rotation @ one.along,
+            )
+            for one in scene.defects
+        ),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

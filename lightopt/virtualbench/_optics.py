@@ -12,10 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import transformed
 from lightopt.raycast import RayCaster
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.scene import Scene
+from lightopt.scene import Scene, move_part
 from lightopt.sensor import expose
 from lightopt.transforms import Posture
 from lightopt.virtualbench._truth import BenchTruth
@@ -42,10 +41,8 @@ class BenchOptics:
     """
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
-        shifted = transformed(scene.mesh, np.eye(3), np.array(truth.part_offset_mm, np.float64))
         self._scene = replace(
-            scene,
-            mesh=shifted,
+            move_part(scene, np.eye(3), np.array(truth.part_offset_mm, np.float64)),
             sensor=replace(scene.sensor, black_level=scene.sensor.black_level + truth.dark_level),
         )
         self._truth = truth

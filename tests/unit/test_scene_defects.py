@@ -13,8 +13,8 @@ from lightopt import build_scene
 from lightopt.defects import BUILT_IN_CATALOGUE, surface_coordinates
 from lightopt.errors import InputError
 from lightopt.mesh import SurfaceFinder, TriangleMesh
-from lightopt.scene import build_catalogue, defect_facts, project, view_from_part
-from lightopt.transforms import Posture
+from lightopt.scene import build_catalogue, defect_facts, move_part, project, view_from_part
+from lightopt.transforms import Posture, rotation_z
 
 
 def with_defects(bench, *defects, key="defects"):
@@ -59,6 +59,22 @@ def test_positions_and_directions_are_the_mesh_files(box):
     assert (facts["size_mm"], facts["slope_deg"]) == ([3, 1], 5)
     assert facts["depth_mm"] == pytest.approx(math.tan(math.radians(5)) / math.pi, abs=1e-6)
     assert facts["area_mm2"] == pytest.approx(math.pi * 3 / 4, abs=1e-6)
+
+
+def test_what_is_on_a_part_moves_with_it(box):
+    """Where it is on the part, in the file's coordinates, stays; where it is in the world moves as the mesh does."""
+    with_defects(box, dent(at_mm=[104, 1, 3], size_mm=[3, 1]))
+    scene = build_scene(box.rig, box.part)
+    turn, shift = rotation_z(math.radians(30)), np.array([3.0, -2.0, 0.5])
+    moved = move_part(scene, turn, shift)
+    (one,) = moved.defects
+    np.testing.assert_allclose(one.position, turn @ scene.defects[0].position + shift, atol=1e-12)
+    np.testing.assert_allclose(SurfaceFinder(moved.mesh).nearest(one.position).point, one.position, atol=1e-9)
+    np.testing.assert_allclose(one.along, turn @ [0, 1, 0], atol=1e-12)
+    (before,) = defect_facts(scene.defects, scene.placement)
+    (after,) = defect_facts(moved.defects, moved.placement)
+    assert after["position_mm"] == pytest.approx(before["position_mm"])
+    assert after["along"] == pytest.approx(before["along"], abs=1e-6)
 
 
 def test_a_position_beside_the_surface_is_moved_to_it(box):
@@ -154,3 +170,35 @@ def test_surface_coordinates_of_a_placed_defect(box):
     x, y, same = surface_coordinates(one, np.array([[-2.0, 4, 6], [-1, 5, 6]]), np.array([[0, 0, 1.0]] * 2))
     np.testing.assert_allclose([x, y], [[1, 0], [0, -1]], atol=1e-9)
     assert same.all()
+
+
+def test_the_bench_shows_defects_where_the_part_lies(box):
+    """A stain that is 1 mm aside in the file, or the part 1 mm aside on the bench, looks the same but for the rim."""
+    from lightopt.virtualbench._optics import BenchOptics
+    from lightopt.virtualbench._truth import BenchTruth
+
+    clean = box.part.read_text(encoding="utf-8")
+
+    def change(x, offset):
+        images = []
+        for text in (clean, None):
+            box.part.write_text(clean, encoding="utf-8")
+            if text is None:
+                with_defects(
+                    box, {"name": "a", "kind": "stain", "size_mm": 3, "R_d_factor": 0.2, "at_mm": [x, 0, 3]}
+                )
+            scene = build_scene(box.rig, box.part)
+            optics = BenchOptics(scene, BenchTruth(part_offset_mm=offset))
+            images.append(
+                optics.frame({scene.lights[0].name: 1.0}, scene.postures[0], exposure=1.0).astype(float)
+            )
+        dark = images[0] - images[1] > 5
+        rows, columns = np.nonzero(dark)
+        return len(rows), rows.mean(), columns.mean()
+
+    still, aside = change(100, (0.0, 0.0, 0.0)), change(100, (0.0, 1.0, 0.0))
+    other = change(101, (0.0, 0.0, 0.0))  # file X is world Y here
+    assert still[0] > 20
+    assert aside[0] == pytest.approx(still[0], abs=0.2 * still[0])
+    np.testing.assert_allclose(aside[1:], other[1:], atol=0.3)
+    assert math.dist(aside[1:], still[1:]) > 1
