@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +134,7 @@ def try_part(task: tuple[str, int, Size, float]) -> list[str]:
         )
         shots = dict.fromkeys(sets[0][0].lights, ((1.0, 1),))
         laid = (
-            (str(i), LaidSet(model, told, iter([(view, shots)])))
+            (str(i), LaidSet(model, told, model, iter([(view, shots)])))
             for i, (view, told) in enumerate(sets[:half])
         )
         names = [str(i) for i in range(half)]
@@ -193,7 +194,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if least_rate(sets) > given.rate:
         parser.error(f"--sets: {given.rate:g} takes {sets_needed(given.rate)} good sets")
     tasks = [(part, sets, size, given.rate) for part in size.parts]
-    with ProcessPoolExecutor(given.workers) as pool:
+    # not forked: a copy of a process whose threads hold locks waits for ever
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
         rows = [row for rows in pool.map(try_part, tasks) for row in rows]
     print(table(rows))
     if not given.no_page and not given.toy:

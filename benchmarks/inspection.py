@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -337,7 +338,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tallies: dict[tuple[str, str], Tally] = defaultdict(Tally)
     gone: list[str] = []
     tasks = [(part, seed, given.sets, size) for part in size.parts for seed in range(1, given.sets + 2)]
-    with ProcessPoolExecutor(given.workers) as pool:
+    # not forked: a copy of a process whose threads hold locks waits for ever
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
         for (part, seed, *_), (found, rows) in zip(tasks, pool.map(try_set, tasks), strict=True):
             print(f"{part}, seed {seed}: done", flush=True)
             for way, tally in found.items():
