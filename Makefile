@@ -37,6 +37,7 @@ demo: $(BIN)/.installed  ## the whole loop on the sample: render, fit, plan the 
 	$(BIN)/lightopt capture $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml -o $(OUT)/demo-with-defects --posture 0,0 --resume
 	$(BIN)/lightopt inspect $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml $(OUT)/demo-with-defects -o $(OUT)/demo-inspected --truth
 	@echo "what the optimisation found: $(OUT)/demo-best/report.html"
+	@echo "what the inspection found: $(OUT)/demo-inspected/report.html"
 
 plan: $(BIN)/.installed  ## the sample planned: which postures, lights and exposures, how exact the angles, then its images; into out/plan…
 	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/plan --choose-postures 2 --posture-step 45 --exposures 1,1/4,1/16 \
