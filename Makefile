@@ -40,16 +40,18 @@ demo: $(BIN)/.installed  ## the whole loop on the sample: render, fit, plan the 
 	@echo "what the inspection found: $(OUT)/demo-inspected/report.html"
 
 plan: $(BIN)/.installed  ## the sample planned: which postures, lights and exposures, how exact the angles, then its images; into out/plan…
-	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/plan --choose-postures 2 --posture-step 45 --exposures 1,1/4,1/16 \
-	    --tolerance-deg 2 --pose-tolerance-deg 1 --patches 50000 --no-images
-	$(BIN)/lightopt render $(OUT)/plan/rig.optimized.yaml $(OUT)/plan/part.planned.yaml -o $(OUT)/plan-images --sheet
-	$(BIN)/lightopt capture $(OUT)/plan/rig.optimized.yaml $(OUT)/plan/part.planned.yaml --exposures 1,1/16 -o $(OUT)/plan-captured --dry-run
+	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/plan --choose-postures 2 --posture-step 45 \
+	    --exposures 1/16,1/4,1,4,16 --tolerance-deg 2 --pose-tolerance-deg 1 --patches 50000 --no-images
+	@# the commands that the plan ends with, the capture as a list of what would be done
+	export PATH="$(abspath $(BIN)):$$PATH" && cd $(OUT)/plan && \
+	    commands="$$(python -c 'import json; print(*json.load(open("result.json", encoding="utf-8"))["commands"], sep="\n")')" && \
+	    printf '%s\n' "$$commands" | sed -e '/lightopt capture/s/$$/ --dry-run/' -e '/lightopt render/s/$$/ --sheet/' | sh -ex
 	@echo "what was planned: $(OUT)/plan/report.html"
 
 batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
 	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch
 
-# many tests wait for simulated devices: a worker for each processor, modules kept together as long as all are busy
+# as many workers as tests/conftest.py says, modules kept together as long as all are busy
 PYTEST = $(BIN)/python -m pytest --numprocesses=auto --dist=worksteal
 
 test: $(BIN)/.installed  ## the tests that take less than ten minutes

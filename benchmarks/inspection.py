@@ -30,6 +30,7 @@ from lightopt.images import ImageSet, read_exr, read_image_set
 from lightopt.inspection import (
     FUSIONS,
     SCALES_PX,
+    Deviations,
     PostureView,
     SyntheticImage,
     area_under_roc,
@@ -45,6 +46,7 @@ from lightopt.inspection import (
     region_hits,
     score_deviations,
     score_templates,
+    separate_pieces,
     threshold,
     trust_weights,
 )
@@ -64,7 +66,7 @@ FALSE_ALARMS = 0.05
 FINE_MM = 0.0025
 """Chord tolerance of the mesh that images are rendered from; the inspection's is 0.01 mm."""
 
-LIT, DRAWS = 3.0, 4
+LIT = 3.0
 """Standard deviations above black from which a surface counts as lit; draws of the noise that a mean is taken of."""
 LIES = Placement(x=0.4, y=-0.3, turn=math.radians(0.5))
 """Where the part is rendered."""
@@ -223,11 +225,14 @@ def look(rig: RigConfig, part: PartConfig, image_set: ImageSet, *, told: bool = 
     return posture_view(scene, observations, prediction, where=str(image_set.folder))
 
 
-def ways(view: PostureView) -> Iterator[tuple[str, NDArray[np.float32], int]]:
+def ways(view: PostureView, found: Deviations) -> Iterator[tuple[str, NDArray[np.float32], int]]:
     """Each way to look at a posture: its name, its scores, and how many tests those are the greatest of."""
-    found = deviations(view)
     yield DEFAULT, score_deviations(found, seen_by=2), len(SCALES_PX)
     yield "residual, largest", score_deviations(found, seen_by=1), len(SCALES_PX)
+    for i, light in enumerate(view.lights):
+        one = slice(i, i + 1)
+        alone = Deviations(found.z[one], found.scale[one], found.usable[one], found.lit[one])
+        yield f"residual on {light} alone", score_deviations(alone, seen_by=1), len(SCALES_PX)
     weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
     for fusion in FUSIONS:
         good = {"predicted": view.predicted, "specular": view.specular}
@@ -241,11 +246,16 @@ def ways(view: PostureView) -> Iterator[tuple[str, NDArray[np.float32], int]]:
 
 
 def count(
-    tally: Tally, score: NDArray[np.float32], tests: int, view: PostureView, image_set: ImageSet | None
+    tally: Tally,
+    score: NDArray[np.float32],
+    tests: int,
+    view: PostureView,
+    found: Deviations,
+    image_set: ImageSet | None,
 ) -> None:
     """Add what a score finds; without a set of images with labels, all of it is false alarms of a good part."""
     high = threshold(FALSE_ALARMS, int(view.clean.sum()), tests)
-    labels, regions = find_regions(score, high)
+    labels, regions = separate_pieces(*find_regions(score, high), score, found, high)
     if image_set is None:
         tally.good_alarms += regions
         return
@@ -267,8 +277,8 @@ def count(
 def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float, float, float]]:
     """Per fusion: how far former highlights stand out in the synthetic image, their uncertainty, and before.
 
-    What the same noisy images without highlights make is taken off first, as the mean over several draws of the noise:
-    what is left should be the same in a former highlight and in a ring of 12 pixels around it.
+    What the same images without highlights and noise make is taken off first: what is left should be the same in a
+    former highlight and in a ring of 12 pixels around it.
     """
     diffuse = np.stack([read_exr(image_set.path(e.exr or ""))["diffuse.Y"] for e in image_set.images])
     lit = (diffuse >= LIT * view.deviation).astype(np.float32)
@@ -279,13 +289,8 @@ def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float,
     for fusion in FUSIONS:
         good = {"predicted": view.predicted, "specular": view.specular}
         image = fuse_images(view.level, view.deviation, weights, view.clean, fusion=fusion, **good)
-        rng = np.random.default_rng(0)
-        plain = np.zeros(view.clean.shape)
-        for _ in range(DRAWS):
-            noisy = diffuse + view.deviation * rng.standard_normal(diffuse.shape, dtype=np.float32)
-            drawn = fuse_images(noisy, view.deviation, lit, view.clean, fusion=fusion, probes=0)
-            plain += drawn.level / DRAWS
-        off = image.level - plain
+        plain = fuse_images(diffuse, view.deviation, lit, view.clean, fusion=fusion, probes=0)
+        off = image.level - plain.level
         worst = (0.0, 1.0, 0.0)
         for piece in range(1, number + 1):
             inside = pieces == piece
@@ -313,8 +318,9 @@ def try_set(
         image_set = images(Path(name), rig, path, seed, good=good, size=size)
         view = look(rig, load_part(path), image_set, told=not size.fine)
         tallies: dict[str, Tally] = defaultdict(Tally)
-        for way, score, tests in ways(view):
-            count(tallies[way], score, tests, view, None if good else image_set)
+        found = deviations(view)
+        for way, score, tests in ways(view, found):
+            count(tallies[way], score, tests, view, found, None if good else image_set)
         return dict(tallies), highlights(view, image_set) if good else []
 
 

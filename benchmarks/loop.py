@@ -1,9 +1,9 @@
 """Does the loop close: lights planned for defects, defects captured under them, and what ``inspect`` finds of them.
 
-``python -m benchmarks.loop [--seeds N] [--plot PNG]``. For each sample part the lights are placed once by ``optimize
---objective detectability`` and once by ``--objective paper``. Defects of the built-in catalogue are strewn over the
-part, the same ones for both rigs, the virtual bench captures it 0.4 and 0.3 mm off its place with noise of its own for
-each seed, and the inspection is held against the defects that the part's file names.
+``python -m benchmarks.loop [--finish polished] [--seeds N] [--plot PNG]``. For each sample part the lights are placed
+once by ``optimize --objective detectability`` and once by ``--objective paper``. Defects of the built-in catalogue are
+strewn over the part, the same ones for both rigs, the virtual bench captures it 0.4 and 0.3 mm off its place with noise
+of its own for each seed, and the inspection is held against the defects that the part's file names.
 
 Three shares are set beside what was found, kind by kind:
 
@@ -44,6 +44,7 @@ from lightopt.inspection import (
     find_regions,
     inspect_set,
     score_deviations,
+    separate_pieces,
     threshold,
 )
 from lightopt.optimize import Contrast, Visibility, flags_of, luminance_matrix, unroll
@@ -59,6 +60,9 @@ ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
 PARTS = ("cover-knob", "spout")
 OBJECTIVES = ("detectability", "paper")
+FINISHES = {"as-filed": {}, "polished": {"R_d": 1.0}}
+"""What replaces the coefficients of the part's file: polished, hardly anything scatters, and defects are glints on a
+dark field."""
 SEEN_IN = (1, 2)
 PLANNED_IN = 1
 """Images that must show a defect, of the rig for detectability."""
@@ -105,8 +109,8 @@ def run_command(*words: object) -> None:
         raise SystemExit(f"lightopt {words[0]} left with {status}")
 
 
-def files(folder: Path, name: str, width: int) -> tuple[Path, Path]:
-    """The sample rig with a camera of a width, and the part in its first posture."""
+def files(folder: Path, name: str, width: int, finish: str) -> tuple[Path, Path]:
+    """The sample rig with a camera of a width, and the part in its first posture with a finish."""
     rig = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
     rig = rig.replace("[1600, 1200]", f"[{width}, {width * 3 // 4}]")
     rig = rig.replace("pixel_size_um: 4.4", f"pixel_size_um: {4.4 * 1600 / width:g}")
@@ -115,6 +119,8 @@ def files(folder: Path, name: str, width: int) -> tuple[Path, Path]:
     part = re.sub(r"file: \S+", f"file: '{(CONFIGS / 'parts' / f'{name}.step').as_posix()}'", part)
     one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"
     part = re.sub(r"postures:.*?\nreflectance:", lambda _: one, part, flags=re.DOTALL)
+    for key, value in FINISHES[finish].items():
+        part = re.sub(rf"( {key}:) [0-9.]+", rf"\1 {value:g}", part)
     (folder / f"{name}.yaml").write_text(part, encoding="utf-8")
     return folder / "rig.yaml", folder / f"{name}.yaml"
 
@@ -163,9 +169,10 @@ def looked_at_again(result: Inspection, seen_by: int) -> Inspection:
     """The same images, judged by another number of images that must show a defect."""
     postures = []
     for posture in result.postures:
-        score = score_deviations(deviations(posture.view), seen_by=seen_by)
+        found = deviations(posture.view)
+        score = score_deviations(found, seen_by=seen_by)
         high = threshold(FALSE_ALARMS, int(posture.view.clean.sum()), len(SCALES_PX))
-        labels, _ = find_regions(score, high)
+        labels, _ = separate_pieces(*find_regions(score, high), score, found, high)
         postures.append(replace(posture, score=score, labels=labels, threshold=high))
     return replace(result, postures=tuple(postures))
 
@@ -184,7 +191,7 @@ def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int) -> ImageSet:
 
 def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator[Tally]:
     """Plan, strew, capture and inspect one part under the rigs of both objectives."""
-    rig_file, part_file = files(folder, name, options.width)
+    rig_file, part_file = files(folder, name, options.width, options.finish)
     strewn: list[Path] = []
     for seed in range(1, options.seeds + 1):
         strewn.append(folder / f"{name}-{seed}.yaml")
@@ -335,6 +342,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Close the loop, print the tables, write all tallies."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.loop", description=__doc__)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--finish", choices=FINISHES, default="as-filed", help="of the surface")
     parser.add_argument("--seeds", type=int, default=3, help="sets of defects per part")
     parser.add_argument("--count", type=int, default=42, help="defects per set")
     parser.add_argument("--width", type=int, default=800, help="of the images [px]")
@@ -357,7 +365,7 @@ def main(arguments: list[str] | None = None) -> None:
         writer.writerows(vars(t).values() for t in tallies)
     print(options.out / "loop.csv")
     if options.page:
-        replace_block("loop", text)
+        replace_block("loop" if options.finish == "as-filed" else f"loop-{options.finish}", text)
     if options.plot is not None:
         plot(tallies, options.plot)
 

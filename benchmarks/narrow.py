@@ -1,10 +1,11 @@
 """Are narrow defects predicted as often as images show them: pits, dents and scratches of a third of a pixel to two.
 
-``python -m benchmarks.narrow [PART.yaml …] [--out DIR]``; the sample parts by default. Defects of one kind, width and
-slope are strewn over the part, their pixels rendered with 36 to 256 rays each and exposed with noise, and a defect
-counts as shown by an image where one of the pixels that it touches passes the plain contrast test. Beside it is what
-the objective's bits say of the patch at its middle: a wall to one of the directions that it has. Scratches are 12
-pixels long, in eight directions in turn, and looked at on 1.25 pixels to each side of their middle, where the patch is.
+``python -m benchmarks.narrow [PART.yaml …] [--matt] [--out DIR]``; the sample parts by default, glossy and satin, or
+without highlights. Defects of one kind, width and slope are strewn over the part, their pixels rendered with 36 to 256
+rays each and exposed with noise, and a defect counts as shown by an image where one of the pixels that it touches
+passes the plain contrast test. Beside it is what the objective's bits say of the patch at its middle: a wall to one of
+the directions that it has. Scratches are 12 pixels long, in eight directions in turn, and looked at on 1.25 pixels to
+each side of their middle, where the patch is.
 """
 
 from __future__ import annotations
@@ -12,14 +13,16 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._strewn import counted, strew, touched
+from benchmarks._contrast_test import counted
+from benchmarks._strewn import strew
+from benchmarks._touched import touched
 from benchmarks.truth import FINISHES, PARTS, RIG, SEED, SEEN_IN
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import CatalogueEntryConfig, PartConfig, RigConfig
@@ -38,6 +41,9 @@ CASES = (
     ("dent", 10.0, (1.5,)),
 )
 """Kind, slope [°], and widths [px]."""
+
+MATT = {"matt": {"R_s": 0.0}}
+"""A surface without highlights: what its diffuse light alone shows."""
 
 COUNT = 150
 SAMPLES = 6, 16
@@ -72,8 +78,15 @@ class Narrow:
     measured: float
 
 
-def compare(rig: RigConfig, part: PartConfig, *, patches: int, count: int = COUNT) -> Iterator[Narrow]:
-    """Predict and count a part in its first posture, lights as the rig has them, for both finishes."""
+def compare(
+    rig: RigConfig,
+    part: PartConfig,
+    *,
+    patches: int,
+    count: int = COUNT,
+    finishes: Mapping[str, Mapping[str, float]] = FINISHES,
+) -> Iterator[Narrow]:
+    """Predict and count a part in its first posture, lights as the rig has them, for each finish."""
     scene = build_scene(rig, part, defects=False)
     scene = replace(scene, postures=scene.postures[:1])
     caster = cast_rays_at(scene)
@@ -94,7 +107,7 @@ def compare(rig: RigConfig, part: PartConfig, *, patches: int, count: int = COUN
                 slope=math.radians(slope),
             )
             defects = tuple(replace(place, shape=shape) for place in places)
-            for finish, changes in FINISHES.items():
+            for finish, changes in finishes.items():
                 own = replace(scene, reflectance=replace(scene.reflectance, **changes))
                 said, shown = _both(own, caster, table, defects, at, _samples(width))
                 for seen_in in SEEN_IN:
@@ -191,6 +204,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.narrow", description=__doc__)
     parser.add_argument("parts", nargs="*", type=Path, metavar="PART", default=list(PARTS), help="part files")
     parser.add_argument("--rig", type=Path, default=RIG, help="rig file")
+    parser.add_argument(
+        "--matt", action="store_true", help="a surface without highlights, instead of both finishes"
+    )
     parser.add_argument("--patches", type=int, default=50_000, help="about how many patches are visible")
     parser.add_argument("--count", type=int, default=COUNT, help="how many defects are strewn")
     parser.add_argument("--out", type=Path, default=Path("out/truth"), help="folder of narrow.csv")
@@ -199,7 +215,13 @@ def main(arguments: list[str] | None = None) -> None:
     rows = [
         row
         for part in options.parts
-        for row in compare(rig, load_part(part), patches=options.patches, count=options.count)
+        for row in compare(
+            rig,
+            load_part(part),
+            patches=options.patches,
+            count=options.count,
+            finishes=MATT if options.matt else FINISHES,
+        )
     ]
     print(table_of(rows))
     differences = np.array([abs(r.predicted - r.measured) for r in rows])

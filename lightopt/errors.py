@@ -7,6 +7,9 @@ from __future__ import annotations
 
 __all__ = ["CheckFailed", "HardwareError", "InputError", "Interrupted", "LightoptError", "counted", "percent"]
 
+_NOISE = 1e-9
+"""Shares that differ by less are the same."""
+
 
 def counted(number: int, noun: str) -> str:
     """A number of things, in words that agree.
@@ -19,15 +22,31 @@ def counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def percent(share: float, digits: int = 1) -> str:
-    """A share in hundredths, to so many decimals.
+def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
+    """A share in hundredths, to so many decimals; to more where it would else be rounded up to what it is short of.
+
+    Parameters
+    ----------
+    share
+        The share.
+    digits
+        Decimals.
+    short_of
+        What a lower share must not be mistaken for, such as a target; no other below 1 is mistaken for all.
 
     Examples
     --------
-    >>> percent(0.9217), percent(1.0, 0)
-    ('92.2 %', '100 %')
+    >>> percent(0.9217), percent(1.0, 0), percent(0.9997)
+    ('92.2 %', '100 %', '99.97 %')
+    >>> percent(0.94996, short_of=0.95), percent(0.9997, short_of=0.95)
+    ('94.996 %', '99.97 %')
     """
-    return f"{100.0 * share:.{digits}f} %"
+    most = digits
+    limit = short_of if short_of - share > _NOISE else 1.0
+    if limit - share > _NOISE:
+        while most < digits + 6 and float(f"{100.0 * share:.{most}f}") >= 100.0 * limit - _NOISE:
+            most += 1
+    return f"{100.0 * share:.{most}f} %"
 
 
 class LightoptError(Exception):

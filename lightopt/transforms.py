@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,6 +114,11 @@ class Posture:
         return posture_rotation(
             elevation=math.radians(self.elevation_deg), rotation=math.radians(self.rotation_deg)
         )
+
+    @staticmethod
+    def from_dict(facts: Mapping[str, float]) -> Posture:
+        """From what :meth:`as_dict` gives."""
+        return Posture(facts["elevation_deg"], facts["rotation_deg"])
 
     def as_dict(self) -> dict[str, float]:
         """JSON form."""

@@ -165,6 +165,25 @@ def report_picture(target: Path, folder: Path) -> None:
     Image.open(target).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
+def plan_pictures(blind: Path, page: Path, folder: Path) -> None:
+    """Why defects stay invisible, in the first posture of a plan; and the top of the plan's report."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    from browsers import opened
+
+    out = folder / "planned"
+    lightopt(
+        "optimize", RIGS / "four-panel.yaml", PARTS / "cover-knob.yaml", "-o", out, "-q", "--choose-postures", "2",
+        "--posture-step", "90", "--exposures", "1,1/4,1/16", "--patches", "20000", "--no-images",
+    )  # fmt: skip
+    pictured = sorted(out.glob("posture_*/blind.png"))[0]
+    image = Image.open(pictured).convert("RGB")
+    image.resize((image.width // 2, image.height // 2), Image.Resampling.LANCZOS).save(blind, optimize=True)
+    with opened(out / "report.html", width=1100, height=1100) as seen:
+        seen.page.wait_for_selector("figure[data-state=live]")
+        seen.page.screenshot(path=page)
+    Image.open(page).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(page, optimize=True)
+
+
 def inspection_picture(target: Path, folder: Path) -> None:
     """The cover knob with defects under light1, the synthetic image, and what was found."""
     rig, part = folder / "inspected-rig.yaml", folder / "inspected.yaml"
@@ -211,6 +230,7 @@ def main() -> None:
         side_by_side(PICTURES / "spout-4-auto.png", crops, gain=3.0)
         defects_picture(PICTURES / "defects.png", out)
         report_picture(PICTURES / "report.png", out)
+        plan_pictures(PICTURES / "blind-spots.png", PICTURES / "plan.png", out)
         inspection_picture(PICTURES / "inspection.png", out)
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")

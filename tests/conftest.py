@@ -14,12 +14,19 @@ import pytest
 from hypothesis import settings
 
 from lightopt.cli._main import run
+from lightopt.rendering import available_processors
 
 # a busy machine is no reason for an example to fail; "ci", which Hypothesis brings along, draws the same every time
 settings.register_profile("developer", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "developer")
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are processors: many tests wait for simulated devices."""
+    return available_processors() + 1
 
 
 @pytest.hookimpl(wrapper=True)

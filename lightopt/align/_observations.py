@@ -15,6 +15,7 @@ from lightopt.align._dark import dark_levels, frames_of
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSet
+from lightopt.rendering import in_threads
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
@@ -79,7 +80,9 @@ def observed_postures(image_set: ImageSet) -> tuple[Posture, ...]:
     return tuple(dict.fromkeys(entry.posture for entry in image_set.images))
 
 
-def read_observations(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> tuple[Observation, ...]:
+def read_observations(
+    image_set: ImageSet, rig: RigConfig, part: PartConfig, *, threads: int | None = None
+) -> tuple[Observation, ...]:
     """Read all images of a set: PNG with the manifest's exposure, EXR only where there is no PNG.
 
     From the images of a set captured with frames without light those are subtracted.
@@ -90,6 +93,8 @@ def read_observations(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> 
         Rendered or captured.
     rig, part
         What the images are said to show.
+    threads
+        Number of threads; the result does not depend on it.
 
     Raises
     ------
@@ -100,7 +105,10 @@ def read_observations(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> 
     if problems:
         raise InputError(*problems)
     width, height = rig.camera.resolution_px
-    observations = tuple(_read(image_set, entry, _sensor(rig)) for entry in image_set.images)
+    entries = image_set.images
+    observations = tuple(
+        in_threads(lambda i: _read(image_set, entries[i], _sensor(rig)), range(len(entries)), threads)
+    )
     other = [o for o in observations if o.levels.shape != (height, width)]
     if other:
         rows, columns = other[0].levels.shape

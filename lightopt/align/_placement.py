@@ -40,6 +40,12 @@ SEARCH_STEPS = 70
 REFINE_STEPS = 8
 TUKEY = 4.685
 LEAST_SPREAD = 0.3
+LIKELY_TURN_RAD = math.radians(2.0)
+"""A part lies about this far turned from where its file has it. It decides where images do not: of a turned part."""
+
+TURN_PULL = 1e-4
+"""What a turn of so much adds to the misfit while searching."""
+
 CLEAR = 3.5
 """Only pixels are looked at that the model has this many standard deviations clear of black and of saturation."""
 
@@ -125,7 +131,8 @@ def find_placement(
             return math.inf
         r_d = float(np.median(level[bright] / light[bright]))
         typical = max(r_d * float(np.median(light[bright])), 1.0)
-        return float(np.mean(np.minimum(np.abs(level - r_d * light), TRUNCATED * typical))) / typical
+        off = float(np.mean(np.minimum(np.abs(level - r_d * light), TRUNCATED * typical))) / typical
+        return off + TURN_PULL * float(p[2] / LIKELY_TURN_RAD) ** 2
 
     found = _simplex(misfit, np.array([FIRST_STEP_MM, FIRST_STEP_MM, FIRST_STEP_RAD]), progress)
     return Placement(x=float(found[0]), y=float(found[1]), turn=float(found[2]))
@@ -142,9 +149,10 @@ def refine_placement(
 ) -> Placement:
     """Refine a placement by the light of the part's inner pixels, highlights included; to a small part of a pixel.
 
-    R_d, R_s and σ are adjusted along, since those of a misplaced part are never quite right. A pixel counts by the
-    sensor's variance of its level. Which pixels count at all is told by the model and not by what noise made of them:
-    those just below saturation that are not saturated are the darker ones.
+    R_d, R_s and σ are adjusted along, since those of a misplaced part are never quite right. Where the images do not
+    tell the turn, as of a part that is a body of revolution, it is about 0, and its error says so. A pixel counts by
+    the sensor's variance of its level. Which pixels count at all is told by the model and not by what noise made of
+    them: those just below saturation that are not saturated are the darker ones.
 
     Parameters
     ----------
@@ -197,7 +205,11 @@ def refine_placement(
         scale = np.sqrt(np.maximum(np.sum(weight[:, None] * jacobian**2, axis=0), 1e-12))
         normal = (jacobian * weight[:, None]).T @ jacobian / np.outer(scale, scale)
         normal += 1e-9 * np.eye(len(p))
-        change = np.linalg.solve(normal, jacobian.T @ (weight * residual) / scale) / scale
+        pull = jacobian.T @ (weight * residual) / scale
+        held = (spread / (LIKELY_TURN_RAD * scale[2])) ** 2
+        normal[2, 2] += held
+        pull[2] -= held * scale[2] * p[2]
+        change = np.linalg.solve(normal, pull) / scale
         change[3:] = np.clip(change[3:], [-0.3 * p[3] - 1e-9, -1.0, -0.3], [0.3 * p[3] + 1e-9, 1.0, 0.3])
         p = p + change
         deviations = _deviations(jacobian, weight * residual, _bend(off))

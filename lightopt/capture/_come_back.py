@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.capture._lit import Predictions, cells, predict
-from lightopt.raycast import RayCaster
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 from lightopt.transforms import Posture
@@ -122,9 +121,8 @@ def came_back(
     )
 
     def seen_at(tilt_deg: float, turn_deg: float) -> Predictions:
-        return _fine(
-            alone, Posture(posture.elevation_deg + tilt_deg, posture.rotation_deg + turn_deg), caster
-        )
+        there = Posture(posture.elevation_deg + tilt_deg, posture.rotation_deg + turn_deg)
+        return predict(alone, there, caster, supersample=FINER)
 
     here = seen_at(0.0, 0.0)
     sides = [
@@ -158,20 +156,6 @@ def came_back(
         turn_deg=float(change[1]),
         tilt_error_deg=float(errors[0]),
         turn_error_deg=float(errors[1]),
-    )
-
-
-def _fine(scene: Scene, posture: Posture, caster: RayCaster) -> Predictions:
-    """As :func:`predict`, with several rays across each cell."""
-    plain = predict(scene, posture, caster, finer=FINER)
-    rows, columns = (length // FINER for length in plain.part.shape)
-    return Predictions(
-        cell=plain.cell,
-        levels={
-            name: level.reshape(rows, FINER, columns, FINER).mean(axis=(1, 3))
-            for name, level in plain.levels.items()
-        },
-        part=np.asarray(plain.part.reshape(rows, FINER, columns, FINER).any(axis=(1, 3)), np.bool_),
     )
 
 

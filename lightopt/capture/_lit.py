@@ -107,7 +107,7 @@ class LitCheck:
         }
 
 
-def predict(scene: Scene, posture: Posture, caster: RayCaster, *, finer: int = 1) -> Predictions:
+def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> Predictions:
     """Render what the camera should see, one pixel for a cell of pixels.
 
     Parameters
@@ -118,8 +118,8 @@ def predict(scene: Scene, posture: Posture, caster: RayCaster, *, finer: int = 1
         Of the part.
     caster
         From :func:`lightopt.rendering.cast_rays_at`.
-    finer
-        Rays across a cell; arrays then have so many times the rows and columns of cells.
+    supersample
+        Rays across a cell.
     """
     camera = scene.camera
     cell = max(1, round(camera.width / COARSE_COLUMNS))
@@ -127,12 +127,12 @@ def predict(scene: Scene, posture: Posture, caster: RayCaster, *, finer: int = 1
         scene,
         camera=replace(
             camera,
-            width=max(1, camera.width // cell) * finer,
-            height=max(1, camera.height // cell) * finer,
-            pixel_size=camera.pixel_size * cell / finer,
+            width=max(1, camera.width // cell),
+            height=max(1, camera.height // cell),
+            pixel_size=camera.pixel_size * cell,
         ),
     )
-    images = render_posture(coarse, posture, caster=caster)
+    images = render_posture(coarse, posture, caster=caster, supersample=supersample)
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     return Predictions(
         cell=cell,

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from types import CodeType, FrameType
 from typing import Any
 
+from lightopt.interrupts import put_off
+
 __all__ = ["EndSignals"]
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -65,6 +67,8 @@ class EndSignals:
         name = signal.Signals(number).name
         if self._shielded or self._held_in(frame):
             self._pending = name
+            return
+        if put_off(number, frame):
             return
         self._shielded = True  # here, because a second signal may come before anybody catches this one
         raise KeyboardInterrupt(name)

@@ -305,6 +305,7 @@ class Taking:
                 shooter.light_off()  # before anything is done with the frames
             self._disk.image(self._keep, light, task.posture, exposure, shot, dark, taken)
             self.taken += 1
+        devices.step = "checking and writing the images before"
         self._disk.linear(self._records.add_linear, light, task.posture, taken, dark)
 
     def _keep(

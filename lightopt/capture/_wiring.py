@@ -13,6 +13,7 @@ from lightopt.config import (
     RigConfig,
     StageDeviceConfig,
 )
+from lightopt.scene import VIRTUAL_DEG_PER_S
 
 __all__ = ["CAMERA", "VIRTUAL", "VIRTUAL_EXPOSURE_US", "Wiring", "wiring_of"]
 
@@ -27,8 +28,8 @@ VIRTUAL_EXPOSURE_US = 10_000.0
 
 _CHANNELS_EACH = 4
 _VIRTUAL_LEVEL = 200
-_VIRTUAL_TILT = AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=90.0)
-_VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=90.0)
+_VIRTUAL_TILT = AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
+_VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
 
 
 @dataclass(frozen=True)

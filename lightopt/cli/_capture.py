@@ -147,7 +147,9 @@ def _show_plan(plan: Plan) -> None:
         at += step.seconds
     show_table(("at [s]", "takes [s]", "step"), rows, numbers_from=3)
     renders = "; opening and rendering come on top" if plan.wiring.camera_is_virtual else ""
-    say(f"{counted(len(plan.keys), 'image')} in {at:.0f} s{renders}; nothing was opened or moved")
+    travel = sum(step.seconds for step in plan.steps() if step.kind == "move")
+    way = f", {travel:.1f} s of them travel" if plan.wiring.hardware.stage is not None else ""
+    say(f"{counted(len(plan.keys), 'image')} in {at:.0f} s{way}{renders}; nothing was opened or moved")
 
 
 def _show_result(done: Captured) -> None:

@@ -1,33 +1,21 @@
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from lightopt.cli._inputs import load_inputs
+from lightopt.cli._inspect_sets import Wanted, inspect_batch, inspect_one
+from lightopt.cli._inspect_tables import show_calibration
 from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, Threads, make_folder
-from lightopt.cli._terminal import say, say_warning, show_share, show_table
-from lightopt.errors import CheckFailed, InputError
+from lightopt.cli._terminal import say, show_share
+from lightopt.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
     from lightopt.images import ImageSet
-    from lightopt.inspection import (
-        BatchFolder,
-        Calibration,
-        Detector,
-        Fusion,
-        InspectedPosture,
-        Inspection,
-        InspectOptions,
-        Predictions,
-        TrueSet,
-        Verdict,
-    )
-    from lightopt.report import BatchRow
+    from lightopt.inspection import Detector, Fusion, InspectOptions
 
 __all__ = ["inspect"]
 
@@ -59,7 +47,8 @@ def inspect(
         float | None,
         typer.Option(
             metavar="N",
-            help="Per posture, where only noise differs; of good parts with a calibration. [0.05]",
+            help="From 1e-9 to 1: how many per posture, where only noise differs; with a calibration the share of good "
+            "parts with one in a posture. [0.05]",
         ),
     ] = None,
     seen_by: Annotated[
@@ -83,8 +72,8 @@ def inspect(
         bool,
         typer.Option(
             "--truth",
-            help="Hold the result against the sets' labels, or against the defects that PART names: recall, false "
-            "alarms, ROC, detection curve.",
+            help="Hold the result against the sets' labels, or the defects of the part file that they were taken by: "
+            "recall, false alarms, ROC, detection curve.",
         ),
     ] = False,
     fail_on_defect: Annotated[
@@ -104,7 +93,7 @@ def inspect(
     Example: lightopt inspect rig.yaml part.yaml captured/ -o inspected
     """
     from lightopt.images import read_image_set
-    from lightopt.inspection import InspectOptions, Predictions, read_calibration
+    from lightopt.inspection import InspectOptions, read_calibration
 
     learned = None if calibration is None else read_calibration(calibration)
     if false_alarms is None:
@@ -135,8 +124,7 @@ def inspect(
         return
     if learned is not None:
         learned.refuse_others(loaded_rig, loaded_part, options)
-    folders = _folders(sets, out)
-    wanted = _Wanted(
+    wanted = Wanted(
         rig=loaded_rig,
         part=loaded_part,
         options=options,
@@ -146,42 +134,18 @@ def inspect(
         force=force,
         quiet=quiet,
     )
-    batch = _batch_folder(wanted, sets, out) if len(sets) > 1 else None
-    predictions = Predictions()
-    rows: list[BatchRow] = []
-    known: list[TrueSet] = []
-    begun = monotonic()
-    for image_set, folder in zip(sets, folders, strict=True):
-        row, true_set = _one(wanted, image_set, folder, predictions, alone=batch is None)
-        rows.append(row)
-        known += [] if true_set is None else [true_set]
-    if batch is not None:
-        if not quiet:
-            minutes = (monotonic() - begun) / 60.0
-            good = sum(row.verdict.good for row in rows)
-            say(f"{len(sets)} parts, {good} OK; {len(sets) / max(minutes, 1e-9):.3g} parts per minute")
-        _write_batch(wanted, batch, rows, known)
+    rows = [inspect_one(wanted, sets[0], out)] if len(sets) == 1 else inspect_batch(wanted, sets, out)
+    refused = [row.name for row in rows if row.verdict is None]
     bad = [
         f"{image_set.folder}: NG, {'; '.join(row.verdict.reasons)}"
         for image_set, row in zip(sets, rows, strict=True)
-        if not row.verdict.good
+        if row.verdict is not None and not row.verdict.good
     ]
+    if refused:
+        told = f"{len(refused)} of {counted(len(sets), 'set')} not inspected: {', '.join(refused)}"
+        raise InputError(*(bad if fail_on_defect else ()), told)
     if bad and fail_on_defect:
         raise CheckFailed(*bad)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Wanted:
-    """What is the same for all sets."""
-
-    rig: RigConfig
-    part: PartConfig
-    options: InspectOptions
-    calibration: Calibration | None
-    truth: bool
-    report: bool
-    force: bool
-    quiet: bool
 
 
 def _calibrate(
@@ -194,7 +158,7 @@ def _calibrate(
     force: bool,
     quiet: bool,
 ) -> None:
-    from lightopt.inspection import CalibrationFolder, calibrate, least_rate, provenance, refuse_too_few
+    from lightopt.inspection import CalibrationFolder, calibrate, provenance, refuse_too_few
 
     refuse_too_few(len(sets), options)
     folder = CalibrationFolder(out, provenance(rig, part, sets, options), force=force)
@@ -202,197 +166,6 @@ def _calibrate(
     with show_share(quiet=quiet) as progress:
         calibration = calibrate(rig, part, sets, options=options, progress=progress)
     path = folder.write(calibration)
-    if quiet:
-        return
-    rows = [
-        [name, *(f"{posture.peaks[i]:.1f}" for posture in calibration.postures)]
-        for i, name in enumerate(calibration.sets)
-    ]
-    rows.append(
-        ["threshold", *(f"{posture.threshold(options.false_alarms):.1f}" for posture in calibration.postures)]
-    )
-    show_table(["greatest score", *(str(posture.posture) for posture in calibration.postures)], rows)
-    say(
-        f"{len(sets)} good sets hold {options.false_alarms:g} false alarms per posture, and would hold "
-        f"{least_rate(len(sets)):.3g}"
-    )
-    say(f"{path}")
-
-
-def _folders(sets: list[ImageSet], out: Path) -> list[Path]:
-    if len(sets) == 1:
-        return [out]
-    names = [image_set.folder.resolve().name for image_set in sets]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(
-            f"image sets of the same folder name ({', '.join(twice)}): results go to folders of these names in {out}; "
-            "rename one, or inspect them one by one"
-        )
-    return [out / name for name in names]
-
-
-def _one(
-    wanted: _Wanted, image_set: ImageSet, out: Path, predictions: Predictions, *, alone: bool
-) -> tuple[BatchRow, TrueSet | None]:
-    from lightopt.inspection import (
-        REPORT_NAME,
-        TRUTH_NAME,
-        InspectionFolder,
-        compare_with_truth,
-        inspect_set,
-        judge,
-        provenance,
-        summarise,
-        truth_text,
-    )
-    from lightopt.report import BatchRow, inspection_report
-    from lightopt.scene import place_defects
-
-    rig, part, options = wanted.rig, wanted.part, wanted.options
-    made_from = provenance(rig, part, [image_set], options, calibration=wanted.calibration)
-    folder = InspectionFolder(out, made_from, force=wanted.force)
-    make_folder(out)
-    with show_share(quiet=wanted.quiet) as progress:
-        result = inspect_set(
-            rig,
-            part,
-            image_set,
-            options=options,
-            predictions=predictions,
-            calibration=wanted.calibration,
-            progress=progress,
-        )
-    known = None
-    if wanted.truth:
-        placed = place_defects(result.nominal, rig, part)
-        known = compare_with_truth(image_set, result, known=placed)
-    summary = summarise([known]) if known is not None and alone else None
-    verdict = judge(result, part.inspection)
-    for posture in result.postures:
-        folder.write_posture(posture)
-        _overlay(folder, result, posture)
-    more: list[Path] = []
-    if summary is not None:
-        more.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
-    if wanted.report:
-        page = inspection_report(
-            result, verdict, part=part.name, rig=rig.name, provenance=made_from, truth=summary
-        )
-        more.append(folder.write_text(REPORT_NAME, page))
-    written = [*folder.write(result, verdict.as_dict()), *more]
-    for text in result.words:
-        say_warning(text)
-    if not wanted.quiet:
-        _show(result, verdict)
-        if summary is not None:
-            _show_truth(summary)
-        for path in written:
-            say(f"{path}")
-    row = BatchRow(name=image_set.folder.resolve().name, defects=len(result.defects), verdict=verdict)
-    return row, known
-
-
-def _batch_folder(wanted: _Wanted, sets: list[ImageSet], out: Path) -> BatchFolder:
-    from lightopt.inspection import BatchFolder, provenance
-
-    made_from = provenance(wanted.rig, wanted.part, sets, wanted.options, calibration=wanted.calibration)
-    return BatchFolder(out, {**made_from, "truth": wanted.truth}, force=wanted.force)
-
-
-def _write_batch(wanted: _Wanted, folder: BatchFolder, rows: list[BatchRow], known: list[TrueSet]) -> None:
-    from lightopt import __version__
-    from lightopt.inspection import REPORT_NAME, TRUTH_NAME, summarise, truth_text
-    from lightopt.report import batch_report
-
-    summary = summarise(known) if wanted.truth else None
-    written: list[Path] = []
-    if summary is not None:
-        written.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
-    if wanted.report:
-        page = batch_report(
-            rows, part=wanted.part.name, rig=wanted.rig.name, version=__version__, truth=summary
-        )
-        written.append(folder.write_text(REPORT_NAME, page))
-    sets = [{"folder": row.name, "defects": row.defects, **row.verdict.as_dict()} for row in rows]
-    written.insert(0, folder.finish({"sets": sets}))
-    if not wanted.quiet:
-        if summary is not None:
-            _show_truth(summary)
-        for path in written:
-            say(f"{path}")
-
-
-def _overlay(folder: object, result: Inspection, posture: InspectedPosture) -> None:
-    from lightopt.images import posture_folder
-    from lightopt.inspection import InspectionFolder
-    from lightopt.report import defect_overlay
-
-    assert isinstance(folder, InspectionFolder)
-    numbers = {
-        posture.sightings.index(sighting): defect.number
-        for defect in result.defects
-        for sighting in defect.sightings
-        if sighting in posture.sightings
-    }
-    path = folder.place(f"{posture_folder(posture.view.posture)}/defects.png")
-    defect_overlay(path, posture, numbers)
-
-
-def _show_truth(summary: dict[str, Any]) -> None:
-    say(
-        f"{summary['found']} of {summary['defects']} defects found, {len(summary['hidden'])} out of view; "
-        f"{summary['false_alarms_per_posture']:g} false alarms per posture; area under the pixels' ROC "
-        f"{'-' if summary['roc_auc'] is None else summary['roc_auc']}"
-    )
-    rows = [
-        [
-            kind,
-            f"{curve['found']} of {curve['defects']}",
-            "-" if curve["a90"] is None else f"{curve['a90']:.3g}",
-            "-" if curve["a90_95"] is None else f"{curve['a90_95']:.3g}",
-        ]
-        for kind, curve in summary["detection"].items()
-    ]
-    show_table(["kind", "found", "a90 [mm]", "a90/95 [mm]"], rows)
-
-
-def _show(result: Inspection, verdict: Verdict) -> None:
-    rows = [
-        [
-            str(defect.number),
-            defect.best.kind,
-            ", ".join(f"{x:.2f}" for x in defect.best.position),
-            f"{defect.size[0]:.2f} × {defect.size[1]:.2f}",
-            f"{defect.area:.3g}",
-            f"{100.0 * defect.greatest_contrast:.0f} %",
-            f"{defect.best.score:.1f}",
-            str(len(defect.sightings)),
-        ]
-        for defect in result.defects
-    ]
-    if rows:
-        head = ["", "kind", "place [mm]", "size [mm]", "area [mm²]", "contrast", "score", "postures"]
-        show_table(head, rows, numbers_from=2)
-    if result.placement is not None:
-        p = result.placement.as_dict()
-        say(
-            f"the part lies {p['x_mm']:+.3f} mm in x, {p['y_mm']:+.3f} mm in y and {p['turn_deg']:+.3f}° from where "
-            "its file has it"
-        )
-    for posture in result.postures:
-        c = posture.coverage
-        whole = max(c.seen, 1e-9) / 100.0
-        say(
-            f"posture {posture.view.posture}: {c.inspected / whole:.1f} % of {c.seen:.0f} mm² inspected; not: "
-            f"{c.edge / whole:.1f} % edges, {c.saturated / whole:.1f} % saturated, {c.shadow / whole:.1f} % dark"
-        )
-    if len(result.postures) > 1:
-        s = result.surface
-        whole = max(s.seen, 1e-9) / 100.0
-        say(
-            f"all postures: {s.inspected / whole:.1f} % of {s.seen:.0f} mm² inspected in one or more; not: "
-            f"{s.edge / whole:.1f} % edges, {s.saturated / whole:.1f} % saturated, {s.shadow / whole:.1f} % dark; "
-            f"{100.0 * (1.0 - s.seen / max(s.area, 1e-9)):.1f} % of the part's {s.area:.0f} mm² is never seen"
-        )
-    say(f"{verdict.word}: {'; '.join(verdict.reasons) or 'nothing found that counts'}")
+    if not quiet:
+        show_calibration(calibration, options.false_alarms)
+        say(f"{path}")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import signal
 import sys
 
 import typer
@@ -19,6 +20,7 @@ from lightopt.cli._render import render
 from lightopt.cli._schema import schema
 from lightopt.cli._terminal import say_error, version_wanted
 from lightopt.errors import LightoptError
+from lightopt.interrupts import interrupt
 
 __all__ = ["app", "main"]
 
@@ -74,6 +76,9 @@ def _speak_utf8() -> None:
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
+    # a shell that runs a command in the background lets it ignore Ctrl-C
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
     sys.exit(run(sys.argv[1:]))
 
 

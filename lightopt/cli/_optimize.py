@@ -24,11 +24,12 @@ from lightopt.cli._options import (
 )
 from lightopt.cli._plan_options import plan_options
 from lightopt.cli._plan_tables import show_plan
-from lightopt.cli._terminal import say, say_warning, show_progress, show_time_left
-from lightopt.errors import CheckFailed, InputError
+from lightopt.cli._terminal import say, say_warning, show_progress, show_table, show_time_left
+from lightopt.errors import CheckFailed, InputError, percent
 
 if TYPE_CHECKING:
     from lightopt.optimize import Optimum
+    from lightopt.plan import TargetUnreached
 
 __all__ = ["optimize"]
 
@@ -112,7 +113,7 @@ def optimize(
         str | None,
         typer.Option(
             metavar="X,…",
-            help="Exposures offered to the plan, such as 1,1/4,1/16; taken where they add enough.",
+            help="Exposures offered to the plan, such as 1/16,1/4,1,4,16; taken where they add enough.",
         ),
     ] = None,
     exposure_gain: Annotated[
@@ -170,9 +171,9 @@ def optimize(
     )
 
     from lightopt.optimize import DEFAULT_CONTRAST, DEFAULT_LIMIT, OptimizeOptions
-    from lightopt.plan import plan
+    from lightopt.plan import TargetUnreached, plan
     from lightopt.rendering import DEFAULT_PATCH_BUDGET
-    from lightopt.report import optimum_report
+    from lightopt.report import optimum_report, with_legend
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
@@ -195,23 +196,29 @@ def optimize(
         threads=threads,
     )
     total = choose_postures or len(chosen_postures or loaded_part.postures)
-    with (
-        show_progress("casting rays", total, quiet=quiet) as report,
-        show_time_left("searching", quiet=quiet) as searching,
-    ):
-        planned = plan(
-            loaded_rig,
-            loaded_part,
-            out,
-            options=options,
-            wanted=wanted,
-            force=force,
-            warn=say_warning,
-            tell=None if quiet else say,
-            report=report,
-            searching=searching,
-            page=None if no_report else optimum_report,
-        )
+    try:
+        with (
+            show_progress("casting rays", total, quiet=quiet) as report,
+            show_time_left("searching", quiet=quiet) as searching,
+        ):
+            planned = plan(
+                loaded_rig,
+                loaded_part,
+                out,
+                options=options,
+                wanted=wanted,
+                force=force,
+                warn=say_warning,
+                tell=None if quiet else say,
+                report=report,
+                searching=searching,
+                page=None if no_report else optimum_report,
+                legend=with_legend,
+            )
+    except TargetUnreached as error:
+        if not quiet:
+            _show_reach(error)
+        raise
     if not quiet:
         show_optimum(planned.optimum)
         show_plan(planned.result, out)
@@ -228,6 +235,23 @@ def _parse_share(text: str) -> float:
             f'--shade-below: expected a share of full scale from 0 to 1, such as 10/255 or 0.04, found "{text}"'
         )
     return value
+
+
+def _show_reach(error: TargetUnreached) -> None:
+    # where a target is out of reach: what so many postures show
+    rows = [
+        (
+            f"{number}",
+            str(step.posture),
+            *(percent(share, short_of=error.target) for share in (step.share, step.bound)),
+        )
+        for number, step in enumerate(error.steps, start=1)
+    ]
+    show_table(("postures", "the last of them", "show at least", "with these lights at most"), rows)
+    say(
+        "at least: what these postures show, chosen one after the other with one set of lights for all of them; "
+        "--choose-postures N places the lights for N, and may choose others"
+    )
 
 
 def _refuse_nothing(found: Optimum, out: Path) -> None:

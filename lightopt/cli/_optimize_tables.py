@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from lightopt.cli._terminal import say, show_table
-from lightopt.errors import counted
+from lightopt.cli._terminal import say, show_table, together
+from lightopt.errors import counted, percent
 
 if TYPE_CHECKING:
-    from lightopt.optimize import Answer, BlindReport, Optimum, SetResult
+    from lightopt.optimize import Answer, BlindReport, Objective, Optimum, SetResult
     from lightopt.overlap import Overlap
 
 __all__ = ["show_blind_spots", "show_optimum", "show_overlaps"]
@@ -44,19 +44,30 @@ def _show_best(found: Optimum) -> None:
     header = ["posture", "best for", *found.candidates.names, *names, "runner-up", "ties", "combinations"]
     rows: list[list[str]] = []
     for result in found.results:
-        posture = ", ".join(map(str, result.postures))
+        posture = together(result.postures)
         for answer in result.answers:
             rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
             posture = ""
     show_table(header, rows, numbers_from=2)
-    say("shares are of the surface that the camera sees in the posture")
+    _say_shares(answer.objective for answer in found.results[0].answers)
+
+
+def _say_shares(objectives: Iterable[Objective]) -> None:
+    """What the shares of scores are shares of, a line for each surface."""
+    named: dict[str, list[str]] = {}
+    for objective in objectives:
+        if objective.share_of is not None:
+            named.setdefault(objective.share_of, []).append(objective.name)
+    for surface, names in named.items():
+        say(f"shares of {' and '.join(names)}: of {surface}")
+    say("of each light its elevation and its azimuth about Z from +X")
 
 
 def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
     from lightopt.optimize import angles_of, gap_text, looked_text, score_text, ties_text
 
     best = answer.found
-    looked = looked_text(best)
+    looked = looked_text(answer)
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
         return [*blank, "-", "all 0", looked]
@@ -74,23 +85,26 @@ def _show_defects(found: Optimum) -> None:
             facts = answer.details
             if "worst_defect" not in facts or answer.nothing is not None:
                 continue
-            kinds = ", ".join(f"{name} {100.0 * share:.1f} %" for name, share in facts["defects"].items())
+            kinds = ", ".join(f"{name} {percent(share)}" for name, share in facts["defects"].items())
             worst = facts.get("worst_direction_deg")
             least = (
                 ""
                 if worst is None
                 else (
-                    f"; walls that lean to {worst:g}° least, {100.0 * facts['directions_deg'][f'{worst:g}']:.1f} %"
+                    f"; walls that lean to {worst:g}° (from the mesh file's X axis, as direction_deg of defects) "
+                    f"least, {percent(facts['directions_deg'][f'{worst:g}'])}"
                 )
             )
+            which = f"{together(result.postures)}{' postures' * (len(result.postures) > 1)}"
             say(
-                f"{', '.join(map(str, result.postures))}: best for {answer.objective.name} shows {kinds}{least}"
+                f"{which}: best for {answer.objective.name} shows {kinds}{least}; shares as those of "
+                f"{answer.objective.name}"
             )
 
 
 def show_blind_spots(blind: BlindReport) -> None:
     """What the chosen lights show of the defects, over all postures and in each, and why the rest stays invisible."""
-    from lightopt.optimize import blind_text
+    from lightopt.optimize import BLIND_LIGHTS, blind_text
 
     parts = blind.parts() if len(blind.postures) > 1 else blind.parts()[:1]
     codes = sorted({code for _, *both in parts for spots in both for code in spots.by_reason()})
@@ -100,17 +114,21 @@ def show_blind_spots(blind: BlindReport) -> None:
         [
             "all" if posture is None else str(posture),
             lights,
-            f"{100.0 * spots.seen:.1f} %",
-            *(f"{100.0 * spots.by_reason().get(code, 0.0):.1f} %" for code in codes),
+            percent(spots.seen),
+            *(percent(spots.by_reason().get(code, 0.0)) for code in codes),
         ]
         for posture, chosen, possible in parts
-        for lights, spots in (("chosen", chosen), ("any position", possible))[: 2 if both else 1]
+        for lights, spots in tuple(zip(BLIND_LIGHTS, (chosen, possible), strict=True))[: 2 if both else 1]
     ]
     header = ["posture", "lights", "seen", *(blind_text(code, blind.lights) for code in codes)]
     show_table(header, rows, numbers_from=2)
     images = counted(blind.objective.seen_in, "image")
     own = "; a posture's own images in its row, those of all postures in all" if len(parts) > 1 else ""
     say(f"shares of the part's whole surface × defects, seen in {images} or more{own}")
+    if both:
+        say(
+            f"{BLIND_LIGHTS[1]}: every light wherever it shows that defect; no one set of positions need show all of it"
+        )
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightopt.cli._terminal import say, show_table
+from lightopt.cli._terminal import say, show_table, together
 from lightopt.errors import counted, percent
 
 if TYPE_CHECKING:
-    from lightopt.plan import Brackets, ChosenPostures, PlanResult, TrustOf
+    from lightopt.plan import Brackets, ChosenPostures, PlanResult, TrustOf, Way
 
 __all__ = ["show_plan"]
 
@@ -20,66 +21,136 @@ def show_plan(result: PlanResult, folder: Path) -> None:
         _show_postures(result.chosen)
     if result.brackets is not None:
         _show_brackets(result.brackets)
+        if result.chosen is None:
+            say(f"shares of exposures: of {result.shares_of}")
     if result.trust:
         _show_trust(result.trust)
     if result.commands:
         say(f"to carry the plan out, in {folder}:")
         for command in result.commands:
-            say(f"  {command}")
+            say(f"  {command.text}")
+        _show_ways([command.way for command in result.commands if command.way is not None])
 
 
 def _show_postures(chosen: ChosenPostures) -> None:
+    from lightopt.plan import SHARES_OF
+
     cover = chosen.choice.cover
     total = max(1, cover.total)
     for out in chosen.left_out:
         say(f"left out: posture {out.posture}: {out.reason}")
+    bracketed = len(chosen.exposures) > 1
+    # as they are captured
+    steps = zip(chosen.choice.postures, cover.steps, strict=True)
+    numbered = {posture: (number, step) for number, (posture, step) in enumerate(steps, start=1)}
     show_table(
-        ("posture", "adds", "together"),
+        ("posture", "chosen as no.", *(["exposures"] if bracketed else []), "adds", "together"),
         [
-            (str(posture), percent(step.gain / (cover.k * total)), percent(step.reached / total))
-            for posture, step in zip(chosen.choice.postures, cover.steps, strict=True)
+            (
+                str(posture),
+                str(number),
+                *([_levels(chosen.exposures_of(posture))] if bracketed else []),
+                percent(step.gain / (cover.k * total), 2),
+                percent(step.reached / total),
+            )
+            for posture in chosen.way.order
+            for number, step in [numbered[posture]]
         ],
     )
     number, images = counted(len(cover.steps), "posture"), counted(chosen.least, "image")
     say(
         f"{number} of {chosen.offered} show {percent(cover.share)} of the surface × defects in {images} or more, all "
-        "postures together"
+        "planned images together and no others"
     )
-    if len(chosen.exposures) > 1:
-        levels = ", ".join(f"{exposure:.9g}" for exposure in chosen.exposures)
-        say(
-            f"an image shows what it shows with one of the exposures {levels}; which of them are planned, below"
-        )
+    say(f"shares of postures and exposures: of {SHARES_OF}")
+    say(
+        f"that surface is {percent(chosen.visible_share)} of the part's; of {chosen.patches:,} patches with edges up "
+        f"to {chosen.max_edge:.3g} mm, each seen or not as its middle is: shares may be off by some "
+        f"{100.0 * chosen.grain:.1g} points"
+    )
+    _show_spare(chosen)
     if cover.k > 1:
         say(
             f"adds: images new to a pair of patch and defect, up to {cover.k} of each; together: pairs with {cover.k} "
             "images or more"
         )
-    # the greedy choice is bounded in what it adds; in what it reaches only where one image is enough
-    greedy = f"; a greedy choice has at least {percent(cover.guarantee)} of the best" if cover.k == 1 else ""
-    say(
-        f"with these lights no {number} show more than {percent(cover.bound_share)}, and all {chosen.offered} show "
-        f"{percent(cover.all_reached / total)}{greedy}"
-    )
-    if cover.least is not None and chosen.target is not None:
-        say(f"{percent(chosen.target)} takes at least {counted(cover.least, 'posture')} with these lights")
-    if chosen.choice.lights is not None:
-        from lightopt.optimize import patches_text
+    _show_proof(chosen)
+    say(f"stage, in one round: {_way(chosen.way)} of travel {chosen.pace}")
 
-        tried = "every combination" if chosen.choice.exact else "one light moved at a time"
-        where = patches_text(chosen.drawn, chosen.patches, on_all=chosen.choice.on_all)
-        proven = "; in these postures no other positions show more" * (
-            chosen.choice.exact and chosen.choice.settled
+
+def _show_ways(ways: Sequence[Way]) -> None:
+    # of several commands: each begins at (0°, 0°) and takes its own postures
+    if len(ways) < 2:
+        return
+    for number, way in enumerate(ways, start=1):
+        say(f"stage, capture {number}: {_way(way)} of travel")
+    say(f"together {sum(way.seconds for way in ways):.1f} s of travel, without the ways back to (0°, 0°)")
+
+
+def _way(way: Way) -> str:
+    return f"{' → '.join(map(str, way.order))}, {way.seconds:.1f} s"
+
+
+def _show_spare(chosen: ChosenPostures) -> None:
+    # fewer postures than were asked for, and postures that hardly add anything
+    steps = chosen.choice.cover.steps
+    if chosen.asked is not None and len(steps) < chosen.asked and chosen.target is None:
+        why = (
+            "there are no others"
+            if len(steps) == chosen.offered
+            else "no other adds anything with these lights"
         )
+        say(f"{chosen.asked} postures were asked for: {why}")
+    if chosen.telling < len(steps):
+        share = percent(steps[chosen.telling - 1].reached / max(1, chosen.choice.cover.total))
         say(
-            f"lights: the same for all postures, placed together with them in {counted(chosen.choice.turns, 'turn')} "
-            f"({tried}) {where}{proven}"
+            f"the first {chosen.telling} chosen show {share}, the others less than 0.1 points more: "
+            f"--choose-postures {chosen.telling} does nearly as well"
         )
-        say(f"the lights as they stood show {percent(chosen.choice.before)} of the {chosen.drawn:,} patches")
+
+
+def _show_proof(chosen: ChosenPostures) -> None:
+    choice, cover = chosen.choice, chosen.choice.cover
+    number = counted(len(cover.steps), "posture")
+    whatever = f", at any of the exposures {_levels(chosen.exposures)}" * (len(chosen.exposures) > 1)
+    if chosen.proven:
+        say(f"proven of these patches: no {number} show more{whatever}")
+    else:
+        say(
+            f"a local optimum: with these lights no {number} show more than {percent(cover.bound_share)}{whatever}, so "
+            f"that these have {percent(cover.guarantee)} of the best at least; other lights with other postures may "
+            "show more"
+            if choice.turns
+            else f"not proven to be the best: no {number} show more than {percent(cover.bound_share)}{whatever}, so "
+            f"that these have {percent(cover.guarantee)} of the best at least"
+        )
+    everything = percent(cover.all_reached / max(1, cover.total))
+    say(f"all {chosen.offered} postures with these lights show {everything}{whatever}")
+    if cover.least is not None and chosen.target is not None:
+        say(
+            f"{100.0 * chosen.target:.9g} % takes at least {counted(cover.least, 'posture')} with these lights"
+        )
+    if not choice.turns:
+        return
+    from lightopt.optimize import patches_text
+
+    tried = "every combination" if choice.exact else "one light moved at a time"
+    where = patches_text(chosen.drawn, chosen.patches, on_all=choice.on_all)
+    best = "; proven: in these postures no other positions show more" * (choice.exact and choice.settled)
     say(
-        f"the surface is what the camera sees in any of these postures, {percent(chosen.visible_share)} of the part's"
+        f"lights: the same for all postures, placed together with them in {counted(choice.turns, 'turn')}, the best of "
+        f"{counted(choice.starts, 'start')} ({tried}) {where}{best}"
     )
-    say(f"stage: {' → '.join(map(str, chosen.order))}, {chosen.travel_s:.1f} s of travel")
+    if choice.before is not None:
+        say(
+            f"the lights as they stood show {percent(choice.before.share)} in "
+            f"{counted(choice.before.postures, 'posture')} chosen for them, on {chosen.drawn:,} patches, at "
+            "exposure 1"
+        )
+
+
+def _levels(exposures: Sequence[float]) -> str:
+    return ", ".join(f"{exposure:.9g}" for exposure in exposures)
 
 
 def _show_brackets(brackets: Brackets) -> None:
@@ -91,16 +162,19 @@ def _show_brackets(brackets: Brackets) -> None:
         ],
     )
     planned = sum(shot.planned for shot in brackets.shots)
+    adding = f"{percent(brackets.least_gain, 2)} or more"
+    adding += ", or two that add twice that together" * any(shot.why == "pair" for shot in brackets.shots)
+    adding += ", or needed for the target" * any(shot.why == "target" for shot in brackets.shots)
     say(
-        f"{counted(planned, 'further exposure')} planned, each adding {percent(brackets.least_gain, 2)} or more: "
+        f"{counted(planned, 'further exposure')} planned, each adding {adding}: "
         f"{percent(brackets.before)} of the surface × defects becomes {percent(brackets.after)}"
     )
 
 
 def _show_trust(trust: tuple[TrustOf, ...]) -> None:
-    widest = [f"{w.what} {w.angle}" for w in trust[0].trust.widest]
+    widest = [f"{w.what}, {w.angle}" for w in trust[0].trust.widest]
     show_table(
-        ("off by the tolerance", *(", ".join(map(str, one.postures)) for one in trust)),
+        ("off by the tolerance", *(together(one.postures) for one in trust)),
         [
             ("worst corner keeps", *(percent(_share(one, one.trust.worst)) for one in trust)),
             ("95 % of draws keep", *(percent(_share(one, one.trust.quantile)) for one in trust)),

@@ -21,6 +21,7 @@ __all__ = [
     "show_share",
     "show_table",
     "show_time_left",
+    "together",
     "version_wanted",
 ]
 
@@ -59,6 +60,11 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_
             for i, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         say("  ".join(cells).rstrip())
+
+
+def together(postures: Sequence[Posture]) -> str:
+    """One posture, or how many, for the cell of a table."""
+    return str(postures[0]) if len(postures) == 1 else f"all {len(postures)}"
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from lightopt.config._load import load_part, load_rig
 from lightopt.config._load_lights import LightsOnly, load_lights
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, ReflectanceConfig
 from lightopt.config._posture import PostureConfig
-from lightopt.config._relocate import relocated
+from lightopt.config._relocate import copied_text
 from lightopt.config._rig import RigConfig, StageConfig
 from lightopt.config._schema import json_schema
 from lightopt.config._source import Source
@@ -55,11 +55,11 @@ __all__ = [
     "StageDeviceConfig",
     "TemplateConfig",
     "TimingConfig",
+    "copied_text",
     "json_schema",
     "load_lights",
     "load_part",
     "load_rig",
-    "relocated",
     "with_list",
     "with_values",
 ]

@@ -77,19 +77,20 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     comment
         To stand above the list.
     replace
-        Whether a list of this key is replaced, with the comments inside it.
+        Whether a list of this key is replaced, with the comments of its entries; the one beside the key stays there.
 
     Raises
     ------
     InputError
         The file is written so that nothing can be added at its end: in braces, or closed.
     """
-    lines = [f"# {comment}", f"{key}:", *(f"  - {entry}" for entry in entries)]
     span = _list_span(text, key) if replace else None
+    beside = "" if span is None else span.comment
+    lines = [f"# {comment}", f"{key}:{beside}", *(f"  - {entry}" for entry in entries)]
     if span is None:
         longer = text.rstrip() + "\n\n" + "\n".join(lines) + "\n"
     else:
-        longer = text[: span[0]] + "\n".join(lines) + text[span[1] :]
+        longer = text[: span.start] + "\n".join(lines) + text[span.end :]
     try:
         document = parse(longer)
     except YamlError as error:
@@ -108,18 +109,46 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     return longer
 
 
-def _list_span(text: str, key: str) -> tuple[int, int] | None:
-    # from a key at the top of a file without braces to the end of its value; None where there is no such key
+@dataclass(frozen=True)
+class _ListSpan:
+    """Where a list stands, from its key to the end of its last line.
+
+    Attributes
+    ----------
+    start, end
+        In the text; the end of the line is not in it.
+    comment
+        Beside the key, or behind a list in brackets, with the blanks before it.
+    """
+
+    start: int
+    end: int
+    comment: str
+
+
+def _list_span(text: str, key: str) -> _ListSpan | None:
+    # of a key at the top of a file without braces; None where there is no such key
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     if not isinstance(root, yaml.MappingNode) or root.flow_style:
         return None
     for name, value in root.value:
         if isinstance(name, yaml.ScalarNode) and name.value == key:
-            span = name.start_mark.index, _end(value)
-            if span[0] >= span[1]:
+            start, end = name.start_mark.index, _end(value)
+            if start >= end:
                 raise InputError(f"{key} cannot be replaced: it is an alias; write anchors and aliases out")
-            return span
+            # behind a list in brackets the comment is of the list, behind a block it is of its last entry
+            rest = end + len(text[end:].split("\n", 1)[0].rstrip("\r"))
+            flow = isinstance(value, yaml.CollectionNode) and value.flow_style
+            beside = text[end:rest] if flow else _after_colon(text, name.end_mark.index)
+            return _ListSpan(start, rest, beside.rstrip())
     return None
+
+
+def _after_colon(text: str, end: int) -> str:
+    # the comment between a key and the block below it
+    line = text[end:].split("\n", 1)[0]
+    at = line.find("#")
+    return line[line.index(":") + 1 :] if at >= 0 else ""
 
 
 def _end(node: yaml.Node) -> int:

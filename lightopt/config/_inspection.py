@@ -29,6 +29,6 @@ class InspectionConfig(Frozen):
     )
     least_inspected: _Share = Field(
         default=0.0,
-        description="A part of whose visible surface, over all postures, less than this share could be inspected is no "
-        "good.",
+        description="A part of whose visible surface, over all postures, less than this share could be inspected, if "
+        "only for glints, is no good.",
     )

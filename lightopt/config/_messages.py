@@ -139,7 +139,18 @@ def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:
     if known is not None:
         return f'{message}; did you mean "{known}"?{_other_unit(key, known)}'
     parent = _model_at(model, loc[:-1])
+    home = _home(model, parent, key)
+    if home is not None:
+        return f"{message}; it belongs to the entries of {home}: remove it, or move the entry there"
     return f"{message}; the keys here are {', '.join(parent.model_fields)}" if parent else message
+
+
+def _home(model: type[BaseModel], parent: type[BaseModel] | None, key: str) -> str | None:
+    """Key of the list whose entries say more than those of the mapping at hand, such as this."""
+    more = () if parent is None else tuple(m for m in parent.__subclasses__() if key in m.model_fields)
+    return next(
+        (name for name, field in model.model_fields.items() if _inner_model(field.annotation) in more), None
+    )
 
 
 def _other_unit(key: str, known: str) -> str:
@@ -156,7 +167,7 @@ def _suggestions(model: type[BaseModel], errors: Sequence[ErrorDetails]) -> dict
     for error in errors:
         loc = tuple(error["loc"])
         parent = _model_at(model, loc[:-1])
-        if error["type"] != "extra_forbidden" or parent is None:
+        if error["type"] != "extra_forbidden" or parent is None or _home(model, parent, str(loc[-1])):
             continue
         lower = {name.lower(): name for name in parent.model_fields}
         near = get_close_matches(str(loc[-1]).lower(), list(lower), n=1, cutoff=0.6)

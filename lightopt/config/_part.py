@@ -61,9 +61,27 @@ class MeshConfig(Frozen):
         default=30.0,
         description="Edges where the facets' normals differ by more than this stay sharp [deg].",
     )
+    chord_tolerance_mm: (
+        Annotated[
+            float,
+            Field(ge=1e-4, le=10, allow_inf_nan=False),
+            expecting("a number from 0.0001 to 10 (mm)"),
+        ]
+        | None
+    ) = Field(
+        default=None,
+        description="STEP: largest distance of the triangles from the CAD surface [mm]. More makes fewer triangles, "
+        "with the CAD surface's normals at their corners; the angle between neighbours follows, from 0.1 rad at 0.01 "
+        "mm with the square root up to 0.5 rad. If absent, the smaller of 0.01 and a fifth of a pixel's footprint.",
+    )
     max_triangles: Annotated[int, Field(ge=1, le=2**31 - 1), expecting("a whole number above 0")] = Field(
         default=20_000_000, description="Meshes of more triangles than this are refused."
     )
+
+    @property
+    def of_step(self) -> bool:
+        """Whether the file is STEP, of which triangles are made as it is read."""
+        return PurePath(self.file).suffix.lower() in _STEP
 
     @field_validator("file")
     @classmethod
@@ -99,6 +117,16 @@ class MeshConfig(Frozen):
                 )
                 raise complaint(f"found {units}, but {says}; STEP carries its own unit, remove this key")
         return units
+
+    @field_validator("chord_tolerance_mm")
+    @classmethod
+    def _of_step(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
+        suffix = PurePath(str(info.data.get("file", ""))).suffix.lower()
+        if tolerance is not None and suffix and suffix not in _STEP:
+            raise complaint(
+                f"{suffix} files have their triangles already; it belongs to STEP; remove this key"
+            )
+        return tolerance
 
 
 class PlacementConfig(Frozen):

@@ -9,7 +9,7 @@ from typing import Any
 
 from lightopt import __version__
 from lightopt.align import PlacementInFile
-from lightopt.config import PartConfig, RigConfig, Source, relocated, with_values
+from lightopt.config import PartConfig, RigConfig, Source, copied_text
 from lightopt.errors import InputError
 from lightopt.fit._result import FitResult
 from lightopt.images import ImageSet, ResultFolder, file_sha256
@@ -92,7 +92,8 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     }
     if result.in_file is not None:
         values |= _placement_values(part, result.in_file)
-    return with_values(_text(part.source), values | relocated(part, folder))
+    _check_text(part.source)
+    return copied_text(part, folder, values)
 
 
 def _placement_values(part: PartConfig, found: PlacementInFile) -> dict[tuple[str | int, ...], str]:
@@ -114,22 +115,22 @@ def _placement_values(part: PartConfig, found: PlacementInFile) -> dict[tuple[st
 
 
 def _rig_text(folder: Path, result: FitResult, rig: RigConfig) -> str:
-    values = relocated(rig, folder)
+    _check_text(rig.source)
+    values: dict[tuple[str | int, ...], str] = {}
     for index, light in enumerate(rig.lights):
         gain = None if result.gains is None else result.gains.get(light.name)
         if gain is not None and gain.interval is not None:  # the one that is held keeps its line in the file
             values["lights", index, "gain"] = f"{gain.value:.6g}"
     if result.dark is not None:
         values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
-    return with_values(_text(rig.source), values)
+    return copied_text(rig, folder, values)
 
 
-def _text(source: Source) -> str:
+def _check_text(source: Source) -> None:
     if not source.text:
         raise InputError(
             f"{source.path}: built in code, so that there is no file to write the fitted values into; load it from one"
         )
-    return source.text
 
 
 def _hashes(image_set: ImageSet, *names: str | None) -> dict[str, str]:

@@ -244,8 +244,10 @@ class MovingStage:
             return f"{self._lost}; {HOME_FIRST}"
         if reading.referenced is False:
             return f"it does not know where its origin is; {HOME_FIRST}"
-        for axis in self._axes if self._left_at is not None else ():
-            left, stands = (self._left_at or {})[axis.device], reading.units[axis.device]
+        if self._left_at is None:
+            return None
+        for axis in self._axes:
+            left, stands = self._left_at[axis.device], reading.units[axis.device]
             if abs(left - stands) > self._dialogue.step(axis):
                 self._lost = (
                     f"{axis.name} was left at {axis.angle_of(left):.6g}° and stands at "

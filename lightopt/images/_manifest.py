@@ -90,13 +90,8 @@ class ImageEntry:
         try:
             times = self.extra["capture"]["exposure_us"]
             share = float(times["read"]) / float(times["asked"])
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            ZeroDivisionError,
-        ):  # a set of others, which has its own words
-            return self.exposure
+        except (KeyError, TypeError, ValueError, ZeroDivisionError):
+            return self.exposure  # a set of others, which has its own words
         return self.exposure * share if 0.0 < share < math.inf else self.exposure
 
     def as_dict(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from lightopt.inspection._calibration import (
 from lightopt.inspection._coverage import CONTRASTS, Coverage, Reached, measure_coverage
 from lightopt.inspection._deviation import Deviations, deviations
 from lightopt.inspection._fusion import FUSIONS, Fusion
+from lightopt.inspection._grey import GreyPicture, grey_picture
 from lightopt.inspection._inspect import (
     InspectedPosture,
     Inspection,
@@ -19,8 +20,9 @@ from lightopt.inspection._inspect import (
     inspect_set,
     lay_set,
 )
-from lightopt.inspection._measure import FoundDefect, Sighting, gather, measure_regions
+from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import DETECTORS, Detector, InspectOptions
+from lightopt.inspection._pieces import separate_pieces
 from lightopt.inspection._pod import DetectionCurve, fit_detection
 from lightopt.inspection._poisson import PoissonGrid, poisson_grid
 from lightopt.inspection._predictions import Predictions
@@ -28,8 +30,16 @@ from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, s
 from lightopt.inspection._regions import find_regions
 from lightopt.inspection._register import Photometry, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, rank_probability, score_deviations, threshold
+from lightopt.inspection._sightings import KIND_COLOURS, FoundDefect, Kind, Sighting, gather
 from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, shifted
-from lightopt.inspection._surface import SurfaceCoverage, SurfaceMap, map_surface, surface_coverage
+from lightopt.inspection._surface import (
+    TOLD_CONTRAST,
+    TOLD_DISC,
+    SurfaceCoverage,
+    SurfaceMap,
+    map_surface,
+    surface_coverage,
+)
 from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
 from lightopt.inspection._template import score_templates, templates
 from lightopt.inspection._truth import (
@@ -41,6 +51,7 @@ from lightopt.inspection._truth import (
     region_hits,
     summarise,
 )
+from lightopt.inspection._truth_source import TruthSource, truth_source
 from lightopt.inspection._verdict import Verdict, judge
 from lightopt.inspection._view import PostureView, Prediction, posture_view, predict
 from lightopt.inspection._write import (
@@ -50,6 +61,7 @@ from lightopt.inspection._write import (
     TRUTH_NAME,
     BatchFolder,
     InspectionFolder,
+    manifest_sha256,
     provenance,
     truth_text,
 )
@@ -62,8 +74,11 @@ __all__ = [
     "DEFECTS_NAME",
     "DETECTORS",
     "FUSIONS",
+    "KIND_COLOURS",
     "REPORT_NAME",
     "SCALES_PX",
+    "TOLD_CONTRAST",
+    "TOLD_DISC",
     "TRUTH_NAME",
     "BatchFolder",
     "CalibratedPosture",
@@ -75,10 +90,12 @@ __all__ = [
     "Deviations",
     "FoundDefect",
     "Fusion",
+    "GreyPicture",
     "InspectOptions",
     "InspectedPosture",
     "Inspection",
     "InspectionFolder",
+    "Kind",
     "KnownDefect",
     "LaidSet",
     "Photometry",
@@ -93,6 +110,7 @@ __all__ = [
     "SurfaceMap",
     "SyntheticImage",
     "TrueSet",
+    "TruthSource",
     "Verdict",
     "area_under_roc",
     "calibrate",
@@ -105,6 +123,7 @@ __all__ = [
     "fuse_images",
     "gather",
     "good_part",
+    "grey_picture",
     "held_threshold",
     "inspect_set",
     "judge",
@@ -112,6 +131,7 @@ __all__ = [
     "lay_set",
     "least_rate",
     "made_for",
+    "manifest_sha256",
     "map_surface",
     "measure_coverage",
     "measure_regions",
@@ -127,6 +147,7 @@ __all__ = [
     "region_hits",
     "score_deviations",
     "score_templates",
+    "separate_pieces",
     "sets_needed",
     "shifted",
     "summarise",
@@ -134,5 +155,6 @@ __all__ = [
     "templates",
     "threshold",
     "trust_weights",
+    "truth_source",
     "truth_text",
 ]

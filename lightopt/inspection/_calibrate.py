@@ -195,6 +195,7 @@ def _keep(path: Path, one: Residuals) -> None:
         nominal=one.nominal,
         z=one.z,
         usable=np.packbits(one.usable, axis=1),
+        lit=np.packbits(one.lit, axis=1),
     )
 
 
@@ -202,5 +203,7 @@ def _kept(path: Path) -> Residuals:
     with np.load(path) as arrays:
         own = arrays["own"]
         rows, columns = (int(side) for side in arrays["shape"])
-        usable = np.unpackbits(arrays["usable"], axis=1, count=len(own)).astype(np.bool_)
-        return Residuals((rows, columns), own, arrays["nominal"], arrays["z"], usable)
+        usable, lit = (
+            np.unpackbits(arrays[name], axis=1, count=len(own)).astype(np.bool_) for name in ("usable", "lit")
+        )
+        return Residuals((rows, columns), own, arrays["nominal"], arrays["z"], usable, lit)

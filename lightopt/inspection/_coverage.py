@@ -27,58 +27,107 @@ TOLD_SIZE_PX = 5.0
 
 
 class Reached(IntEnum):
-    """How far the inspection of a pixel got, the least first; with several postures the furthest counts."""
+    """How far the inspection of a pixel got, the least first; with several postures the furthest counts.
+
+    What is lit in fewer images than must show a defect, or is only reached by light and stays dark, is judged by these,
+    as :func:`lightopt.inspection.score_deviations` does it.
+    """
 
     NO_PART = 0
     EDGE = 1
     SHADOW = 2
     SATURATED = 3
-    INSPECTED = 4
+    GLINTS = 4
+    FEWER = 5
+    INSPECTED = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coverage:
-    """The surface that the camera sees in a posture.
+class Shares:
+    """A surface by what each place of it can show, and why nothing where it can show nothing.
 
     Attributes
     ----------
     seen
-        [mm²].
+        By the camera [mm²].
     inspected
-        Of it, judged under as many lights as a defect must show under [mm²].
+        Of it, judged [mm²]: the areas of :attr:`classes`.
+    glints
+        Of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes it
+        darker does not.
+    fewer
+        Of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
+        show in these alone.
     saturated, shadow, edge
-        Of it, not judged: too few lights because image and prediction are saturated, because it is dark; next to
-        silhouettes and creases, or seen at a grazing angle [mm²].
+        Of what is seen, not judged: image and prediction are saturated under each light that reaches it; no light
+        does; next to silhouettes and creases, or seen at a grazing angle [mm²].
     sensitivity
-        By contrast: the surface where an even disc of 5 pixels that changes the light by that share is found half of
-        the time [mm²].
-    reached
-        :class:`Reached` of each pixel, shape (H, W).
-    least_contrast
-        Share of the light that such a disc must change to be found at a pixel, shape (H, W); infinite where nothing
-        was inspected.
+        By contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that share is found
+        half of the time [mm²]. The rest is dark, or shows stronger ones.
     """
 
     seen: float
     inspected: float
+    glints: float = 0.0
+    fewer: float = 0.0
     saturated: float
     shadow: float
     edge: float
     sensitivity: dict[float, float]
+
+    @property
+    def share(self) -> float:
+        """Of what the camera sees, the share that was inspected."""
+        return self.inspected / self.seen if self.seen > 0.0 else 0.0
+
+    @property
+    def classes(self) -> tuple[float, ...]:
+        """Areas [mm²], of what was inspected.
+
+        Where a disc is found from each of :data:`CONTRASTS` on, the least first; where only stronger ones are; where
+        only glints show.
+        """
+        found = [self.sensitivity.get(contrast, 0.0) for contrast in CONTRASTS]
+        each = [more - less for less, more in zip([0.0, *found], found, strict=False)]
+        return (*each, self.inspected - self.glints - found[-1], self.glints)
+
+    def shares(self) -> dict[str, Any]:
+        """JSON form: shares of what the camera sees."""
+
+        def share(area: float) -> float:
+            return round(area / max(self.seen, 1e-9), 5)
+
+        return {
+            "inspected": share(self.inspected),
+            "finds_contrast": {f"{c:g}": share(a) for c, a in self.sensitivity.items()},
+            "only_stronger": share(self.classes[-2]),
+            "only_glints": share(self.glints),
+            "fewer_lights": share(self.fewer),
+            "saturated": share(self.saturated),
+            "shadow": share(self.shadow),
+            "edge": share(self.edge),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage(Shares):
+    """The surface that the camera sees in a posture.
+
+    Attributes
+    ----------
+    reached
+        :class:`Reached` of each pixel, shape (H, W).
+    least_contrast
+        Share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W); infinite where it
+        is dark, or nothing was inspected.
+    """
+
     reached: NDArray[np.uint8] = field(compare=False, repr=False)
     least_contrast: Float32 = field(compare=False, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        whole = max(self.seen, 1e-9)
-        return {
-            "seen_mm2": round(self.seen, 3),
-            "inspected": round(self.inspected / whole, 5),
-            "saturated": round(self.saturated / whole, 5),
-            "shadow": round(self.shadow / whole, 5),
-            "edge": round(self.edge / whole, 5),
-            "finds_contrast": {f"{c:g}": round(a / whole, 5) for c, a in self.sensitivity.items()},
-        }
+        return {"seen_mm2": round(self.seen, 3), **self.shares()}
 
 
 def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high: float) -> Coverage:
@@ -95,29 +144,32 @@ def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high
     """
     area = view.prediction.area.astype(np.float64)
     part = view.part & (area > 0.0)
-    lights = len(view.lights)
-    needed = min(seen_by, lights)
-    usable = found.usable.sum(axis=0)
-    inspected = part & (usable >= needed)
-    full = (view.saturated & (view.predicted >= view.limit)).sum(axis=0)
-    left = part & ~inspected
-    edge = left & ~view.clean
-    saturated = left & view.clean & (full >= lights - usable - full) & (full > 0)
-    least = least_contrast(found, view.predicted, seen_by=needed, high=high)
+    lit = found.lit.sum(axis=0)
+    full = (view.saturated & (view.predicted >= view.limit)).any(axis=0)
     reached = np.zeros(part.shape, np.uint8)
-    reached[part] = Reached.SHADOW
-    reached[saturated] = Reached.SATURATED
-    reached[edge] = Reached.EDGE
-    reached[inspected] = Reached.INSPECTED
+    reached[part] = Reached.EDGE
+    reached[part & view.clean] = Reached.SHADOW
+    reached[part & view.clean & full] = Reached.SATURATED
+    reached[part & found.usable.any(axis=0)] = Reached.GLINTS
+    reached[part & (lit > 0)] = Reached.FEWER
+    reached[part & (lit >= seen_by)] = Reached.INSPECTED
+    least = least_contrast(found, view.predicted, seen_by=seen_by, high=high)
+    least[reached < Reached.FEWER] = np.inf
+
+    def of(which: NDArray[np.bool_]) -> float:
+        return float(area[which].sum())
+
     return Coverage(
-        seen=float(area[part].sum()),
-        inspected=float(area[inspected].sum()),
-        saturated=float(area[saturated].sum()),
-        shadow=float(area[left & ~edge & ~saturated].sum()),
-        edge=float(area[edge].sum()),
-        sensitivity={c: float(area[inspected & (least <= c)].sum()) for c in CONTRASTS},
+        seen=of(part),
+        inspected=of(reached >= Reached.GLINTS),
+        glints=of(reached == Reached.GLINTS),
+        fewer=of(reached == Reached.FEWER),
+        saturated=of(reached == Reached.SATURATED),
+        shadow=of(reached == Reached.SHADOW),
+        edge=of(reached == Reached.EDGE),
+        sensitivity={c: of(least <= c) for c in CONTRASTS},
         reached=reached,
-        least_contrast=np.where(inspected, least, np.inf).astype(np.float32),
+        least_contrast=least.astype(np.float32),
     )
 
 
@@ -126,6 +178,8 @@ def least_contrast(
 ) -> NDArray[np.float64]:
     """Share of the light that an even disc of 5 pixels must take away to be found half of the time, shape (H, W).
 
+    Infinite where no image is lit.
+
     Parameters
     ----------
     found
@@ -133,16 +187,24 @@ def least_contrast(
     predicted
         Of the good part [grey level], shape (lights, H, W).
     seen_by
-        In how many images it must show, as many as there are at most.
+        In how many images it must show, or in all that are lit where these are fewer.
     high
         Threshold of the score.
     """
-    # deviation that so many images must show for the threshold, whatever the others do
-    pairs = float(special.binom(len(predicted), seen_by))
-    z = -float(special.ndtri(0.5 * (10.0**-high / pairs) ** (1.0 / seen_by)))
-    # half of the time all of them do
-    z += float(special.ndtri(0.5 ** (1.0 / seen_by)))
-    least = np.where(
-        found.usable, z * found.scale / (disc_gain(TOLD_SIZE_PX) * np.maximum(predicted, 1e-6)), np.inf
-    )
-    return np.sort(least, axis=0)[seen_by - 1]
+    images = len(predicted)
+    k = np.clip(found.lit.sum(axis=0), 1, min(seen_by, images))
+    needed = _needed(images, min(seen_by, images), high)[found.usable.sum(axis=0), k]
+    share = np.where(found.lit, found.scale / np.maximum(predicted, 1e-6), np.inf)
+    weakest = np.take_along_axis(np.sort(share, axis=0), k[None] - 1, axis=0)[0]
+    return needed / disc_gain(TOLD_SIZE_PX) * weakest
+
+
+def _needed(images: int, seen_by: int, high: float) -> NDArray[np.float64]:
+    # deviation that k of n images must show for the threshold, whatever the others do, all of them half of the time;
+    # by n and k
+    z = np.full((images + 1, seen_by + 1), np.inf)
+    for n in range(1, images + 1):
+        for k in range(1, min(n, seen_by) + 1):
+            each = (10.0**-high / float(special.binom(n, k))) ** (1.0 / k)
+            z[n, k] = float(special.ndtri(0.5 ** (1.0 / k)) - special.ndtri(0.5 * each))
+    return z

@@ -23,8 +23,13 @@ Bool = NDArray[np.bool_]
 REGISTRATION_PX = 0.1
 """The part is known to lie within about this much of where the model has it: steep edges are off by so much."""
 
-LIT = 3.0
-"""What is predicted to be less than this many standard deviations above black shows nothing."""
+DARK = 3.0
+"""What is predicted to be less than this many standard deviations above black is dark: rounding and clipping at black
+make as much of a deviation there as noise does, so that only more than this many tell of a defect."""
+
+HARD = 4.0
+"""A step between pixels of so many times the steps before and after it is the edge of the shadow of a point light: a
+ray per pixel has it a pixel further or not, however little the part is off."""
 
 LOCAL_PX = 14.0
 CLIPPED = 4.0
@@ -47,21 +52,28 @@ class Deviations:
     z
         In standard deviations, shape (lights, H, W); 0 where not usable.
     scale
-        The standard deviation [grey level at exposure 1], same shape.
+        The standard deviation [grey level at exposure 1], same shape; at pixels that cannot be judged, of noise and
+        surroundings alone.
     usable
-        Pixels that can show a defect in an image: lit, off edges, not saturated in both image and prediction.
+        Pixels that can show a defect in an image: reached by the light, off edges, not saturated in both image and
+        prediction, same shape.
+    lit
+        Of these, the ones that are not :data:`DARK`: they show most defects, dark ones only what glints there, same
+        shape.
     """
 
     z: Float32
     scale: Float32
     usable: Bool
+    lit: Bool
 
 
 def deviations(view: PostureView, *, threads: int | None = None) -> Deviations:
     """Compare the images of a posture with the good part.
 
-    Both are clipped where the camera clips. A pixel's variance is that of the sensor's noise, of a part that lies a
-    tenth of a pixel from where the model has it, and of what the model gets wrong around the pixel.
+    Both are clipped where the camera clips, and what rounding alone may make of the mean where noise does not even it
+    out is no deviation. A pixel's variance is that of the sensor's noise, of a part that lies a tenth of a pixel from
+    where the model has it, and of what the model gets wrong around the pixel.
 
     Parameters
     ----------
@@ -71,26 +83,28 @@ def deviations(view: PostureView, *, threads: int | None = None) -> Deviations:
         Number of threads; the result does not depend on it.
     """
     z, scale = np.empty_like(view.level), np.empty_like(view.level)
-    usable = np.empty(z.shape, np.bool_)
-    _, height, width = view.level.shape
-    blocks = (-(-height // BLOCK_PX), -(-width // BLOCK_PX))
-    for i in range(len(view.lights)):
-        sums, counts = np.zeros(blocks), np.zeros(blocks)
+    usable, lit = np.empty(z.shape, np.bool_), np.empty(z.shape, np.bool_)
+    lights, height, width = view.level.shape
+    blocks = (lights, -(-height // BLOCK_PX), -(-width // BLOCK_PX))
+    sums, counts = np.zeros(blocks), np.zeros(blocks)
+    pieces = [(i, top) for i in range(lights) for top in row_blocks(height)]
 
-        def first(top: int, i: int = i, sums: Float64 = sums, counts: Float64 = counts) -> None:
-            _compare(
-                view.level[i], view.predicted[i], view.deviation[i], view.limit[i], view.saturated[i], view.clean,
-                top, min(top + BLOCK_ROWS, height), z[i], scale[i], usable[i], sums, counts,
-            )  # fmt: skip
+    def first(piece: int) -> None:
+        i, top = pieces[piece]
+        _compare(
+            view.level[i], view.predicted[i], view.deviation[i], view.rounding[i], view.limit[i], view.saturated[i],
+            view.clean, top, min(top + BLOCK_ROWS, height), z[i], scale[i], usable[i], lit[i], sums[i], counts[i],
+        )  # fmt: skip
 
-        in_threads(first, row_blocks(height), threads)
-        wrong = _around(sums, counts)
+    in_threads(first, range(len(pieces)), threads)
+    wrong = in_threads(lambda i: _around(sums[i], counts[i]), range(lights), threads)
 
-        def second(top: int, i: int = i, wrong: Float32 = wrong) -> None:
-            _weigh(wrong, top, min(top + BLOCK_ROWS, height), z[i], scale[i])
+    def second(piece: int) -> None:
+        i, top = pieces[piece]
+        _weigh(wrong[i], top, min(top + BLOCK_ROWS, height), z[i], scale[i])
 
-        in_threads(second, row_blocks(height), threads)
-    return Deviations(z, scale, usable)
+    in_threads(second, range(len(pieces)), threads)
+    return Deviations(z, scale, usable, lit)
 
 
 def _around(sums: Float64, counts: Float64) -> Float32:
@@ -105,6 +119,7 @@ def _compare(
     level: Float32,
     predicted: Float32,
     deviation: Float32,
+    rounding: Float32,
     limit: Float32,
     saturated: Bool,
     clean: Bool,
@@ -113,6 +128,7 @@ def _compare(
     z: Float32,
     scale: Float32,
     usable: Bool,
+    lit: Bool,
     sums: Float64,
     counts: Float64,
 ) -> None:
@@ -120,6 +136,10 @@ def _compare(
     for y in range(top, bottom):
         above, below = max(y - 1, 0), min(y + 1, height - 1)
         for x in range(width):
+            if not clean[y, x]:
+                usable[y, x] = lit[y, x] = False
+                z[y, x], scale[y, x] = 0.0, deviation[y, x]
+                continue
             before, after = max(x - 1, 0), min(x + 1, width - 1)
             down = (_model(predicted, limit, below, x) - _model(predicted, limit, above, x)) / max(
                 below - above, 1
@@ -131,13 +151,38 @@ def _compare(
             own = math.sqrt(noise * noise + REGISTRATION_PX**2 * (down * down + right * right))
             scale[y, x] = own
             both = saturated[y, x] and predicted[y, x] >= limit[y, x]
-            usable[y, x] = clean[y, x] and not both and predicted[y, x] >= LIT * noise
+            usable[y, x] = not both and predicted[y, x] > 0.0
+            lit[y, x] = usable[y, x] and predicted[y, x] >= DARK * noise
             z[y, x] = 0.0
             if usable[y, x]:
-                off = (min(level[y, x], limit[y, x]) - _model(predicted, limit, y, x)) / own
-                z[y, x] = off
+                off = _off(min(level[y, x], limit[y, x]), predicted, limit, y, x)
+                off = math.copysign(max(abs(off) - rounding[y, x], 0.0), off) / own
+                if lit[y, x] or abs(off) > DARK:
+                    z[y, x] = off
                 sums[y // BLOCK_PX, x // BLOCK_PX] += min(abs(off), CLIPPED)
                 counts[y // BLOCK_PX, x // BLOCK_PX] += 1.0
+
+
+@kernel
+def _off(level: float, predicted: Float32, limit: Float32, y: int, x: int) -> float:
+    # measured minus predicted; at the hard edge of a shadow a pixel may be on either side, or on both. Steps are told
+    # before the camera clips: the flank of a highlight climbs on beyond, its clipped levels do not
+    here = float(predicted[y, x])
+    low = high = _model(predicted, limit, y, x)
+    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        behind_y, behind_x, far_y, far_x = y - down, x - right, y + 2 * down, x + 2 * right
+        if min(behind_y, behind_x, far_y, far_x) < 0:
+            continue
+        if max(behind_y, far_y) >= len(predicted) or max(behind_x, far_x) >= predicted.shape[1]:
+            continue
+        there = float(predicted[y + down, x + right])
+        even = max(
+            abs(here - float(predicted[behind_y, behind_x])), abs(there - float(predicted[far_y, far_x]))
+        )
+        if abs(there - here) > HARD * even:
+            beside = _model(predicted, limit, y + down, x + right)
+            low, high = min(low, beside), max(high, beside)
+    return min(level - low, 0.0) + max(level - high, 0.0)
 
 
 @kernel

@@ -1,21 +1,24 @@
-"""Separable filters of images, compiled and spread over threads; nothing lies beyond an image's border."""
+"""Separable filters of images, compiled, in tiles that fit a processor's cache; nothing lies beyond a border."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
-from lightopt.rendering import in_threads
 
-__all__ = ["BLOCK_ROWS", "filtered", "gaussian_taps", "row_blocks"]
+__all__ = ["BLOCK_ROWS", "TILE_COLUMNS", "filter_tile", "gaussian_taps", "row_blocks"]
 
 Float32 = NDArray[np.float32]
 
 BLOCK_ROWS = 64
 """Rows that a thread works on at once."""
+
+TILE_COLUMNS = 256
+"""Of as many columns of these."""
 
 REACH = 4.0
 """Gaussians are cut off at so many standard deviations."""
@@ -33,53 +36,43 @@ def row_blocks(height: int) -> range:
     return range(0, height, BLOCK_ROWS)
 
 
-def filtered(image: Float32, taps: Float32, *, threads: int | None = None) -> Float32:
-    """An image correlated with the same weights along both axes, shape (H, W).
+@kernel
+def filter_tile(image: NDArray[Any], taps: Float32, top: int, left: int, result: Float32) -> None:
+    """Write part of an image correlated with the same weights along both axes; kernels may call it.
 
     Parameters
     ----------
     image
-        Shape (H, W).
+        Numbers or flags, shape (H, W).
     taps
-        Shape (2r + 1,).
-    threads
-        Number of threads; the result does not depend on it.
+        Shape (2r + 1,), the same from either end.
+    top, left
+        First row and column of the part.
+    result
+        To write to, of the part's shape (h, w).
     """
-    image = np.ascontiguousarray(image)
-    down, result = np.empty_like(image), np.empty_like(image)
-
-    def block(top: int) -> None:
-        bottom = min(top + BLOCK_ROWS, len(image))
-        _down(image, taps, top, bottom, down)
-        _across(down, taps, top, bottom, result)
-
-    in_threads(block, row_blocks(len(image)), threads)
-    return result
-
-
-@kernel
-def _down(image: Float32, taps: Float32, top: int, bottom: int, result: Float32) -> None:
-    height, width = image.shape
     reach = len(taps) // 2
-    for y in range(top, bottom):
-        for x in range(width):
-            result[y, x] = np.float32(0.0)
-        for j in range(max(-reach, -y), min(reach, height - 1 - y) + 1):
-            tap = taps[reach + j]
-            for x in range(width):
-                result[y, x] += tap * image[y + j, x]
-
-
-@kernel
-def _across(image: Float32, taps: Float32, top: int, bottom: int, result: Float32) -> None:
-    width = image.shape[1]
-    reach = len(taps) // 2
-    for y in range(top, bottom):
-        for x in range(width):
-            result[y, x] = np.float32(0.0)
-        for j in range(-reach, reach + 1):
+    rows, columns = result.shape
+    around = np.zeros((rows + 2 * reach, columns + 2 * reach), np.float32)
+    first, last = max(0, left - reach), min(image.shape[1], left + columns + reach)
+    for y in range(max(0, top - reach), min(image.shape[0], top + rows + reach)):
+        for x in range(first, last):
+            around[y - top + reach, x - left + reach] = image[y, x]
+    down = np.empty(columns + 2 * reach, np.float32)
+    across = np.empty(columns, np.float32)
+    for y in range(rows):
+        middle = around[y + reach]
+        for x in range(len(down)):
+            down[x] = taps[reach] * middle[x]
+        for j in range(1, reach + 1):
+            tap, above, below = taps[reach + j], around[y + reach - j], around[y + reach + j]
+            for x in range(len(down)):
+                down[x] += tap * (above[x] + below[x])
+        for x in range(columns):
+            across[x] = taps[reach] * down[reach + x]
+        for j in range(1, reach + 1):
             # slices, so that the compiler sees that no index is negative
-            tap, left, right = taps[reach + j], max(0, -j), min(width, width - j)
-            sums, source = result[y, left:right], image[y, left + j : right + j]
-            for x in range(len(sums)):
-                sums[x] += tap * source[x]
+            tap, before, after = taps[reach + j], down[reach - j :], down[reach + j :]
+            for x in range(columns):
+                across[x] += tap * (before[x] + after[x])
+        result[y] = across

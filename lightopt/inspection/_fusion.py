@@ -6,14 +6,17 @@ others, too. Rules differ in how they tell. All look at the images that can be t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-__all__ = ["FUSIONS", "Fusion", "fuse_gradients", "trusted"]
+from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
+from lightopt.kernels import kernel
+from lightopt.rendering import in_threads
+
+__all__ = ["FUSIONS", "Edges", "Fusion", "fuse_gradients"]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -31,48 +34,76 @@ SUPPORT = 0.5
 NOISE_SLACK = 2.0
 """Gradients count as equal within this many standard deviations of noise."""
 
-NEIGHBOURHOOD_PX = 3
+REACH_PX = 1
+"""How far off the other image's gradient may be."""
 
 
-def trusted(weights: Float32, axis: int) -> Bool:
-    """Which images have a say at each edge between neighbouring pixels, shape (images, H, W − 1) or (images, H − 1, W).
+@dataclass(frozen=True)
+class Edges:
+    """The differences between neighbouring pixels of several images, and which of them tell of the surface.
 
-    Parameters
+    Attributes
     ----------
-    weights
-        How far each pixel of each image tells of the surface, 0 to 1, shape (images, H, W).
     axis
         1 for edges to the pixel to the right, 0 for those to the pixel below.
+    usable
+        Which images have a say at each edge, shape (images, H, W − 1) or (images, H − 1, W).
+    noise
+        Standard deviation of each difference, same shape.
     """
-    edge = np.minimum(*_ends(weights, axis))
-    return (edge > 0.0) & (edge >= LEAST_TRUST * edge.max(axis=0))
+
+    axis: int
+    usable: Bool
+    noise: Float32
+
+    @staticmethod
+    def of(weights: Float32, deviations: Float32, axis: int) -> Edges:
+        """Edges of images.
+
+        Parameters
+        ----------
+        weights
+            How far each pixel of each image tells of the surface, 0 to 1, shape (images, H, W).
+        deviations
+            Standard deviation of the images' noise, same shape.
+        axis
+            As above.
+        """
+        edge = np.minimum(*_ends(weights, axis))
+        usable = (edge > 0.0) & (edge >= LEAST_TRUST * edge.max(axis=0))
+        return Edges(axis, usable, np.hypot(*_ends(deviations, axis)))
+
+    @property
+    def unknown(self) -> Bool:
+        """Edges at which no image has a say, shape (H, W − 1) or (H − 1, W)."""
+        return np.asarray(~self.usable.any(axis=0), np.bool_)
 
 
-def fuse_gradients(
-    levels: Float32, deviations: Float32, usable: Bool, *, axis: int, fusion: Fusion
-) -> tuple[Float64, Bool]:
-    """Differences between neighbouring pixels of the fused image, and where no image tells them (0 there).
+def fuse_gradients(levels: Float32, edges: Edges, *, fusion: Fusion, threads: int | None = None) -> Float64:
+    """Differences between neighbouring pixels of the fused image; 0 where no image tells them.
 
     Parameters
     ----------
     levels
         The images of a posture, shape (images, H, W).
-    deviations
-        Standard deviation of their noise, same shape.
-    usable
-        From :func:`trusted`.
-    axis
-        As there.
+    edges
+        Of these images.
     fusion
         ``paper``: a gradient is kept where another image has one at the same place, of whatever sign, and those kept
         are averaged; ``median`` (Weiss 2001, doi:10.1109/ICCV.2001.937606); ``minimum``: the one of least magnitude;
         ``second-largest``: the one of second largest magnitude.
+    threads
+        Number of threads; the result does not depend on it.
     """
-    first, second = _ends(levels, axis)
-    gradients = np.where(usable, second - first, np.float32(0.0))
-    noise = np.hypot(*_ends(deviations, axis))
-    unknown: Bool = usable.sum(axis=0) == 0
-    return _RULES[fusion](gradients, noise, usable), unknown
+    fused = np.empty(edges.usable.shape[1:])
+    number = FUSIONS.index(fusion)
+
+    def block(top: int) -> None:
+        bottom = min(top + BLOCK_ROWS, len(fused))
+        _fuse_rows(levels, edges.axis, edges.noise, edges.usable, number, top, fused[top:bottom])
+
+    in_threads(block, row_blocks(len(fused)), threads)
+    return fused
 
 
 def _ends(images: Float32, axis: int) -> tuple[Float32, Float32]:
@@ -82,51 +113,102 @@ def _ends(images: Float32, axis: int) -> tuple[Float32, Float32]:
     return images[:, :-1], images[:, 1:]
 
 
-def _paper(gradients: Float32, noise: Float32, usable: Bool) -> Float64:
-    size = np.abs(gradients)
-    near = ndimage.maximum_filter(size, size=(1, NEIGHBOURHOOD_PX, NEIGHBOURHOOD_PX))
-    near = np.where(usable, near, np.float32(-1.0))
-    largest = near.argmax(axis=0)
-    ordered = np.sort(near, axis=0)
-    images = np.arange(len(near))[:, None, None]
-    # an image alone has nobody to ask
-    runner_up = ordered[-2] if len(near) > 1 else ordered[-1]
-    others = np.where(images == largest, runner_up, ordered[-1])
-    alone = usable.sum(axis=0) == 1
-    kept = usable & ((others >= SUPPORT * size - NOISE_SLACK * noise) | alone)
-    count = np.maximum(kept.sum(axis=0), 1)
-    return np.where(kept, gradients, 0.0).sum(axis=0, dtype=np.float64) / count
+@kernel
+def _fuse_rows(
+    levels: Float32, axis: int, noise: Float32, usable: Bool, rule: int, top: int, fused: Float64
+) -> None:
+    # rows of the edges from `top` on, by the rule of that number among FUSIONS
+    images, height, width = usable.shape
+    rows = len(fused)
+    first, last = max(0, top - REACH_PX), min(height, top + rows + REACH_PX)
+    gradients = np.zeros((images, last - first, width), np.float32)
+    down, right = 1 - axis, axis
+    for i in range(images):
+        for y in range(first, last):
+            for x in range(width):
+                if usable[i, y, x]:
+                    gradients[i, y - first, x] = levels[i, y + down, x + right] - levels[i, y, x]
+    if rule == 0:
+        _average_supported(gradients, noise, usable, first, top, fused)
+    else:
+        _choose(gradients, usable, rule, first, top, fused)
 
 
-def _median(gradients: Float32, noise: Float32, usable: Bool) -> Float64:  # noqa: ARG001
-    ordered = np.sort(np.where(usable, gradients, np.float32(np.inf)), axis=0)
-    count = usable.sum(axis=0)
-    low, high = np.maximum((count - 1) // 2, 0), count // 2
-    high = np.minimum(high, np.maximum(count - 1, 0))
-    middle = 0.5 * (_at(ordered, low).astype(np.float64) + _at(ordered, high))
-    return np.where(count > 0, middle, 0.0)
+@kernel
+def _average_supported(
+    gradients: Float32, noise: Float32, usable: Bool, first: int, top: int, fused: Float64
+) -> None:
+    # gradients of rows from `first` on, fused of rows from `top` on
+    images, height, width = gradients.shape
+    across = np.empty((height, width), np.float32)
+    nearby = np.empty((images, len(fused), width), np.float32)
+    for i in range(images):
+        for y in range(height):
+            own, most = np.abs(gradients[i, y]), across[y]
+            most[:] = own
+            for u in range(1, min(REACH_PX, width - 1) + 1):
+                # slices, so that the compiler sees that no index is negative
+                left, right, before, after = most[: width - u], most[u:], own[: width - u], own[u:]
+                for x in range(width - u):
+                    left[x] = max(left[x], after[x])
+                for x in range(width - u):
+                    right[x] = max(right[x], before[x])
+        for y in range(len(fused)):
+            here = y + top - first
+            for x in range(width):
+                nearby[i, y, x] = across[here, x]
+            for v in range(max(here - REACH_PX, 0), min(here + REACH_PX + 1, height)):
+                for x in range(width):
+                    nearby[i, y, x] = max(nearby[i, y, x], across[v, x])
+    for y in range(len(fused)):
+        here = y + top - first
+        for x in range(width):
+            largest, runner_up, who, voices = np.float32(-1.0), np.float32(-1.0), -1, 0
+            for i in range(images):
+                if not usable[i, top + y, x]:
+                    continue
+                voices += 1
+                size = nearby[i, y, x]
+                if size > largest:
+                    largest, runner_up, who = size, largest, i
+                else:
+                    runner_up = max(runner_up, size)
+            total, kept = 0.0, 0
+            for i in range(images):
+                if not usable[i, top + y, x]:
+                    continue
+                others = runner_up if i == who else largest
+                own = abs(gradients[i, here, x])
+                # an image alone has nobody to ask
+                if voices == 1 or others >= SUPPORT * own - NOISE_SLACK * noise[i, top + y, x]:
+                    total += gradients[i, here, x]
+                    kept += 1
+            fused[y, x] = total / max(kept, 1)
 
 
-def _minimum(gradients: Float32, noise: Float32, usable: Bool) -> Float64:  # noqa: ARG001
-    size = np.where(usable, np.abs(gradients), np.float32(np.inf))
-    return _at(gradients, size.argmin(axis=0)).astype(np.float64)
-
-
-def _second_largest(gradients: Float32, noise: Float32, usable: Bool) -> Float64:  # noqa: ARG001
-    size = np.where(usable, np.abs(gradients), np.float32(-1.0))
-    order = np.argsort(size, axis=0)
-    second = order[-2] if len(order) > 1 else order[-1]
-    index = np.where(usable.sum(axis=0) > 1, second, order[-1])
-    return _at(gradients, index).astype(np.float64)
-
-
-_RULES: dict[str, Callable[[Float32, Float32, Bool], Float64]] = {
-    "paper": _paper,
-    "median": _median,
-    "minimum": _minimum,
-    "second-largest": _second_largest,
-}
-
-
-def _at(images: Float32, index: NDArray[np.intp]) -> Float32:
-    return np.take_along_axis(images, index[None], axis=0)[0]
+@kernel
+def _choose(gradients: Float32, usable: Bool, rule: int, first: int, top: int, fused: Float64) -> None:
+    # gradients of rows from `first` on, fused of rows from `top` on: by value for the median, else by magnitude
+    images, _, width = gradients.shape
+    ordered = np.empty(images, np.float32)
+    for y in range(len(fused)):
+        for x in range(width):
+            count = 0
+            for i in range(images):
+                if not usable[i, top + y, x]:
+                    continue
+                own = gradients[i, y + top - first, x]
+                k = count
+                while k > 0 and (ordered[k - 1] > own if rule == 1 else abs(ordered[k - 1]) > abs(own)):
+                    ordered[k] = ordered[k - 1]
+                    k -= 1
+                ordered[k] = own
+                count += 1
+            if count == 0:
+                fused[y, x] = 0.0
+            elif rule == 1:
+                fused[y, x] = 0.5 * (float(ordered[(count - 1) // 2]) + float(ordered[count // 2]))
+            elif rule == 2:
+                fused[y, x] = ordered[0]
+            else:
+                fused[y, x] = ordered[max(count - 2, 0)]

@@ -14,7 +14,18 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 
-__all__ = ["add_coarse", "coarser", "divergence", "laplacian", "reciprocal_sums", "relax", "residual"]
+__all__ = [
+    "add_coarse",
+    "advance",
+    "coarser",
+    "divergence",
+    "laplacian",
+    "product",
+    "reciprocal_sums",
+    "relax",
+    "residual",
+    "turn",
+]
 
 Float64 = NDArray[np.float64]
 Grid = NDArray[Any]
@@ -45,6 +56,48 @@ def laplacian(u: Grid, wx: Grid, wy: Grid, result: Grid) -> float:
             result[r, c] = value
             energy += value * here
     return energy
+
+
+@kernel
+def product(r: Grid, z: Grid) -> float:
+    """Sum of the products of two images' pixels."""
+    total = 0.0
+    for i in range(r.shape[0]):
+        for c in range(r.shape[1]):
+            total += r[i, c] * z[i, c]
+    return total
+
+
+@kernel
+def turn(p: Grid, z: Grid, size: float, share: float) -> None:
+    """The next direction of conjugate gradients, size·z + share·p, in place of `p`."""
+    for r in range(p.shape[0]):
+        for c in range(p.shape[1]):
+            p[r, c] = size * z[r, c] + share * p[r, c]
+
+
+@kernel
+def advance(u: Grid, r: Grid, p: Grid, q: Grid, step: float) -> tuple[float, float]:
+    """A step of conjugate gradients: u + step·p and r − step·q in place; the sum of the squares of r and its greatest.
+
+    Parameters
+    ----------
+    u, r
+        Solution and residual, written to.
+    p, q
+        Direction, and L·p.
+    step
+        How far.
+    """
+    square, most = 0.0, 0.0
+    for i in range(u.shape[0]):
+        for c in range(u.shape[1]):
+            u[i, c] += step * p[i, c]
+            left = r[i, c] - step * q[i, c]
+            r[i, c] = left
+            square += left * left
+            most = max(most, abs(left))
+    return square, most
 
 
 @kernel

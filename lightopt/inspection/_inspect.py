@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,14 +15,17 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.images import ImageSet
 from lightopt.inspection._calibration import CalibratedPosture, Calibration, Shots, shots_of
-from lightopt.inspection._coverage import Coverage, measure_coverage
+from lightopt.inspection._coverage import Coverage
+from lightopt.inspection._coverage_blocks import coverage_in_blocks
 from lightopt.inspection._deviation import Deviations, deviations
-from lightopt.inspection._measure import FoundDefect, Sighting, gather, measure_regions
+from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._predictions import Predictions
+from lightopt.inspection._pieces import separate_pieces
+from lightopt.inspection._predictions import Predictions, lights_of
 from lightopt.inspection._regions import find_regions
-from lightopt.inspection._register import Progress, good_part, lay_over
+from lightopt.inspection._register import DARK_SPREAD, Progress, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, score_deviations, threshold
+from lightopt.inspection._sightings import FoundDefect, Sighting, gather
 from lightopt.inspection._slopes import node_steps
 from lightopt.inspection._surface import SurfaceCoverage, surface_coverage
 from lightopt.inspection._synthetic import PROBES, SyntheticImage, fuse_images, trust_weights
@@ -35,7 +39,13 @@ __all__ = ["InspectedPosture", "Inspection", "LaidSet", "inspect_set", "lay_set"
 
 Float32 = NDArray[np.float32]
 
+MOST_DARK_SHARE = 0.01
+"""A black level that is further off than this share of the sensor's range is told."""
+
 MOST_REGIONS = 1000
+
+UNKNOWN_TURN_RAD = math.radians(0.5)
+"""Beyond this standard error the images do not tell how the part is turned."""
 """A posture with more regions than this is not a part with so many defects: its model does not describe it."""
 
 
@@ -165,14 +175,17 @@ def inspect_set(
     for view, shots in laid.views:
         learned = None if calibration is None else calibration.of(view.posture, shots, where=where)
         postures.append(_inspect_posture(view, options, laid, learned, where=where))
+    placement = laid.placement if options.shift else None
     coverages = [(p.view.posture, p.coverage) for p in postures]
     return Inspection(
         defects=gather([s for p in postures for s in p.sightings]),
         postures=tuple(postures),
-        placement=laid.placement if options.shift else None,
-        words=tuple(_words(rig, part, postures, options, calibrated=calibration is not None)),
+        placement=placement,
+        words=tuple(
+            _words(rig, part, postures, options, placement=placement, calibrated=calibration is not None)
+        ),
         nominal=laid.nominal,
-        surface=surface_coverage(laid.nominal, coverages, predictions.surface_of(laid.scene)),
+        surface=surface_coverage(laid.nominal, coverages, predictions.surface_of(laid.scene, _asked(part))),
     )
 
 
@@ -208,7 +221,9 @@ def lay_set(
     progress: Progress | None = None,
 ) -> LaidSet:
     """Look for the part of a set, and lay the good part over its images; takes what :func:`inspect_set` takes."""
-    nominal, observations = good_part(rig, part, image_set, known=predictions.nominal)
+    nominal, observations = good_part(
+        rig, part, image_set, known=predictions.nominal, threads=options.threads
+    )
     scene, placement, off = _find(nominal, observations, predictions, options, progress)
 
     def views() -> Iterator[tuple[PostureView, Shots]]:
@@ -216,7 +231,7 @@ def lay_set(
             if progress is not None:
                 progress(f"posture {posture}", number / len(scene.postures))
             mine = [o for o in observations if o.posture == posture]
-            lights = [light.name for light in scene.lights if any(o.light == light.name for o in mine)]
+            lights = lights_of(scene, mine)
             prediction = predictions.of(scene, posture, lights, threads=options.threads)
             if off is not None:
                 prediction = predictions.shifted(scene, posture, lights, off, threads=options.threads)
@@ -276,7 +291,14 @@ def score_posture(
     """The scores of a posture by the detector that was chosen; `probes` as :func:`fuse_images` takes it."""
     synthetic = None
     if options.fusion is not None:
-        weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
+        weights = trust_weights(
+            view.saturated,
+            view.predicted,
+            view.specular,
+            view.deviation,
+            view.limit,
+            threads=options.threads,
+        )
         synthetic = fuse_images(
             view.level,
             view.deviation,
@@ -286,6 +308,7 @@ def score_posture(
             predicted=view.predicted,
             specular=view.specular,
             probes=probes,
+            threads=options.threads,
         )
     if options.detector == "template":
         assert synthetic is not None
@@ -319,6 +342,7 @@ def _inspect_posture(
             f"most {MOST_REGIONS:,}: the model does not describe the part; check the sensor's noise in the rig file "
             "and that the images have it, give a STEP file, and fit the reflectance (lightopt fit-specular)"
         )
+    labels, count = separate_pieces(labels, count, score, found, high)
     return InspectedPosture(
         view=view,
         synthetic=scored.synthetic,
@@ -328,7 +352,16 @@ def _inspect_posture(
         sightings=measure_regions(
             labels, count, score, view, found, scene=laid.nominal, placement=laid.placement
         ),
-        coverage=measure_coverage(view, found, seen_by=options.seen_by, high=high),
+        coverage=coverage_in_blocks(
+            view,
+            found,
+            seen_by=options.seen_by,
+            # templates have no deviations to tell a contrast by: theirs is what the other detector would find
+            high=high
+            if options.detector == "residual"
+            else threshold(options.false_alarms, int(view.clean.sum()), len(SCALES_PX)),
+            threads=options.threads,
+        ),
     )
 
 
@@ -338,6 +371,7 @@ def _words(
     postures: Sequence[InspectedPosture],
     options: InspectOptions,
     *,
+    placement: Placement | None = None,
     calibrated: bool = False,
 ) -> list[str]:
     words: list[str] = []
@@ -352,7 +386,21 @@ def _words(
             f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
             "is all the noise there is; good parts may show regions; give what the sensor has"
         )
+    if placement is not None and placement.errors[2] > UNKNOWN_TURN_RAD:
+        words.append(
+            "the images do not tell how the part is turned about the stage's axis "
+            f"(± {math.degrees(placement.errors[2]):.2g}°): it is taken to lie as its file has it, and places on it "
+            "are by that; a body of revolution has no other"
+        )
     for p in postures:
+        dark = p.view.photometry.dark
+        if abs(dark) > max(DARK_SPREAD, MOST_DARK_SHARE * 2**sensor.bit_depth):
+            side = "above" if dark > 0.0 else "below"
+            words.append(
+                f"posture {p.view.posture}: black is {abs(dark):.3g} sensor levels {side} the rig's black_level of "
+                f"{sensor.black_level:g}; judged with that taken out; correct the rig file, or keep other light off "
+                "the part"
+            )
         missing = [light.name for light in rig.lights if light.name not in p.view.lights]
         if missing:
             words.append(f"posture {p.view.posture}: no image under {', '.join(missing)}; judged without")
@@ -367,11 +415,17 @@ def _words(
             )
         elif p.coverage.inspected == 0.0:
             words.append(
-                f"posture {p.view.posture}: no pixel is lit and unsaturated in enough images; nothing was inspected"
+                f"posture {p.view.posture}: no pixel is reached by light and unsaturated in any image; nothing "
+                "was inspected"
             )
     there = {p.view.posture for p in postures}
-    for wanted in part.postures:
-        posture = Posture(elevation_deg=wanted.elevation_deg, rotation_deg=wanted.rotation_deg)
-        if posture not in there:
-            words.append(f"posture {posture}: no images; what only it shows was not inspected")
+    words.extend(
+        f"posture {posture}: no images; what only it shows was not inspected"
+        for posture in _asked(part)
+        if posture not in there
+    )
     return words
+
+
+def _asked(part: PartConfig) -> list[Posture]:
+    return [Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg) for p in part.postures]

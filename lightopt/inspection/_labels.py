@@ -33,15 +33,18 @@ class TrueLabels:
     of_posture
         Per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H, W).
     source
-        ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was found.
+        ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was found;
+        ``no defects``: none is on the part.
     """
 
     listed: tuple[Mapping[str, Any], ...]
     of_posture: tuple[Int32, ...]
-    source: Literal["images", "part file"]
+    source: Literal["images", "part file", "no defects"]
 
 
-def true_labels(image_set: ImageSet, result: Inspection, *, known: Sequence[PlacedDefect] = ()) -> TrueLabels:
+def true_labels(
+    image_set: ImageSet, result: Inspection, *, known: Sequence[PlacedDefect] | None = None
+) -> TrueLabels:
     """The labels of a set; of one without labels those of known defects where the inspection found the part.
 
     Parameters
@@ -51,27 +54,28 @@ def true_labels(image_set: ImageSet, result: Inspection, *, known: Sequence[Plac
     result
         Of their inspection.
     known
-        Defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`).
+        Defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`); an
+        empty sequence where it is known to have none, None where nothing is known.
 
     Raises
     ------
     InputError
-        The set has no labels and no defects are known, or its labels are those of images of another size.
+        The set has no labels and nothing is known, or its labels are those of images of another size.
     """
     listed = image_set.manifest.extra.get("defects")
     if isinstance(listed, list):
         arrays = tuple(_stored(image_set, posture) for posture in result.postures)
         return TrueLabels(listed=tuple(listed), of_posture=arrays, source="images")
-    if not known:
+    if known is None:
         raise InputError(
             f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
-            "render writes them for a part whose file names defects, and PART names no defects either; give the part "
-            "file whose defects: are those of the part in the images"
+            "render writes them for a part whose file names defects; give the part file whose defects: are those of "
+            "the part in the images"
         )
     return TrueLabels(
         listed=tuple(defect_facts(known, result.nominal.placement)),
         of_posture=tuple(_cast(posture, result, known) for posture in result.postures),
-        source="part file",
+        source="part file" if known else "no defects",
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation, Placement
+from lightopt.inspection._register import DARK_SPREAD, GAIN_SPREAD
 from lightopt.inspection._slopes import Slopes, node_steps
 from lightopt.inspection._view import Prediction
 from lightopt.scene import Scene, project, view_from_part
@@ -34,8 +35,6 @@ shifted images, which only tell whether it is worth while to render better ones,
 CLEAR = 3.5
 TUKEY = 4.685
 ROUNDS = 8
-GAIN_SPREAD = 0.3
-DARK_SPREAD = 3.0
 _LEAST_PIXELS = 200
 
 
@@ -157,7 +156,6 @@ def fit_place(
     sensor = scene.sensor
     names = [light.name for light in scene.lights]
     n = len(names)
-    per_electron = 1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0
     columns: list[Float64] = []
     targets: list[Float64] = []
     noises: list[Float64] = []
@@ -165,9 +163,7 @@ def fit_place(
     for o, sample in zip(observations, samples, strict=True):
         scale = o.exposure * sensor.max_level / scene.reflectance.full_scale
         model = scale * sample.level
-        noise = np.sqrt(
-            (sensor.read_noise_levels**2 + per_electron * np.maximum(model, 0.0)) / o.frames + 1.0 / 12.0
-        )
+        noise = np.sqrt(sensor.noise_variance(model, frames=o.frames))
         taken = np.broadcast_to(np.float32(o.subtracted), o.levels.shape).ravel()[sample.pixel]
         top = sensor.saturated_from - sensor.black_level - taken
         reach = FURTHEST * scale * np.abs(sample.slope).sum(axis=1)

@@ -8,6 +8,7 @@ steps hardly depends on the size of the image or on the outline of the mask.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -18,12 +19,15 @@ from scipy import ndimage
 from lightopt.errors import LightoptError
 from lightopt.inspection._grid_graph import (
     add_coarse,
+    advance,
     coarser,
     divergence,
     laplacian,
+    product,
     reciprocal_sums,
     relax,
     residual,
+    turn,
 )
 
 __all__ = ["PoissonGrid", "poisson_grid"]
@@ -107,22 +111,23 @@ class PoissonGrid:
     def _solve(self, b: Float64, tolerance: float) -> Float64:
         # preconditioned conjugate gradients; L is singular on each piece, but b has nothing there
         u, r = np.zeros_like(b), b.copy()
-        goal = tolerance * float(np.sqrt(np.vdot(b, b)))
+        goal = tolerance * math.sqrt(float(np.vdot(b, b)))
         if goal == 0.0:
             return u
-        q = np.zeros_like(b)
-        p: Float64 | None = None
-        before = 1.0
+        if not math.isfinite(goal):
+            raise LightoptError("gradients that are not finite numbers have no image")
+        p, q = np.zeros_like(b), np.zeros_like(b)
+        scaled = np.empty(b.shape, np.float32)
+        size = float(np.abs(b).max())
+        before = math.inf
         for _ in range(MOST_STEPS):
-            size = float(np.abs(r).max())
-            z = size * self._cycle(0, (r / size).astype(np.float32)).astype(np.float64)
-            now = float(np.vdot(r, z))
-            p = z if p is None else z + (now / before) * p
+            np.multiply(r, 1.0 / size, out=scaled, casting="unsafe")
+            z = self._cycle(0, scaled)
+            now = size * product(r, z)
+            turn(p, z, size, now / before)
             before = now
-            step = now / laplacian(p, self._wx, self._wy, q)
-            u += step * p
-            r -= step * q
-            if float(np.sqrt(np.vdot(r, r))) <= goal:
+            square, size = advance(u, r, p, q, now / laplacian(p, self._wx, self._wy, q))
+            if math.sqrt(square) <= goal:
                 return u
         raise LightoptError(f"gradients were not integrated within {MOST_STEPS} steps")
 
@@ -157,7 +162,7 @@ def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
     """
     components = np.zeros(mask.shape, np.int32)
     count = ndimage.label(mask, output=components)
-    window = _window(mask)
+    window = mask_window(mask)
     wx = _edges(np.where(mask[:, 1:] & mask[:, :-1], wx, 0.0), window, 1)
     wy = _edges(np.where(mask[1:] & mask[:-1], wy, 0.0), window, 0)
     level = [(wx.astype(np.float32), wy.astype(np.float32))]
@@ -167,7 +172,8 @@ def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
     return PoissonGrid(mask, components, cast(int, count), window, wx, wy, levels)
 
 
-def _window(mask: Bool) -> tuple[slice, slice]:
+def mask_window(mask: Bool) -> tuple[slice, slice]:
+    """Rows and columns that hold a mask, shape (H, W)."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return slice(0, 0), slice(0, 0)

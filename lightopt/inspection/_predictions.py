@@ -18,7 +18,7 @@ from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 from lightopt.transforms import Posture
 
-__all__ = ["Predictions"]
+__all__ = ["Predictions", "lights_of"]
 
 Key = tuple[Posture, tuple[str, ...]]
 
@@ -163,13 +163,22 @@ class Predictions:
             keys = _keys(scene, observations)
             self.misfit = self._fit(scene, observations, keys, moves=False)[1]
 
-    def surface_of(self, scene: Scene) -> SurfaceMap | None:
-        """Patches of the surface and the pixels that see them; None for a single posture."""
-        if len(scene.postures) < 2:
+    def surface_of(self, scene: Scene, asked: Sequence[Posture] = ()) -> SurfaceMap | None:
+        """Patches of the surface and the pixels that see them; None for a single posture.
+
+        Parameters
+        ----------
+        scene
+            With the postures that there are images of.
+        asked
+            Those that there should be images of.
+        """
+        postures = tuple(dict.fromkeys((*scene.postures, *asked)))
+        if len(postures) < 2:
             return None
-        if scene.postures not in self.surface:
-            self.surface[scene.postures] = map_surface(scene, self._caster(scene))
-        return self.surface[scene.postures]
+        if postures not in self.surface:
+            self.surface[postures] = map_surface(replace(scene, postures=postures), self._caster(scene))
+        return self.surface[postures]
 
     def _caster(self, scene: Scene) -> RayCaster:
         if self.caster is None:
@@ -192,17 +201,15 @@ class Predictions:
         return fit_place(scene, observations, samples, moves=moves)
 
 
+def lights_of(scene: Scene, observations: Sequence[Observation]) -> tuple[str, ...]:
+    """Names of the lights that there are images of, in the scene's order."""
+    return tuple(light.name for light in scene.lights if any(o.light == light.name for o in observations))
+
+
 def _keys(scene: Scene, observations: Sequence[Observation]) -> dict[Posture, Key]:
     # of each posture, the lights that the set has for it in the rig's order
     return {
-        posture: (
-            posture,
-            tuple(
-                light.name
-                for light in scene.lights
-                if any(o.light == light.name and o.posture == posture for o in observations)
-            ),
-        )
+        posture: (posture, lights_of(scene, [o for o in observations if o.posture == posture]))
         for posture in scene.postures
     }
 

@@ -15,13 +15,7 @@ __all__ = ["find_regions", "pixels_of"]
 Float32 = NDArray[np.float32]
 
 LOW_SHARE = 0.5
-"""A region spreads from where it is certain to where its score is above this share of the threshold …"""
-
-PEAK_SHARE = 0.08
-"""… and above this share of the peak around: sums over Gaussians spread a strong defect beyond its outline."""
-
-SPREAD_PX = 10
-"""As far as sums over the widest Gaussian spread it."""
+"""A region spreads from where it is certain to where its score is above this share of the threshold."""
 
 GAP_PX = 3
 """Pieces this near to each other are one defect: a dent shows at its walls, and not in its middle."""
@@ -54,8 +48,7 @@ def find_regions(score: Float32, high: float) -> tuple[NDArray[np.int32], int]:
     new = np.zeros(count + 1, np.int32)
     new[kept] = np.arange(1, len(kept) + 1, dtype=np.int32)
     labels = np.zeros(score.shape, np.int32)
-    around = ndimage.maximum_filter(score, 2 * SPREAD_PX + 1).ravel()[low]
-    labels.ravel()[low] = np.where(value < PEAK_SHARE * around, 0, new[own])
+    labels.ravel()[low] = new[own]
     return labels, len(kept)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from lightopt.inspection._deviation import Deviations
-from lightopt.inspection._filter import BLOCK_ROWS, filtered, gaussian_taps, row_blocks
+from lightopt.inspection._filter import BLOCK_ROWS, TILE_COLUMNS, filter_tile, gaussian_taps, row_blocks
 from lightopt.kernels import kernel
 from lightopt.rendering import in_threads
 
@@ -32,6 +33,10 @@ SCALES_PX = (1.0, 2.0, 3.5)
 
 LEAST_SHARE = 0.5
 """A sum counts where at least this share of the variance that it would have is of usable pixels."""
+
+STRONGEST_Z = 6.0
+"""Sums over wide Gaussians are for faint wide defects. What is further off by itself counts as this much in them: the
+sum over the narrowest has it, and it would spread far beyond its outline."""
 
 TABLED_Z = 25.0
 """Probabilities beyond this are too small for a number. Scores go on from there by the normal law's leading term, since
@@ -72,28 +77,56 @@ def smoothed_deviations(
     threads
         Number of threads; the result does not depend on it.
     """
-    sums, counts = np.zeros_like(found.z), np.zeros(found.z.shape, np.bool_)
-    for i, (z, usable) in enumerate(zip(found.z, found.usable, strict=True)):
-        sums[i], counts[i] = _sums(z, usable, gaussian_taps(scale), threads)
-    return sums, counts
+    sums, counts = np.empty_like(found.z), np.empty(found.z.shape, np.bool_)
+    lights, height, _ = found.z.shape
+    pieces = [(i, top) for i in range(lights) for top in row_blocks(height)]
+    weights = _weights(scale)
 
-
-def _sums(z: Float32, usable: Bool, taps: Float32, threads: int | None) -> tuple[Float32, Bool]:
-    # the square of a Gaussian is narrower
-    cut = int((len(taps) // 2) * (1.0 - math.sqrt(0.5)))
-    squares = np.square(taps[cut : len(taps) - cut])
-    sums = filtered(z, taps, threads=threads)
-    variance = filtered(usable.astype(np.float32), squares, threads=threads)
-    least = np.float32(LEAST_SHARE * float(squares.sum()) ** 2)
-    counts = np.empty(usable.shape, np.bool_)
-
-    def block(top: int) -> None:
+    def piece(number: int) -> None:
+        i, top = pieces[number]
         rows = slice(top, top + BLOCK_ROWS)
-        counts[rows] = usable[rows] & (variance[rows] >= least)
-        sums[rows] *= counts[rows] / np.sqrt(np.maximum(variance[rows], np.float32(1e-12)))
+        _smooth(found.z[i], found.usable[i], *weights, top, sums[i, rows], counts[i, rows])
 
-    in_threads(block, row_blocks(len(z)), threads)
+    in_threads(piece, range(len(pieces)), threads)
     return sums, counts
+
+
+def _weights(scale: float) -> tuple[Float32, Float32]:
+    # of the sums over a Gaussian, and of their variance: the square of a Gaussian is narrower
+    taps = gaussian_taps(scale)
+    cut = int((len(taps) // 2) * (1.0 - math.sqrt(0.5)))
+    return taps, np.square(taps[cut : len(taps) - cut])
+
+
+@kernel
+def _smooth(
+    z: Float32, usable: Bool, taps: Float32, squares: Float32, top: int, sums: Float32, counts: Bool
+) -> None:
+    # rows of the sums from `top` on, each in its own standard deviation, and where they count
+    height, width = z.shape
+    reach = len(squares) // 2
+    whole = squares.sum() ** 2
+    least = np.float32(LEAST_SHARE) * whole
+    rows = len(sums)
+    variance = np.empty((rows, TILE_COLUMNS), np.float32)
+    for left in range(0, width, TILE_COLUMNS):
+        right = min(left + TILE_COLUMNS, width)
+        if not usable[top : top + rows, left:right].any():
+            sums[:, left:right] = np.float32(0.0)
+            counts[:, left:right] = False
+            continue
+        filter_tile(z, taps, top, left, sums[:, left:right])
+        # where all around is usable the variance is known
+        inside = top >= reach and left >= reach and top + rows + reach <= height and right + reach <= width
+        if inside and usable[top - reach : top + rows + reach, left - reach : right + reach].all():
+            variance[:] = whole
+        else:
+            filter_tile(usable, squares, top, left, variance[:, : right - left])
+        for y in range(rows):
+            for x in range(left, right):
+                own = variance[y, x - left]
+                counts[y, x] = usable[top + y, x] and own >= least
+                sums[y, x] = sums[y, x] / math.sqrt(own) if counts[y, x] else np.float32(0.0)
 
 
 def rank_probability(z: Float64, count: NDArray[np.intp], rank: int) -> Float64:
@@ -112,9 +145,9 @@ def rank_probability(z: Float64, count: NDArray[np.intp], rank: int) -> Float64:
     rank
         1 for the largest.
     """
-    tail = 2.0 * special.ndtr(-np.minimum(z, TABLED_Z))
-    k = np.minimum(rank, np.maximum(count, 1))
-    return special.betainc(k, np.maximum(count, 1) - k + 1, tail)
+    n = np.maximum(count, 1)
+    k = np.minimum(rank, n)
+    return special.betainc(k, n - k + 1, 2.0 * special.ndtr(-np.minimum(z, TABLED_Z)))
 
 
 def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = None) -> Float32:
@@ -125,7 +158,8 @@ def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = N
     found
         Of a posture.
     seen_by
-        A defect is what shows in so many images: its score is that of the `seen_by`-th largest deviation.
+        A defect is what shows in so many images: its score is that of the `seen_by`-th largest deviation. Where fewer
+        are lit it has to show in these alone, or in one where none is, and may show in a dark one as well.
     threads
         Number of threads; the result does not depend on it.
     """
@@ -135,39 +169,65 @@ def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = N
         return whole
     window = tuple(slice(int(side[0]), int(side[-1]) + 1) for side in sides)
     box = (slice(None), *window)
-    inner = Deviations(found.z[box], found.scale[box], found.usable[box])
+    inner = Deviations(found.z[box], found.scale[box], found.usable[box], found.lit[box])
+    lights, height, _ = inner.z.shape
     score = np.zeros(inner.z.shape[1:], np.float32)
-    table = _table(len(found.z), seen_by)
-    for width in SCALES_PX:
-        sums, counts = smoothed_deviations(inner, width, threads=threads)
+    table = _table(lights, seen_by)
+    held = np.empty_like(inner.z)
 
-        def block(top: int, sums: Float32 = sums, counts: Bool = counts) -> None:
-            _raise(sums, counts, table, seen_by, top, min(top + BLOCK_ROWS, len(score)), score)
+    def hold(top: int) -> None:
+        rows = slice(top, top + BLOCK_ROWS)
+        np.clip(inner.z[:, rows], -STRONGEST_Z, STRONGEST_Z, out=held[:, rows])
 
-        in_threads(block, row_blocks(len(score)), threads)
+    in_threads(hold, row_blocks(height), threads)
+    scales = [(inner.z if width == min(SCALES_PX) else held, _weights(width)) for width in SCALES_PX]
+
+    def block(top: int) -> None:
+        rows = slice(top, min(top + BLOCK_ROWS, height))
+        sums = np.empty((lights, *score[rows].shape), np.float32)
+        counts = np.empty(sums.shape, np.bool_)
+        for z, weights in scales:
+            for i in range(lights):
+                _smooth(z[i], inner.usable[i], *weights, top, sums[i], counts[i])
+            _raise(sums, counts, inner.lit[:, rows], table, score[rows])
+
+    in_threads(block, row_blocks(height), threads)
     whole[window] = score
     return whole
 
 
 def _table(images: int, rank: int) -> Float32:
-    # scores by the number of images that count and the deviation in steps of 1/TABLE_STEPS; in between they are read
-    # off straight lines, which is off by 1e-5 at most
+    # scores by rank − 1, the number of images that count and the deviation in steps of 1/TABLE_STEPS; in between they
+    # are read off straight lines, which is off by 1e-5 at most
     z = np.arange(int(TABLED_Z * TABLE_STEPS) + 1) / TABLE_STEPS
-    rows = [-np.log10(rank_probability(z, np.full(len(z), count), rank)) for count in range(1, images + 1)]
-    return np.stack([np.zeros(len(z)), *rows]).astype(np.float32)
+    table = np.zeros((rank, images + 1, len(z)), np.float32)
+    for k, count in itertools.product(range(1, rank + 1), range(1, images + 1)):
+        table[k - 1, count] = _scores(z, count, min(k, count))
+    return table
+
+
+def _scores(z: Float64, count: int, k: int) -> Float64:
+    # −log₁₀ of rank_probability, which is too small for a number where several images show a strong defect: there its
+    # leading term, C(count, k)·tᵏ, is it to 1e-8
+    ln_tail = special.log_ndtr(-z) + math.log(2.0)
+    leading = (
+        special.gammaln(count + 1) - special.gammaln(k + 1) - special.gammaln(count - k + 1) + k * ln_tail
+    )
+    far = ln_tail < math.log(1e-9)
+    near = rank_probability(np.where(far, 0.0, z), np.full(len(z), count), k)
+    return -np.where(far, leading, np.log(near)) / _LN_10
 
 
 @kernel
-def _raise(
-    sums: Float32, counts: Bool, table: Float32, rank: int, top: int, bottom: int, score: Float32
-) -> None:
-    images, _, width = sums.shape
+def _raise(sums: Float32, counts: Bool, lit: Bool, table: Float32, score: Float32) -> None:
+    images, height, width = sums.shape
     size = np.empty(images, np.float32)
-    for y in range(top, bottom):
+    for y in range(height):
         for x in range(width):
-            count = 0
+            count = lights = 0
             for i in range(images):
                 if counts[i, y, x]:
+                    lights += lit[i, y, x]
                     # in order, the largest first
                     own = abs(sums[i, y, x])
                     k = count
@@ -178,16 +238,17 @@ def _raise(
                     count += 1
             if count == 0:
                 continue
-            k = min(rank, count)
+            k = min(len(table), max(lights, 1))
             z = size[k - 1]
             if z >= np.float32(TABLED_Z):
                 further = 0.5 * (z * z - TABLED_Z * TABLED_Z) + math.log(z / TABLED_Z)
-                value = table[count, -1] + np.float32(k * further / _LN_10)
+                value = table[k - 1, count, -1] + np.float32(k * further / _LN_10)
             else:
                 place = z * np.float32(TABLE_STEPS)
                 left = int(place)
                 share = place - np.float32(left)
-                value = table[count, left] + share * (table[count, left + 1] - table[count, left])
+                lower, upper = table[k - 1, count, left], table[k - 1, count, left + 1]
+                value = lower + share * (upper - lower)
             score[y, x] = max(score[y, x], value)
 
 

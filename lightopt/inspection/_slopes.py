@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Placement
+from lightopt.align import Placement, view_of_placed
 from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
 from lightopt.inspection._view import Prediction
 from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
-from lightopt.rendering import LightImage, in_threads, render_posture
+from lightopt.rendering import in_threads, render_posture
 from lightopt.scene import Scene, pixel_footprint
 from lightopt.transforms import Posture, rotation_z
 
@@ -71,18 +71,15 @@ def move(scene: Scene, placement: Placement, posture: Posture, off: Float64) -> 
     off
         Further shift in x and y [mm] and turn [rad], shape (3,).
     """
-    turn = rotation_z(float(off[2]))
-    middle = scene.pivot + np.array([placement.x, placement.y, 0.0])
-    shift = middle + np.array([off[0], off[1], 0.0]) - turn @ middle
-    stage = posture.matrix
-    # world → stage → back by the move → world
-    rotation = stage @ turn.T @ stage.T
-    at_origin = stage.T @ -scene.pivot + scene.pivot
-    translation = stage @ (turn.T @ (at_origin - shift) - scene.pivot) + scene.pivot
+    turn = float(off[2])
+    # it turns about its own middle, and placements turn about the pivot
+    middle = np.array([placement.x, placement.y, 0.0])
+    x, y, _ = middle - rotation_z(turn) @ middle
+    view = view_of_placed(scene, posture, x + float(off[0]), y + float(off[1]), turn)
     return replace(
         scene,
-        camera=scene.camera.moved(rotation, translation),
-        lights=tuple(light.moved(rotation, translation) for light in scene.lights),
+        camera=view.camera.moved(view.rotation, view.translation),
+        lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
     )
 
 
@@ -154,24 +151,31 @@ def shifted(
         Number of threads; the result does not depend on it.
     """
     t = (off / slopes.steps).astype(np.float32)
-    images: list[LightImage] = []
-    for image, terms in zip(prediction.images.lights, slopes.levels, strict=True):
-        level = image.level.copy()
-        inner = level[slopes.window]
+    images = prediction.images.lights
+    levels = [np.empty_like(image.level) for image in images]
+    rows, columns = slopes.window
+    pieces = [(number, top) for number in range(len(images)) for top in row_blocks(len(levels[0]))]
 
-        def block(top: int, inner: Float32 = inner, terms: Float32 = terms) -> None:
-            _add(terms, t, top, min(top + BLOCK_ROWS, len(inner)), inner)
+    def piece(place: int) -> None:
+        number, top = pieces[place]
+        bottom = min(top + BLOCK_ROWS, len(levels[number]))
+        levels[number][top:bottom] = images[number].level[top:bottom]
+        first, last = max(top, rows.start), min(bottom, rows.stop)
+        if first < last:
+            inner = levels[number][first:last]
+            _add(slopes.levels[number], t, first - rows.start, columns.start, inner)
 
-        in_threads(block, row_blocks(len(inner)), threads)
-        images.append(replace(image, level=level))
-    return replace(prediction, images=replace(prediction.images, lights=tuple(images)))
+    in_threads(piece, range(len(pieces)), threads)
+    moved = tuple(replace(image, level=level) for image, level in zip(images, levels, strict=True))
+    return replace(prediction, images=replace(prediction.images, lights=moved))
 
 
 @kernel
-def _add(terms: Float32, t: Float32, top: int, bottom: int, level: Float32) -> None:
-    for y in range(top, bottom):
-        for x in range(level.shape[1]):
-            value = level[y, x]
+def _add(terms: Float32, t: Float32, top: int, left: int, level: Float32) -> None:
+    # to rows of an image, of which the first is that of the terms' row `top`
+    for y in range(level.shape[0]):
+        for x in range(terms.shape[3]):
+            value = level[y, left + x]
             for axis in range(3):
-                value += t[axis] * (terms[axis, 0, y, x] + t[axis] * terms[axis, 1, y, x])
-            level[y, x] = max(value, np.float32(0.0))
+                value += t[axis] * (terms[axis, 0, top + y, x] + t[axis] * terms[axis, 1, top + y, x])
+            level[y, left + x] = max(value, np.float32(0.0))

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.inspection._coverage import CONTRASTS, Coverage, Reached
+from lightopt.inspection._coverage import CONTRASTS, TOLD_SIZE_PX, Coverage, Reached, Shares
 from lightopt.mesh import face_areas
 from lightopt.raycast import RayCaster
 from lightopt.rendering import LEAST_COS_VIEW, build_patches, patch_positions
 from lightopt.scene import Scene, view_from_part
 from lightopt.transforms import Posture
 
-__all__ = ["SurfaceCoverage", "SurfaceMap", "map_surface", "surface_coverage"]
+__all__ = ["TOLD_CONTRAST", "TOLD_DISC", "SurfaceCoverage", "SurfaceMap", "map_surface", "surface_coverage"]
+
+TOLD_CONTRAST: Final = 0.2
+TOLD_DISC: Final = f"a disc of {TOLD_SIZE_PX:g} px that changes the light by {100.0 * TOLD_CONTRAST:g} %"
+"""What is said beside the share that was inspected: which defect would have been found, and where."""
 
 PATCHES = 50_000
 """About so many patches that the camera sees stand for the surface, whatever the resolution of the images."""
@@ -40,49 +44,34 @@ class SurfaceMap:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SurfaceCoverage:
-    """The surface of the part, each place counted once however many postures show it.
+class SurfaceCoverage(Shares):
+    """The surface of the part, each place counted once, by the posture that shows it best.
 
     Attributes
     ----------
     area
-        Of the whole surface, undersides and insides too [mm²].
-    seen
-        Of it, seen by the camera in at least one posture [mm²].
-    inspected
-        Of that, judged in at least one posture under as many lights as a defect must show under [mm²].
-    saturated, shadow, edge
-        Of what is seen, not judged in any posture, by what stood in the way in the posture that came nearest: saturated
-        before dark, dark before an edge or a grazing view [mm²].
-    sensitivity
-        By contrast: the surface where a defect as :class:`Coverage` has it is found in the posture that shows it best
-        [mm²].
+        Of the whole surface, undersides and insides too [mm²]; `seen` of it by the camera in at least one posture,
+        with images or without.
+    missing
+        Of what is seen, not judged for want of images: what a posture without images shows, and those with images at
+        an edge or a grazing angle at most [mm²].
     """
 
     area: float
-    seen: float
-    inspected: float
-    saturated: float
-    shadow: float
-    edge: float
-    sensitivity: dict[float, float]
+    missing: float = 0.0
 
     @property
-    def share(self) -> float:
-        """Of what the camera sees, the share that was inspected."""
-        return self.inspected / self.seen if self.seen > 0.0 else 0.0
+    def finds(self) -> float:
+        """Of what the camera sees, the share on which :data:`TOLD_DISC` is found half of the time."""
+        return self.sensitivity.get(TOLD_CONTRAST, 0.0) / self.seen if self.seen > 0.0 else 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form: shares of what the camera sees, and that as a share of the whole."""
-        whole = max(self.seen, 1e-9)
         return {
             "area_mm2": round(self.area, 3),
             "seen": round(self.seen / max(self.area, 1e-9), 5),
-            "inspected": round(self.inspected / whole, 5),
-            "saturated": round(self.saturated / whole, 5),
-            "shadow": round(self.shadow / whole, 5),
-            "edge": round(self.edge / whole, 5),
-            "finds_contrast": {f"{c:g}": round(a / whole, 5) for c, a in self.sensitivity.items()},
+            **self.shares(),
+            "missing": round(self.missing / max(self.seen, 1e-9), 5),
         }
 
 
@@ -92,7 +81,7 @@ def map_surface(scene: Scene, caster: RayCaster) -> SurfaceMap:
     Parameters
     ----------
     scene
-        With the part where it lies, and the postures that images were taken in.
+        With the part where it lies, in all postures that it is to be seen in.
     caster
         Of the scene's part.
     """
@@ -117,22 +106,15 @@ def surface_coverage(
     scene
         With the part.
     coverages
-        Of each posture.
+        Of each posture that there are images of.
     surface
-        From :func:`map_surface`; None for a single posture, whose own pixels tell.
+        From :func:`map_surface`, of these postures and those that images are missing of; None for a single posture of
+        which none is, whose own pixels tell.
     """
     area = float(face_areas(scene.mesh).sum())
     if surface is None:
         ((_, only),) = coverages
-        return SurfaceCoverage(
-            area=area,
-            seen=only.seen,
-            inspected=only.inspected,
-            saturated=only.saturated,
-            shadow=only.shadow,
-            edge=only.edge,
-            sensitivity=only.sensitivity,
-        )
+        return SurfaceCoverage(area=area, **{each.name: getattr(only, each.name) for each in fields(Shares)})
     reached = np.full(len(surface.areas), -1, np.int8)
     least = np.full(len(surface.areas), np.inf, np.float32)
     for posture, coverage in coverages:
@@ -142,6 +124,12 @@ def surface_coverage(
         reached[patch] = np.maximum(reached[patch], here.astype(np.int8))
         found = np.where(pixel < 0, np.inf, coverage.least_contrast.ravel()[pixel])
         least[patch] = np.minimum(least[patch], found.astype(np.float32))
+    missing = np.zeros(len(surface.areas), np.bool_)
+    for posture in surface.seen.keys() - {posture for posture, _ in coverages}:
+        patch, pixel = surface.seen[posture]
+        missing[patch[pixel >= 0]] = True
+        reached[patch] = np.maximum(reached[patch], np.int8(Reached.EDGE))
+    missing &= reached == Reached.EDGE
 
     def of(which: NDArray[np.bool_]) -> float:
         return float(surface.areas[which].sum())
@@ -149,9 +137,12 @@ def surface_coverage(
     return SurfaceCoverage(
         area=area,
         seen=of(reached >= 0),
-        inspected=of(reached == Reached.INSPECTED),
+        inspected=of(reached >= Reached.GLINTS),
+        glints=of(reached == Reached.GLINTS),
+        fewer=of(reached == Reached.FEWER),
         saturated=of(reached == Reached.SATURATED),
         shadow=of(reached == Reached.SHADOW),
-        edge=of(reached == Reached.EDGE),
-        sensitivity={c: of((reached == Reached.INSPECTED) & (least <= c)) for c in CONTRASTS},
+        edge=of((reached == Reached.EDGE) & ~missing),
+        missing=of(missing),
+        sensitivity={c: of(least <= c) for c in CONTRASTS},
     )

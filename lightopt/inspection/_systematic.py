@@ -59,7 +59,7 @@ class Residuals:
         them), shape (n,).
     z
         float16, shape (lights, n).
-    usable
+    usable, lit
         Same shape.
     """
 
@@ -68,6 +68,7 @@ class Residuals:
     nominal: NDArray[np.int32]
     z: NDArray[np.float16]
     usable: Bool
+    lit: Bool
 
     @staticmethod
     def of(found: Deviations, nominal: NDArray[np.int32]) -> Residuals:
@@ -75,8 +76,8 @@ class Residuals:
         own = np.flatnonzero(found.usable.any(axis=0)).astype(np.int32)
         lights, rows, columns = found.z.shape
         z = np.clip(found.z.reshape(lights, -1)[:, own], -GREATEST_Z, GREATEST_Z)
-        usable = found.usable.reshape(lights, -1)[:, own]
-        return Residuals((rows, columns), own, nominal.ravel()[own], z.astype(np.float16), usable)
+        usable, lit = (flags.reshape(lights, -1)[:, own] for flags in (found.usable, found.lit))
+        return Residuals((rows, columns), own, nominal.ravel()[own], z.astype(np.float16), usable, lit)
 
     def in_own_image(self) -> Deviations:
         """As they were, scales apart."""
@@ -88,13 +89,14 @@ class Residuals:
 
     def _spread_out(self, to: NDArray[np.int32], kept: Bool) -> Deviations:
         flat = (len(self.z), self.shape[0] * self.shape[1])
-        z, usable = np.zeros(flat, np.float32), np.zeros(flat, np.bool_)
-        z[:, to[kept]] = self.z[:, kept]
+        z = np.zeros(flat, np.float32)
+        usable, lit = np.zeros(flat, np.bool_), np.zeros(flat, np.bool_)
+        z[:, to[kept]] = np.where(self.usable, self.z, 0.0)[:, kept]
         usable[:, to[kept]] = self.usable[:, kept]
+        lit[:, to[kept]] = self.lit[:, kept]
         whole = (len(self.z), *self.shape)
-        there = usable.reshape(whole)
         return Deviations(
-            np.where(there, z.reshape(whole), np.float32(0.0)), np.ones(whole, np.float32), there
+            z.reshape(whole), np.ones(whole, np.float32), usable.reshape(whole), lit.reshape(whole)
         )
 
     def nominal_image(self) -> NDArray[np.int32]:
@@ -150,7 +152,7 @@ def without_systematic(found: Deviations, systematic: Systematic, nominal: NDArr
     mean = np.where(known, systematic.mean.reshape(lights, -1)[:, at], np.float32(0.0))
     spread = np.where(known, systematic.spread.reshape(lights, -1)[:, at], np.float32(1.0))
     z = np.where(found.usable, (found.z - mean) / spread, np.float32(0.0))
-    return Deviations(z, found.scale * spread, found.usable)
+    return Deviations(z, found.scale * spread, found.usable, found.lit)
 
 
 class SystematicSums:

@@ -15,6 +15,7 @@ from lightopt.images import ImageSet
 from lightopt.inspection._inspect import Inspection
 from lightopt.inspection._labels import true_labels
 from lightopt.inspection._pod import fit_detection
+from lightopt.transforms import Posture
 
 __all__ = [
     "KnownDefect",
@@ -52,6 +53,8 @@ class KnownDefect:
         Square root of length times width of its outline [mm].
     pixels
         Of it that can be judged, in the posture that shows most of them.
+    posture
+        That posture.
     found
         Whether a region that is not far larger than it touches it in any posture.
     """
@@ -60,6 +63,7 @@ class KnownDefect:
     kind: str
     size: float
     pixels: int
+    posture: Posture
     found: bool
 
     def as_dict(self) -> dict[str, Any]:
@@ -69,6 +73,7 @@ class KnownDefect:
             "kind": self.kind,
             "size_mm": round(self.size, 5),
             "pixels": self.pixels,
+            "posture": self.posture.as_dict(),
             "found": self.found,
         }
 
@@ -90,7 +95,9 @@ class TrueSet:
     areas
         Area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
     labels
-        ``images`` or ``part file``: what said where the defects are.
+        ``images`` or ``part file``: what said where the defects are; or ``no defects``.
+    name
+        Of the set.
     """
 
     defects: tuple[KnownDefect, ...]
@@ -98,13 +105,14 @@ class TrueSet:
     false_alarms: int
     postures: int
     areas: tuple[float, ...]
-    labels: Literal["images", "part file"] = "images"
+    labels: Literal["images", "part file", "no defects"] = "images"
+    name: str = ""
 
 
 def compare_with_truth(
-    image_set: ImageSet, result: Inspection, *, known: Sequence[PlacedDefect] = ()
+    image_set: ImageSet, result: Inspection, *, known: Sequence[PlacedDefect] | None = None
 ) -> TrueSet:
-    """Hold an inspection against the labels of its images, or against known defects where they have none.
+    """Hold an inspection against the labels of its images, or against known defects, if any, where they have none.
 
     Parameters
     ----------
@@ -114,18 +122,18 @@ def compare_with_truth(
     Raises
     ------
     InputError
-        Neither labels nor defects.
+        Neither labels nor knowledge.
     """
     labels = true_labels(image_set, result, known=known)
     listed = labels.listed
-    pixels = np.zeros(len(listed), np.intp)
+    pixels = np.zeros((len(result.postures), len(listed)), np.intp)
     found = np.zeros(len(listed), np.bool_)
     false_alarms = 0
     areas: list[float] = []
-    for posture, truth in zip(result.postures, labels.of_posture, strict=True):
+    for number, (posture, truth) in enumerate(zip(result.postures, labels.of_posture, strict=True)):
         clean = posture.view.clean
         mine = np.bincount(truth[clean & (truth >= 0)], minlength=len(listed))
-        pixels = np.maximum(pixels, mine[: len(listed)])
+        pixels[number] = mine[: len(listed)]
         for hit in region_hits(posture.labels, truth):
             found[hit] = True
             false_alarms += not len(hit)
@@ -136,7 +144,8 @@ def compare_with_truth(
             name=str(one["name"]),
             kind=str(one["kind"]),
             size=defect_size(one),
-            pixels=int(pixels[i]),
+            pixels=int(pixels[:, i].max()),
+            posture=result.postures[int(pixels[:, i].argmax())].view.posture,
             found=bool(found[i]),
         )
         for i, one in enumerate(listed)
@@ -148,6 +157,7 @@ def compare_with_truth(
         postures=len(result.postures),
         areas=tuple(areas),
         labels=labels.source,
+        name=image_set.folder.resolve().name,
     )
 
 
@@ -225,5 +235,16 @@ def summarise(sets: Sequence[TrueSet]) -> dict[str, Any]:
             for kind in ("all", *kinds)
             for mine in [[d for d in defects if kind in ("all", d.kind)]]
         },
-        "each": [d.as_dict() for d in defects],
+        "each": [{"set": one.name, **d.as_dict()} for one in sets for d in one.defects],
+        "sets": [
+            {
+                "set": one.name,
+                "labels": one.labels,
+                "defects": len(one.defects),
+                "found": sum(d.found for d in one.defects),
+                "hidden": list(one.hidden),
+                "false_alarms": one.false_alarms,
+            }
+            for one in sets
+        ],
     }

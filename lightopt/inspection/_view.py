@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation
 from lightopt.errors import InputError, counted
+from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
 from lightopt.inspection._register import Photometry, fit_photometry, refuse_another_part
 from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
@@ -23,6 +26,12 @@ __all__ = ["PostureView", "Prediction", "posture_view", "predict"]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+
+TRACE = 1e-6
+"""Of R_d: far below anything that a camera tells."""
+
+EVEN_VARIANCE = 0.3
+"""Noise of this variance [sensor level²] before rounding makes the mean of rounded levels the light's, to 0.002."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,10 +66,12 @@ class PostureView:
     level
         Measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a light
         each pixel has the longest that is saturated neither in the image nor in the prediction.
-    predicted, specular
-        Of the good part, and the highlights' share of it, same shape.
+    predicted
+        Of the good part, same shape.
     deviation
         Standard deviation of the sensor's noise at the predicted level, same shape.
+    rounding
+        By how much rounding may shift the mean of levels, where noise does not even it out, same shape.
     limit
         Level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
         darker than the good part.
@@ -76,12 +87,18 @@ class PostureView:
     lights: tuple[str, ...]
     level: Float32
     predicted: Float32
-    specular: Float32
     deviation: Float32
+    rounding: Float32
     limit: Float32
     saturated: Bool
     prediction: Prediction
     photometry: Photometry
+
+    @cached_property
+    def specular(self) -> Float32:
+        """The highlights' share of `predicted`, same shape; put together when it is asked for."""
+        images = {image.light: image.specular for image in self.prediction.images.lights}
+        return np.stack([_specular(images[light]) for light in self.lights])
 
     @property
     def part(self) -> Bool:
@@ -92,6 +109,22 @@ class PostureView:
     def clean(self) -> Bool:
         """Pixels that can be judged, shape (H, W)."""
         return self.prediction.clean
+
+    def in_rows(self, rows: slice) -> PostureView:
+        """Some rows of the images, and of what is known of their pixels; predicted images stay whole."""
+        geometry = self.prediction.images.geometry
+        images = replace(self.prediction.images, geometry=replace(geometry, hit=geometry.hit[rows]))
+        own = self.prediction
+        return replace(
+            self,
+            level=self.level[:, rows],
+            predicted=self.predicted[:, rows],
+            deviation=self.deviation[:, rows],
+            rounding=self.rounding[:, rows],
+            limit=self.limit[:, rows],
+            saturated=self.saturated[:, rows],
+            prediction=replace(own, images=images, clean=own.clean[rows], area=own.area[rows]),
+        )
 
 
 def predict(
@@ -113,9 +146,10 @@ def predict(
         Number of threads; the result does not depend on it.
     """
     chosen = tuple(light for light in scene.lights if light.name in lights)
-    images = render_posture(
-        replace(scene, lights=chosen), posture, caster=caster, layers=True, threads=threads
-    )
+    # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
+    reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))
+    lit = replace(scene, lights=chosen, reflectance=reflectance)
+    images = render_posture(lit, posture, caster=caster, layers=True, threads=threads)
     pixels = trace_pixels(scene, posture, caster, threads=threads)
     clean = np.zeros(pixels.shape, np.bool_)
     clean[pixels.row, pixels.column] = pixels.clean
@@ -165,42 +199,42 @@ def posture_view(
         Images that do not look like the prediction, or that are all saturated.
     """
     clean = prediction.clean
-    if clean.any() and all(o.saturated[clean].all() for o in observations):
+    if clean.any() and all(bool((o.saturated | ~clean).all()) for o in observations):
         raise InputError(
             f"{where}, posture {observations[0].posture}: all {clean.sum():,} pixels of the part that can be judged "
             f"are saturated in each of {counted(len(observations), 'image')}: they show nothing; take them with a "
             "shorter exposure or less light"
         )
-    images = {image.light: image for image in prediction.images.lights}
-    scale = scene.sensor.max_level / scene.reflectance.full_scale
-    models = [images[o.light].level * np.float32(scale * o.exposure) for o in observations]
-    photometry = fit_photometry(observations, models, [prediction.clean] * len(models), scene)
-    lights = tuple(name for name in images if any(o.light == name for o in observations))
-
-    def merge(number: int) -> tuple[Float32, Float32, Float32, Bool]:
-        light = lights[number]
-        exposures = sorted((o for o in observations if o.light == light), key=lambda o: -o.exposure)
-        return _merge(scene, exposures, images[light].level, photometry)
-
-    merged = in_threads(merge, range(len(lights)), threads)
-    level, deviation, limit, saturated = (np.stack(arrays) for arrays in zip(*merged, strict=True))
-    predicted = np.stack([images[light].level for light in lights])
-    specular = np.stack([_specular(images[light].specular) for light in lights])
-    posture = observations[0].posture
-    refuse_another_part(
-        np.minimum(level, limit),
-        np.clip(predicted, 0.0, limit),
-        deviation,
-        prediction.clean,
-        f"{where}, posture {posture}",
+    images = {image.light: image.level for image in prediction.images.lights}
+    photometry = fit_photometry(
+        observations, [images[o.light] for o in observations], clean, scene, threads=threads
     )
+    lights = tuple(name for name in images if any(o.light == name for o in observations))
+    shape = len(lights), *clean.shape
+    level, predicted, deviation, rounding, limit = (np.empty(shape, np.float32) for _ in range(5))
+    saturated = np.empty(shape, np.bool_)
+    pieces = [(number, top) for number in range(len(lights)) for top in row_blocks(len(clean))]
+
+    def merge(piece: int) -> None:
+        number, top = pieces[piece]
+        light, rows = lights[number], slice(top, top + BLOCK_ROWS)
+        exposures = sorted((o for o in observations if o.light == light), key=lambda o: -o.exposure)
+        predicted[number, rows] = images[light][rows]
+        merged = (array[number, rows] for array in (level, deviation, rounding, limit))
+        _merge(
+            scene, exposures, predicted[number, rows], photometry, rows, (*merged, saturated[number, rows])
+        )
+
+    in_threads(merge, range(len(pieces)), threads)
+    posture = observations[0].posture
+    refuse_another_part(level, predicted, limit, deviation, clean, f"{where}, posture {posture}")
     return PostureView(
         posture=posture,
         lights=lights,
         level=level,
         predicted=predicted,
-        specular=specular,
         deviation=deviation,
+        rounding=rounding,
         limit=limit,
         saturated=saturated,
         prediction=prediction,
@@ -214,22 +248,25 @@ def _specular(image: Float32 | None) -> Float32:
 
 
 def _merge(
-    scene: Scene, exposures: Sequence[Observation], predicted: Float32, photometry: Photometry
-) -> tuple[Float32, Float32, Float32, Bool]:
-    # level, deviation, limit and saturation of one light from its exposures, the longest first
+    scene: Scene,
+    exposures: Sequence[Observation],
+    predicted: Float32,
+    photometry: Photometry,
+    rows: slice,
+    merged: tuple[NDArray[Any], ...],
+) -> None:
+    # writes level, deviation, rounding, limit and saturation of rows of one light from its exposures, the longest first
     sensor = scene.sensor
     gain = photometry.gains[exposures[0].light]
-    shape = predicted.shape
-    level, deviation, limit = (np.zeros(shape, np.float32) for _ in range(3))
-    saturated = np.zeros(shape, np.bool_)
-    open_ = np.ones(shape, np.bool_)
+    open_ = np.ones(predicted.shape, np.bool_)
     for number, o in enumerate(exposures):
         scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
         still = sensor.noise_variance(0.0, frames=o.frames)
+        subtracted = np.broadcast_to(np.float32(o.subtracted), o.levels.shape)[rows]
         _take(
-            np.ascontiguousarray(o.levels),
-            o.saturated,
-            np.ascontiguousarray(np.broadcast_to(np.float32(o.subtracted), shape)),
+            np.ascontiguousarray(o.levels[rows]),
+            o.saturated[rows],
+            np.ascontiguousarray(subtracted),
             predicted,
             open_,
             number + 1 == len(exposures),
@@ -239,12 +276,8 @@ def _merge(
             sensor.saturated_from - sensor.black_level,
             still,
             sensor.noise_variance(1.0, frames=o.frames) - still,  # the variance is linear in the signal
-            level,
-            deviation,
-            limit,
-            saturated,
+            *merged,
         )
-    return level, deviation, limit, saturated
 
 
 @kernel
@@ -263,6 +296,7 @@ def _take(
     shot: float,
     level: Float32,
     deviation: Float32,
+    rounding: Float32,
     limit: Float32,
     saturated: Bool,
 ) -> None:
@@ -278,7 +312,13 @@ def _take(
                 continue
             open_[y, x] = False
             level[y, x] = (levels[y, x] - black) / scale
-            deviation[y, x] = math.sqrt(still + shot * signal) / scale
+            variance = still + shot * signal
+            deviation[y, x] = math.sqrt(variance) / scale
+            before = variance - 1.0 / 12.0
+            rounding[y, x] = 0.0
+            if before < EVEN_VARIANCE:
+                # the first harmonic of what rounding does to the mean of a normal deviate, or half a level without any
+                rounding[y, x] = 0.5 * math.exp(-2.0 * math.pi**2 * before) / scale
             limit[y, x] = (top - 0.5 - dark) / scale
             saturated[y, x] = full[y, x]
             if full[y, x]:

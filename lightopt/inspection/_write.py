@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from lightopt import __version__
 from lightopt.align import Placement
 from lightopt.config import PartConfig, RigConfig
 from lightopt.images import (
+    MANIFEST_NAME,
     ImageSet,
     ResultFolder,
     file_sha256,
@@ -24,10 +26,13 @@ from lightopt.images import (
     write_png,
 )
 from lightopt.inspection._calibration import Calibration
+from lightopt.inspection._grey import grey_picture
 from lightopt.inspection._inspect import InspectedPosture, Inspection
 from lightopt.inspection._measure import to_file
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._regions import pixels_of
+from lightopt.inspection._sightings import KIND_COLOURS
+from lightopt.inspection._verdict import Verdict
 
 __all__ = [
     "BATCH_NAME",
@@ -36,6 +41,7 @@ __all__ = [
     "TRUTH_NAME",
     "BatchFolder",
     "InspectionFolder",
+    "manifest_sha256",
     "provenance",
     "truth_text",
 ]
@@ -43,11 +49,15 @@ __all__ = [
 DEFECTS_NAME, BATCH_NAME = "defects.json", "batch.json"
 TRUTH_NAME, REPORT_NAME = "truth.json", "report.html"
 FORMAT = "lightopt-defects/1"
-SHAPE_RGB, STAIN_RGB, UNKNOWN_RGB = (230, 60, 40), (70, 110, 190), (240, 170, 30)
 COLUMNS = (
-    *("number", "kind", "x_mm", "y_mm", "z_mm", "length_mm", "width_mm", "area_mm2", "score"),
+    *("number", "kind", "counts", "x_mm", "y_mm", "z_mm", "length_mm", "width_mm", "area_mm2", "score"),
     *("greatest_contrast", "lights", "postures", "column_px", "row_px"),
 )
+
+
+def manifest_sha256(image_set: ImageSet) -> str:
+    """Hash of a set's manifest, which says light, posture and exposure of each image."""
+    return file_sha256(image_set.path(MANIFEST_NAME))
 
 
 def provenance(
@@ -57,8 +67,18 @@ def provenance(
     options: InspectOptions,
     *,
     calibration: Calibration | None = None,
+    before: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """What an inspection was made from: versions, hashes of the inputs, options; names only, no folders."""
+    """What an inspection was made from: versions, hashes of the inputs, options; names only, no folders.
+
+    Parameters
+    ----------
+    rig, part, sets, options, calibration
+        Of the inspection.
+    before
+        :func:`manifest_sha256` of the sets of its batch that were inspected before: a part that lies near one of them
+        has its prediction.
+    """
     images = [
         entry.sha256 or {"file": file_sha256(image_set.path(entry.png or entry.exr or ""))}
         for image_set in sets
@@ -71,6 +91,8 @@ def provenance(
         "part": {"file": part.source.path.name, "sha256": part.source.sha256},
         "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
         "images": [dict(hashes) for hashes in images],
+        "manifests": [manifest_sha256(image_set) for image_set in sets],
+        **({"after": list(before)} if before and options.shift else {}),
         **(
             {}
             if calibration is None
@@ -109,6 +131,18 @@ class InspectionFolder(ResultFolder):
             force=force,
         )
 
+    @property
+    def made_from(self) -> Mapping[str, Any]:
+        """From :func:`provenance`."""
+        return self._made_from
+
+    def clear(self) -> None:
+        """Remove what an earlier inspection left here, and the folder where nothing else is in it."""
+        self._remove_earlier()
+        for folder in (*self.folder.glob("posture_*"), self.folder):
+            with suppress(OSError):  # something else is in it
+                folder.rmdir()
+
     def write_posture(self, posture: InspectedPosture) -> None:
         """Write the synthetic image of a posture as EXR and PNG, and its scores as EXR."""
         folder = posture_folder(posture.view.posture)
@@ -126,27 +160,24 @@ class InspectionFolder(ResultFolder):
             "mask": synthetic.mask.astype(np.float32),
         }
         write_exr(self.place(f"{folder}/synthetic.exr"), channels, metadata=facts)
-        shown = synthetic.level[synthetic.mask]
-        white = float(np.percentile(shown, 99.9)) if shown.size else 1.0
-        grey = np.clip(synthetic.level * (255.0 / max(white, 1e-6)), 0.0, 255.0)
-        levels = np.floor(grey + 0.5).astype(np.uint8)
-        write_png(self.place(f"{folder}/synthetic.png"), levels, metadata={**facts, "white_level": white})
+        shown = grey_picture(synthetic.level, synthetic.mask)
+        write_png(self.place(f"{folder}/synthetic.png"), shown.grey, metadata={**facts, **shown.as_dict()})
 
-    def write(self, result: Inspection, more: Mapping[str, Any]) -> list[Path]:
+    def write(self, result: Inspection, verdict: Verdict) -> list[Path]:
         """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
 
         Parameters
         ----------
         result
             Of the inspection.
-        more
-            Further keys of ``defects.json``.
+        verdict
+            On it.
         """
         written = [
-            self.write_text("defects.csv", _table(result)),
+            self.write_text("defects.csv", _table(result, verdict)),
             self.write_text("defects.ply", _points(result)),
         ]
-        return [self.finish({**result.as_dict(), **more}), *written]
+        return [self.finish({**result.as_dict(), **verdict.as_dict()}), *written]
 
 
 class BatchFolder(ResultFolder):
@@ -169,22 +200,22 @@ def truth_text(summary: Mapping[str, Any]) -> str:
     return json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _table(result: Inspection) -> str:
+def _table(result: Inspection, verdict: Verdict) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for defect in result.defects:
         best = defect.best
-        lights = sorted({light for s in defect.sightings for light in s.contrast})
         writer.writerow(
             [
                 defect.number,
                 best.kind,
+                "yes" if defect.number in verdict.counting else "no",
                 *(f"{x:.4f}" for x in (*best.position, *defect.size)),
                 f"{defect.area:.5f}",
                 f"{best.score:.2f}",
                 f"{defect.greatest_contrast:.4f}",
-                " ".join(lights),
+                " ".join(defect.lights),
                 " ".join(f"{s.posture.elevation_deg:g}/{s.posture.rotation_deg:g}" for s in defect.sightings),
                 *(f"{x:.2f}" for x in best.centre_px),
             ]
@@ -194,12 +225,11 @@ def _table(result: Inspection) -> str:
 
 def _points(result: Inspection) -> str:
     # surface points of all sightings in the mesh file's coordinates, coloured by kind
-    colours = {"shape": SHAPE_RGB, "stain": STAIN_RGB, "unknown": UNKNOWN_RGB}
     placement = result.placement or Placement()
     regions = {p.view.posture: pixels_of(p.labels, len(p.sightings)) for p in result.postures}
     lines: list[str] = []
     for defect in result.defects:
-        red, green, blue = colours[defect.best.kind]
+        red, green, blue = KIND_COLOURS[defect.best.kind]
         for sighting in defect.sightings:
             posture = next(p for p in result.postures if p.view.posture == sighting.posture)
             row, column = regions[posture.view.posture][posture.sightings.index(sighting)]

@@ -172,8 +172,8 @@ def _tessellate(
             )
         except subprocess.TimeoutExpired as error:
             raise InputError(
-                f"{path}: {what} was stopped after {limits.timeout_s:g} s in all. Use a coarser chord "
-                "tolerance (a larger pixel footprint), simplify the part, or export it as STL"
+                f"{path}: {what} was stopped after {limits.timeout_s:g} s in all. Use a coarser "
+                "mesh.chord_tolerance_mm, simplify the part, or export it as STL"
             ) from error
         if done.returncode == 0 and glb.is_file():
             return glb.read_bytes(), _last_line(done.stdout)
@@ -184,12 +184,12 @@ def _tessellate(
         )
     if done.returncode == _step_worker.EXIT_MEMORY:
         raise InputError(
-            f"{path}: {what} needs more than {limits.memory_gb:g} GB of memory. Use a coarser chord "
-            "tolerance (a larger pixel footprint), or simplify the part"
+            f"{path}: {what} needs more than {limits.memory_gb:g} GB of memory. Use a coarser "
+            "mesh.chord_tolerance_mm, or simplify the part"
         )
     raise InputError(
         f"{path}: {what} ended with status {done.returncode}{said}: the CAD kernel crashed on this file or "
-        f"reached the memory limit of {limits.memory_gb:g} GB. Use a coarser chord tolerance, or export the "
+        f"reached the memory limit of {limits.memory_gb:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
         "part as STL"
     )
 

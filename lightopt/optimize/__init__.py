@@ -15,17 +15,25 @@ from lightopt.optimize._blind import (
     shown_by,
     shown_together,
 )
-from lightopt.optimize._blind_files import patch_colours
-from lightopt.optimize._blind_report import BlindReport, Looked
+from lightopt.optimize._blind_classes import (
+    BLIND_CLASSES,
+    BlindClass,
+    Legend,
+    LegendRow,
+    blind_class,
+    blind_classes,
+    blind_legend,
+)
+from lightopt.optimize._blind_report import BLIND_LIGHTS, BlindReport, Looked
 from lightopt.optimize._candidates import Candidates, LeftOut, find_candidates
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, GRAZING_COSINE, Contrast
 from lightopt.optimize._count_runs import at_least, count_run_sums, up_to
-from lightopt.optimize._curves import Curve
+from lightopt.optimize._curves import Curve, score_curves
 from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._draft import Draft
 from lightopt.optimize._earlier import RIG_NAME, refuse_other_result
 from lightopt.optimize._inspection import Inspection
-from lightopt.optimize._luminance import luminance_matrices, luminance_matrix
+from lightopt.optimize._luminance import MOST_BYTES, luminance_matrices, luminance_matrix, matrix_bytes
 from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
@@ -44,11 +52,14 @@ from lightopt.optimize._words import gap_text, looked_text, patches_text, score_
 __all__ = [
     "APPENDED_NAMES",
     "AREA_UNIT_MM2",
+    "BLIND_CLASSES",
+    "BLIND_LIGHTS",
     "DEFAULT_CONTRAST",
     "DEFAULT_LIMIT",
     "DEFAULT_SHADE_SHARE",
     "DIRECTIONS",
     "GRAZING_COSINE",
+    "MOST_BYTES",
     "OBJECTIVES",
     "RIG_NAME",
     "TABLE_CELLS",
@@ -56,6 +67,7 @@ __all__ = [
     "Appendix",
     "Appraise",
     "Blind",
+    "BlindClass",
     "BlindReport",
     "BlindSpots",
     "Candidates",
@@ -66,6 +78,8 @@ __all__ = [
     "Found",
     "Inspection",
     "LeftOut",
+    "Legend",
+    "LegendRow",
     "Levels",
     "Looked",
     "LuminanceMatrix",
@@ -86,6 +100,9 @@ __all__ = [
     "angles_of",
     "area_units",
     "at_least",
+    "blind_class",
+    "blind_classes",
+    "blind_legend",
     "blind_spots",
     "blind_text",
     "check_options",
@@ -97,11 +114,12 @@ __all__ = [
     "looked_text",
     "luminance_matrices",
     "luminance_matrix",
+    "matrix_bytes",
     "objectives_named",
     "optimize",
-    "patch_colours",
     "patches_text",
     "refuse_other_result",
+    "score_curves",
     "score_text",
     "search",
     "shown_by",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from lightopt.optimize._search import Found, search
 from lightopt.optimize._work import pieces
 from lightopt.transforms import Posture
 
-__all__ = ["answer_set"]
+__all__ = ["answer_set", "answers_beside"]
 
 PIECE_PATCHES = 1 << 15
 """Patches that an objective's definition is given at once."""
@@ -73,7 +75,7 @@ def answer_set(
             keep=rows,
             limit=limit,
             threads=threads,
-            progress=None if progress is None else lambda share, stage=stage: progress(stage, share),
+            progress=None if progress is None else partial(progress, stage),
         )
         best = found.best.candidates
         scores = {other.name: _score(matrices, other, best, thresholds) for other in objectives}
@@ -107,6 +109,75 @@ def answer_set(
             lambda combination: _score(matrices, first.objective, combination, thresholds),
         ),
     )
+
+
+def answers_beside(
+    chosen: SetResult,
+    at: tuple[int, ...],
+    levels: Sequence[LuminanceMatrix],
+    objectives: Sequence[Objective],
+    thresholds: Thresholds,
+    *,
+    candidates: Candidates,
+    look: Callable[[tuple[int, ...]], Sequence[LuminanceMatrix]],
+    rows: int,
+    limit: int,
+    threads: int | None,
+    progress: Callable[[str, float], None] | None = None,
+) -> SetResult:
+    """The best light positions of other objectives beside those that were chosen before for the first.
+
+    Parameters
+    ----------
+    chosen
+        The answer of the first objective, with one position of each light.
+    at
+        These positions among the candidates.
+    levels
+        Of all candidates, one matrix per posture; not used where there are no others.
+    objectives
+        The first, and the others.
+    thresholds
+        Which levels are usable.
+    candidates
+        What the matrices' rows stand for.
+    look
+        Makes the matrices of one combination, one per posture, with all that the first objective needs.
+    rows, limit, threads, progress
+        As for :func:`answer_set`.
+    """
+    first = chosen.answers[0]
+    own = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
+    postures = ", ".join(map(str, chosen.postures))
+    answers: list[Answer] = []
+    for objective in objectives:
+        stage = f"{objective.name}, {postures}"
+        found = (
+            own
+            if objective is objectives[0]
+            else search(
+                levels,
+                objective,
+                thresholds,
+                space=candidates.space,
+                keep=rows,
+                limit=limit,
+                threads=threads,
+                progress=None if progress is None else partial(progress, stage),
+            )
+        )
+        matrices = look(found.best.candidates)
+        only = (0,) * len(candidates.names)
+        answers.append(
+            Answer(
+                objective=objective,
+                found=found,
+                scores={other.name: _score(matrices, other, only, thresholds) for other in objectives},
+                details=objective.details(matrices, [objective.weights(matrix.areas) for matrix in matrices]),
+                nothing=_nothing(levels or matrices, thresholds, found) if found.best.score == 0 else None,
+            )
+        )
+    return replace(chosen, answers=tuple(answers))
 
 
 def _score(

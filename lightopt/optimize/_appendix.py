@@ -17,6 +17,7 @@ from lightopt.optimize._result import SetResult
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable
 from lightopt.scene import Scene
+from lightopt.transforms import Posture
 
 __all__ = ["APPENDED_NAMES", "Appendix", "Appraise", "Outcome"]
 
@@ -48,7 +49,7 @@ class Outcome:
     table: Callable[[], PatchTable]
 
 
-def _nothing() -> Mapping[str, Any]:
+def _nothing() -> Mapping[Any, Any]:
     return {}
 
 
@@ -63,13 +64,19 @@ class Appendix:
     files
         Further files by path inside the folder: text, bytes, or a picture of shape (height, width, 3); the name is one
         of :data:`APPENDED_NAMES`.
+    results
+        In place of the outcome's, where more is known of them; None otherwise.
     looked
         What the images of each posture show, where that is more than those of the outcome do; empty otherwise.
+    exposures
+        That the images of a posture are to be rendered with; exposure 1 where it has none.
     """
 
     sections: Mapping[str, Any] = field(default_factory=_nothing)
     files: Mapping[str, str | bytes | NDArray[np.uint8]] = field(default_factory=_nothing)
+    results: tuple[SetResult, ...] | None = None
     looked: tuple[Looked, ...] = ()
+    exposures: Mapping[Posture, tuple[float, ...]] = field(default_factory=_nothing)
 
 
 Appraise = Callable[[Outcome], Appendix]

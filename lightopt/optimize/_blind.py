@@ -15,7 +15,7 @@ contrast      enough images show it well, and the defects change the level by le
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -126,7 +126,7 @@ class Shown:
 
 
 def shown_by(
-    matrices: Sequence[LuminanceMatrix],
+    matrices: Iterable[LuminanceMatrix],
     thresholds: Thresholds,
     *,
     least: int,
@@ -138,7 +138,8 @@ def shown_by(
     Parameters
     ----------
     matrices
-        Of the posture, one for each exposure, with their visibility.
+        Of the posture and of the same lights, one for each exposure, with their visibility; or of some of the lights'
+        positions each, of which only one is held at a time where they are made as they are asked for.
     thresholds
         Black level and saturation.
     least
@@ -149,21 +150,23 @@ def shown_by(
     first_light
         The matrices' first light, in the rig's order.
     """
-    visibility = matrices[0].visibility
-    assert visibility is not None
-    count = len(visibility.areas)
-    shown = _nothing_shown(visibility, least)
-    for light in range(len(visibility.words)):
-        seen = np.zeros(shown.counts.shape[1:], np.uint64)
-        good, bright = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-        rows = slice(None) if candidates is None else slice(candidates[light], candidates[light] + 1)
-        for matrix in matrices:
-            assert matrix.visibility is not None
+    shown: Shown | None = None
+    images: list[tuple[Words, NDArray[np.bool_], NDArray[np.bool_]]] = []
+    for matrix in matrices:
+        visibility = matrix.visibility
+        assert visibility is not None
+        if shown is None:
+            shown = _nothing_shown(visibility, least)
+            images = [_nothing_seen(shown) for _ in visibility.words]
+        for light, (seen, good, bright) in enumerate(images):
+            rows = slice(None) if candidates is None else slice(candidates[light], candidates[light] + 1)
             levels = matrix.levels[light][rows]
             saturated = levels >= thresholds.saturation
-            seen |= np.bitwise_or.reduce(matrix.visibility.words[light][rows], axis=0)
+            seen |= np.bitwise_or.reduce(visibility.words[light][rows], axis=0)
             good |= ((levels > thresholds.black) & ~saturated).any(axis=0)
             bright |= saturated.any(axis=0)
+    assert shown is not None
+    for light, (seen, good, bright) in enumerate(images):
         add_image(shown.counts, seen)
         glare = bright & ~good
         shown.usable[:] += good
@@ -182,6 +185,12 @@ def _nothing_shown(visibility: Visibility, least: int) -> Shown:
         saturated=np.zeros(count, np.int32),
         first=np.full(count, -1, np.int16),
     )
+
+
+def _nothing_seen(shown: Shown) -> tuple[Words, NDArray[np.bool_], NDArray[np.bool_]]:
+    """An image before any of its positions is looked at: what it shows, and where it is usable and saturated."""
+    count = shown.counts.shape[1]
+    return np.zeros(shown.counts.shape[1:], np.uint64), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
 
 
 def shown_together(one: Shown, other: Shown) -> Shown:

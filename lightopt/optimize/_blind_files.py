@@ -12,27 +12,20 @@ from numpy.typing import NDArray
 from lightopt.images import posture_folder
 from lightopt.mesh import Patches
 from lightopt.optimize._blind import Blind, BlindSpots
-from lightopt.optimize._blind_report import BlindReport, reason_names
+from lightopt.optimize._blind_classes import BLIND_CLASSES, Legend, blind_class, blind_classes, blind_legend
+from lightopt.optimize._blind_report import BLIND_LIGHTS, BlindReport, reason_names
 from lightopt.raycast import RayCaster
 from lightopt.rendering import trace_samples
 from lightopt.scene import Placement, Scene, view_from_part
 
-__all__ = ["BLIND_NAMES", "blind_files", "blind_pictures", "patch_colours"]
+__all__ = ["BLIND_NAMES", "blind_files", "blind_pictures"]
 
 BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
 
-COLOURS = {
-    Blind.SEEN: (225, 225, 225),
-    Blind.CAMERA: (90, 90, 90),
-    Blind.GRAZING: (170, 68, 153),
-    Blind.SHADOWED: (51, 34, 136),
-    Blind.CONTRAST: (221, 170, 51),
-    Blind.SATURATED: (204, 51, 17),
-}
-"""Of what is seen and of the reasons: Paul Tol's muted and high-contrast schemes, which the colour-blind tell apart. A
-patch on which some defects are seen has a mixture of the two colours."""
+BACKGROUND = (255, 255, 255)
 
-BACKGROUND = (0, 0, 0)
+LEAST_SHADE = 0.8
+"""Brightness of a surface that is seen edge on; one that faces the camera has its legend's colour."""
 
 BLOCK_ROWS = 64
 """Of a picture, traced at once."""
@@ -54,13 +47,23 @@ def blind_files(report: BlindReport, patches: Patches, placement: Placement) -> 
 
 
 def blind_pictures(
-    report: BlindReport, patches: Patches, scene: Scene, caster: RayCaster
+    report: BlindReport, patches: Patches, scene: Scene, caster: RayCaster, legend: Legend | None = None
 ) -> Mapping[str, NDArray[np.uint8]]:
-    """What the camera sees in each posture, coloured by what the chosen lights show of the defects, by file name."""
+    """What the camera sees in each posture, coloured by what the chosen lights show of the defects, by file name.
+
+    Parameters
+    ----------
+    report, patches
+        The blind spots, and the patches that they are of.
+    scene, caster
+        The part in its postures.
+    legend
+        Adds a legend to a picture; None for pictures without.
+    """
     pictures: dict[str, NDArray[np.uint8]] = {}
     for posture, spots in zip(report.postures, report.chosen_in, strict=True):
         camera = view_from_part(scene, posture).camera
-        colours = patch_colours(spots)
+        colours = _colours(spots).astype(np.float64)
         picture = np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8)
         for top in range(0, camera.height, BLOCK_ROWS):
             rows = picture[top : top + BLOCK_ROWS]
@@ -68,17 +71,21 @@ def blind_pictures(
             hits, surface = trace_samples(caster, scene.mesh, camera, x + 0.5, top + y + 0.5)
             # the shape is told by how much the surface faces the camera
             facing = np.abs(np.einsum("ij,ij->i", surface.normals, surface.views))
-            shaded = colours[patches.patch_at(hits.face, hits.u, hits.v)] * (0.55 + 0.45 * facing[:, None])
+            shade = LEAST_SHADE + (1.0 - LEAST_SHADE) * facing[:, None]
+            shaded = colours[patches.patch_at(hits.face, hits.u, hits.v)] * shade
             rows.reshape(-1, 3)[hits.ray] = np.rint(shaded).astype(np.uint8)
+        if legend is not None:
+            title = (
+                f"posture {posture}: shares of the whole surface × defects; pale where other defects are seen"
+            )
+            picture = legend(picture, title, blind_legend(spots))
         pictures[f"{posture_folder(posture)}/{BLIND_PNG}"] = picture
     return pictures
 
 
-def patch_colours(spots: BlindSpots) -> NDArray[np.float64]:
-    """Red, green and blue of each patch, 0 to 255, shape (n, 3)."""
-    table = np.array([COLOURS[code] for code in Blind], np.float64)
-    reason = table[np.minimum(spots.codes, Blind.SATURATED)]
-    return reason + spots.share[:, None] * (table[Blind.SEEN] - reason)
+def _colours(spots: BlindSpots) -> NDArray[np.uint8]:
+    # of each patch, shape (n, 3)
+    return np.array([one.colour for one in BLIND_CLASSES], np.uint8)[blind_classes(spots)]
 
 
 def _csv(report: BlindReport) -> str:
@@ -89,9 +96,9 @@ def _csv(report: BlindReport) -> str:
     surface = float(report.chosen.areas.sum())
     for posture, chosen, possible in report.parts():
         where = "all" if posture is None else f"{posture.elevation_deg:g},{posture.rotation_deg:g}"
-        for lights, spots in (("chosen", chosen), ("any position", possible)):
+        for lights, spots in zip(BLIND_LIGHTS, (chosen, possible), strict=True):
             for code, share in {int(Blind.SEEN): spots.seen, **spots.by_reason()}.items():
-                colour = "#{:02x}{:02x}{:02x}".format(*COLOURS[Blind(min(code, Blind.SATURATED))])
+                colour = "#{:02x}{:02x}{:02x}".format(*blind_class(code).colour)
                 table.writerow([where, lights, names[code], f"{share:.6f}", f"{share * surface:.6g}", colour])
     return text.getvalue()
 
@@ -99,7 +106,7 @@ def _csv(report: BlindReport) -> str:
 def _ply(report: BlindReport, patches: Patches, placement: Placement) -> bytes:
     # corners in the coordinates of the mesh file: x_file = Rᵀ·(x − t)
     vertices = (patches.vertices - placement.translation) @ placement.rotation
-    legend = [f"comment code {code}: {name}" for code, name in reason_names(report.lights)]
+    codes = [f"comment code {code}: {name}" for code, name in reason_names(report.lights)]
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -107,7 +114,8 @@ def _ply(report: BlindReport, patches: Patches, placement: Placement) -> bytes:
         f"comment seen and code: chosen lights; {report.objective.seen_in} or more images of all postures show it",
         "comment reachable and reachable_code: each light where it shows the defect, whatever the others",
         "comment seen, reachable: weighted share of the defects, 0 to 1",
-        *legend,
+        *(f"comment colour {' '.join(map(str, one.colour))}: {one.label}" for one in BLIND_CLASSES),
+        *codes,
         f"element vertex {len(vertices)}",
         *(f"property float {axis}" for axis in "xyz"),
         f"element face {len(patches)}",
@@ -135,7 +143,7 @@ def _ply(report: BlindReport, patches: Patches, placement: Placement) -> bytes:
     )
     faces["count"] = 3
     faces["corners"] = patches.triangles
-    faces["colour"] = np.rint(patch_colours(report.chosen)).astype(np.uint8)
+    faces["colour"] = _colours(report.chosen)
     faces["seen"], faces["code"] = report.chosen.share, np.minimum(report.chosen.codes, 255)
     faces["reachable"] = report.possible.share
     faces["reachable_code"] = np.minimum(report.possible.codes, 255)

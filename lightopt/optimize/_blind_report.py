@@ -14,7 +14,11 @@ from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.transforms import Posture
 
-__all__ = ["BlindReport", "Looked", "look_for_blind_spots"]
+__all__ = ["BLIND_LIGHTS", "BlindReport", "Looked", "look_for_blind_spots"]
+
+BLIND_LIGHTS = ("chosen", "best for each defect")
+"""Where the lights stand in the rows of the tables: at the chosen positions; or wherever each defect is seen, which no
+one set of positions need show."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -90,6 +90,7 @@ def find_candidates(
     common_elevation: bool = False,
     points: int | Literal["auto"] | None = None,
     places: Sequence[Angles] | None = None,
+    alone: bool = False,
     scene: Scene | None = None,
     caster: RayCaster | None = None,
 ) -> Candidates:
@@ -111,15 +112,17 @@ def find_candidates(
         Point lights per panel, instead of the rig's.
     places
         One position of each light [°] that was chosen before, and no others.
+    alone
+        Whether one light will do, its images being of several postures that share it.
     scene, caster
         The part in its postures and its ray caster; without them the part is not in the way.
 
     Raises
     ------
     InputError
-        Fewer than two lights, none that moves, a light without any position left.
+        Fewer than two lights where one will not do, none that moves, a light without any position left.
     """
-    _check_movable(rig, chosen=places is not None)
+    _check_movable(rig, chosen=places is not None, alone=alone)
     shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
     camera = build_camera(rig)
     left_out: list[LeftOut] = []
@@ -166,8 +169,8 @@ def find_candidates(
     )
 
 
-def _check_movable(rig: RigConfig, *, chosen: bool) -> None:
-    if len(rig.lights) < 2:
+def _check_movable(rig: RigConfig, *, chosen: bool, alone: bool) -> None:
+    if len(rig.lights) < 2 and not alone:
         raise InputError(
             f"{rig.source.at('lights')}: expected two lights or more, found one; with one light there is no "
             "combination to choose"

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from lightopt.optimize._bits import bit_scores
 from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._objective import VISIBLE_SURFACE
 from lightopt.optimize._reach import reach
 from lightopt.optimize._runs import run_products, run_scores
 from lightopt.optimize._work import Share, part_of, pieces
@@ -54,6 +55,7 @@ class Coverage:
 
     name: str = "coverage"
     unit: str = "µm²"
+    share_of: str = VISIBLE_SURFACE
 
     def shown(self, score: int) -> str:
         """In mm²."""

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from lightopt.errors import InputError
 from lightopt.optimize._bit_runs import bit_run_scores, flags_of
 from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._objective import VISIBLE_SURFACE
 from lightopt.optimize._trials import Trial
 from lightopt.optimize._visibility import Visibility
 from lightopt.optimize._work import Share
@@ -31,6 +32,13 @@ __all__ = ["Detectability", "seen_in_problem"]
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
+
+
+SCORE_IS = (
+    "sum over patches and defects that are seen of area [µm²] × weight of the defect; where all are seen it is "
+    "area_um2 × weight_of_all_defects"
+)
+"""What the number is, beside it in result.json."""
 
 
 def seen_in_problem(seen_in: int) -> str | None:
@@ -50,12 +58,17 @@ class Detectability:
         The defects.
     seen_in
         Images that must show a defect.
+    across_postures
+        Whether images of other postures confirm, so that a posture may have fewer lights than that; the score of its
+        own images is then 0.
     """
 
     trials: tuple[Trial, ...]
     seen_in: int = 1
+    across_postures: bool = False
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
+    share_of: str = f"{VISIBLE_SURFACE}, × defects by weight"
 
     def __post_init__(self) -> None:
         if problem := seen_in_problem(self.seen_in):
@@ -75,8 +88,8 @@ class Detectability:
         return score / max(1, area * self.total_weight)
 
     def refusal(self, lights: int) -> str | None:
-        """There are no more images than lights."""
-        if lights >= self.seen_in:
+        """There are no more images than lights, but for those of other postures."""
+        if lights >= self.seen_in or self.across_postures:
             return None
         return (
             f"objective detectability wants each defect seen in {self.seen_in} images, and there are {lights} lights "
@@ -123,13 +136,21 @@ class Detectability:
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
         """Share of the area on which each kind of defect is seen, the worst kind, and the worst direction of walls."""
-        area = max(1, sum(int(own.sum()) for own in weights))
+        area = sum(int(own.sum()) for own in weights)
         seen = sum(
             (own @ self._seen(_visibility(matrix)) for matrix, own in zip(matrices, weights, strict=True)),
             start=np.zeros(len(self.trials), np.int64),
         )
-        kinds = self._mean_shares([trial.name for trial in self.trials], seen / area)
+        return self.facts(seen, area)
+
+    def facts(self, seen_areas: Int64, area: int) -> Mapping[str, Any]:
+        """The same of the areas on which each trial is seen, shape (t,), and the area that they are shares of [µm²]."""
+        seen = seen_areas / max(1, area)
+        kinds = self._mean_shares([trial.name for trial in self.trials], seen)
         facts: dict[str, Any] = {
+            "score_is": SCORE_IS,
+            "area_um2": area,
+            "weight_of_all_defects": self.total_weight,
             "seen_in": self.seen_in,
             "defects": kinds,
             "worst_defect": min(kinds, key=lambda name: kinds[name]),
@@ -138,7 +159,7 @@ class Detectability:
         if leaning:
             around = self._mean_shares(
                 [f"{round(math.degrees(self.trials[k].direction), 6):g}" for k in leaning],
-                seen[leaning] / area,
+                seen[leaning],
             )
             worst = min(around, key=lambda name: around[name])
             facts["directions_deg"] = around

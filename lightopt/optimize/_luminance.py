@@ -36,7 +36,7 @@ from lightopt.scene import PanelLight, Scene, view_from_part
 from lightopt.sensor import expose
 from lightopt.transforms import Posture
 
-__all__ = ["MOST_BYTES", "luminance_matrices", "luminance_matrix", "patch_points"]
+__all__ = ["MOST_BYTES", "luminance_matrices", "luminance_matrix", "matrix_bytes", "patch_points"]
 
 BLOCK_PATCHES = 1 << 15
 """Patches that a thread works on at once."""
@@ -131,6 +131,25 @@ def luminance_matrix(
     )[0]
 
 
+def matrix_bytes(scene: Scene, patches: int, exposures: int, inspection: Inspection | None) -> int:
+    """What :func:`luminance_matrices` holds for one position of a light: levels, and the defects' bits.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    patches
+        That the camera sees in the posture.
+    exposures
+        Number of them.
+    inspection
+        The defects; None for levels alone.
+    """
+    level = 1 if scene.sensor.bit_depth <= 8 else 2
+    width = 0 if inspection is None else -(-len(inspection.trials) // 64)
+    return patches * exposures * (level + 8 * width)
+
+
 def luminance_matrices(
     scene: Scene,
     table: PatchTable,
@@ -150,7 +169,7 @@ def luminance_matrices(
     dtype = np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
     positions = sum(len(some) for some in panels)
     width = 0 if inspection is None else -(-len(inspection.trials) // 64)
-    size = positions * len(seen) * len(exposures) * (np.dtype(dtype).itemsize + 8 * width)
+    size = positions * matrix_bytes(scene, len(seen), len(exposures), inspection)
     if size > most_bytes:
         raise InputError(
             f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches are {size / 1e9:.2f} GB, and "

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,8 +21,8 @@ from lightopt.optimize._matrix import LuminanceMatrix
 from lightopt.optimize._options import OptimizeOptions
 from lightopt.optimize._provenance import versions
 from lightopt.raycast import RayCaster
-from lightopt.rendering import PatchTable, Report, build_patches
-from lightopt.scene import Scene
+from lightopt.rendering import PatchTable, Report, build_patches, patches_for_edge
+from lightopt.scene import PanelLight, Scene, chord_tolerance, pixel_footprint
 from lightopt.transforms import Posture
 
 __all__ = ["Matrices"]
@@ -43,6 +46,8 @@ class Matrices:
         Of the scene's part.
     inspection
         The defects that are looked for; None for none.
+    table
+        Patches that were cut before, of the scene's postures; None to cut them when they are needed.
 
     Attributes
     ----------
@@ -62,16 +67,21 @@ class Matrices:
         folder: Path,
         caster: RayCaster,
         inspection: Inspection | None,
+        table: PatchTable | None = None,
     ) -> None:
+        self.rig = rig
+        self.part = part
         self.scene = scene
         self.candidates = candidates
         self.options = options
         self.folder = folder
         self.caster = caster
         self.reused = 0
-        self.table: PatchTable | None = None
+        self.table = table
         self.inspection = inspection
         self._facts = _matrix_facts(rig, part, scene, candidates, options, inspection)
+        if table is not None:
+            self._facts["patches"] = hashlib.sha256(table.patches.centroids.tobytes()).hexdigest()
 
     @property
     def coarse(self) -> str | None:
@@ -80,12 +90,37 @@ class Matrices:
             return None
         low, high = self.scene.mesh.bounds
         size = float(np.linalg.norm(high - low))
-        if self.table.max_edge <= max(COARSE_SHARE * size, self.table.footprint):
+        longest = max(COARSE_SHARE * size, self.table.footprint)
+        if self.table.max_edge <= longest:
             return None
         return (
             f"patches have edges up to {self.table.max_edge:.3g} mm on a part of {size:.3g} mm: a patch is lit or dark "
-            "as its middle is, so scores may be off by whole patches. Raise --patches, or give a mesh with fewer "
-            "triangles"
+            f"as its middle is, so scores may be off by whole patches. {self._advice(longest)}"
+        )
+
+    def _advice(self, longest: float) -> str:
+        # how many patches it takes; where the mesh itself has more triangles than were asked for, how fewer are had
+        assert self.table is not None
+        # cutting may end somewhat before all that were asked for are made
+        needed = 1.02 * patches_for_edge(self.table, self.scene.mesh, 0.8 * longest)
+        step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
+        text = f"--patches {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
+        if not self.table.seen_faces:
+            return text
+        text += (
+            f". The mesh itself has {len(self.scene.mesh.faces):,} triangles, {self.table.seen_faces:,} of which may "
+            f"show: --patches {self.options.patch_budget} cannot make fewer. "
+        )
+        mesh = self.part.mesh
+        if not mesh.of_step:
+            return f"{text}For fewer, export it with a coarser tolerance"
+        now = chord_tolerance(self.part, pixel_footprint(self.scene.camera, self.rig.camera.distance_mm))
+        # triangles of a curved surface go about with 1 / tolerance; half of the patches are left to cut long ones
+        wanted = now * 2.0 * self.table.seen_faces / self.options.patch_budget
+        digit = 10.0 ** math.floor(math.log10(wanted))
+        return (
+            f"{text}For fewer, give the part file a coarser mesh.chord_tolerance_mm, such as "
+            f"{min(math.ceil(wanted / digit) * digit, 10.0):.3g} (now {now:.3g})"
         )
 
     @property
@@ -108,22 +143,46 @@ class Matrices:
         if kept is not None:
             self.reused += 1
             return kept
-        made = luminance_matrix(
+        made = self._made(posture, self.candidates.panels, self.inspection, report, held)
+        if self.options.keep_matrix:
+            make_folder(path.parent)
+            keep_matrix(path, made, self.candidates.angles, key=key)
+        return made
+
+    def holds(self, candidates: Candidates) -> bool:
+        """Whether there is room for the levels of other candidates, in all postures together."""
+        dtype = 1 if self.scene.sensor.bit_depth <= 8 else 2
+        positions = sum(candidates.space.sizes)
+        return positions * int(self.patches().visible.sum()) * dtype <= MOST_BYTES
+
+    def levels(self, posture: Posture, candidates: Candidates, report: Report | None) -> LuminanceMatrix:
+        """The levels of a posture under other candidates, of whom :meth:`holds` says that there is room."""
+        return self._made(posture, candidates.panels, None, report, 1)
+
+    def of_places(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
+        """The matrix of a posture with each light in one place."""
+        return self._made(posture, [[panel] for panel in panels], self.inspection, None, 1)
+
+    def _made(
+        self,
+        posture: Posture,
+        panels: Sequence[Sequence[PanelLight]],
+        inspection: Inspection | None,
+        report: Report | None,
+        held: int,
+    ) -> LuminanceMatrix:
+        return luminance_matrix(
             self.scene,
             self.patches(),
             posture,
-            self.candidates.panels,
+            panels,
             caster=self.caster,
-            inspection=self.inspection,
+            inspection=inspection,
             shadows=self.options.shadows,
             threads=self.options.threads,
             most_bytes=MOST_BYTES // held,
             progress=None if report is None else lambda share, rays: report(posture, share, rays),
         )
-        if self.options.keep_matrix:
-            make_folder(path.parent)
-            keep_matrix(path, made, self.candidates.angles, key=key)
-        return made
 
 
 def _matrix_facts(

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.optimize._work import Share
 
-__all__ = ["Objective"]
+__all__ = ["VISIBLE_SURFACE", "Objective"]
+
+VISIBLE_SURFACE = "the surface that the camera sees in the posture; of several postures, added up"
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -26,6 +28,8 @@ class Objective(Protocol):
         As on the command line.
     unit
         What one unit of the score is.
+    share_of
+        What :meth:`share` gives a share of, in words; None where a score is no area.
     """
 
     @property
@@ -33,6 +37,9 @@ class Objective(Protocol):
 
     @property
     def unit(self) -> str: ...
+
+    @property
+    def share_of(self) -> str | None: ...
 
     def shown(self, score: int) -> str:
         """A score, or a difference of two, for people, with its unit."""

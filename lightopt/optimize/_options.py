@@ -63,7 +63,8 @@ class OptimizeOptions:
     threads
         All the machine's by default. The results do not depend on it.
     places
-        Elevation and azimuth of each light [°], where somebody chose them before: then nothing is searched.
+        Elevation and azimuth of each light [°], where somebody chose them before for the first objective: then only
+        the others are searched.
     plan
         What else was asked for, as JSON: part of the result's provenance.
     """

@@ -110,7 +110,9 @@ def write_outputs(
         for path, postures, text in rig_texts(rig, results, candidates, folder=folder)
     )
     names = [*appendix.files, *([] if page is None else [REPORT_NAME])]
-    listed = _listed(folder, rigs, options) | {"files": [{"file": name} for name in names]}
+    several = len(candidates.names) > 1
+    sets = _image_sets(rigs, appendix.exposures) if options.images else ()
+    listed = _listed(folder, rigs, sets, overlaps=several) | {"files": [{"file": name} for name in names]}
     ours = begin_writing(folder, listed, force=force)
     ranking = folder / RANKING_NAME
     write_text_atomic(ranking, ranking_csv(results, candidates), overwrite=force)
@@ -119,10 +121,11 @@ def write_outputs(
         write_text_atomic(path, text, overwrite=force)
     for name, content in appendix.files.items():
         _write(folder / name, content, force)
-    images = tuple(path.parent / IMAGES_NAME for path, _, _ in rigs) if options.images else ()
     overlaps: list[Overlap] = []
-    for home, (path, postures, _) in zip(images, rigs, strict=False):
-        overlaps += _render(path, part, home, postures, options, force, warn)
+    for images in sets:
+        _render(images, part, options, force, warn)
+        if several:
+            overlaps += _overlaps(images, force)
     document = {
         "format": "lightopt-optimum/1",
         **provenance,
@@ -157,7 +160,7 @@ def write_outputs(
         result=result,
         ranking=ranking,
         rigs=tuple((path, postures) for path, postures, _ in rigs),
-        images=images,
+        images=tuple(images.folder for images in sets),
         files=tuple(folder / name for name in appendix.files),
         overlaps=tuple(overlaps),
         report=report,
@@ -174,41 +177,73 @@ def _write(path: Path, content: str | bytes | NDArray[np.uint8], force: bool) ->
         write_png(path, content, metadata={}, overwrite=force)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Images:
+    """An image set to come: of one rig, all its postures being taken with the same exposures."""
+
+    folder: Path
+    rig: Path
+    postures: tuple[Posture, ...]
+    exposures: tuple[float, ...]
+
+
+def _image_sets(
+    rigs: Sequence[tuple[Path, tuple[Posture, ...], str]], exposures: Mapping[Posture, tuple[float, ...]]
+) -> tuple[_Images, ...]:
+    # images, images-2, …: an image set has every posture at every exposure
+    sets: list[_Images] = []
+    for path, postures, _ in rigs:
+        groups: dict[tuple[float, ...], list[Posture]] = {}
+        for posture in postures:
+            groups.setdefault(exposures.get(posture, (1.0,)), []).append(posture)
+        for number, (levels, some) in enumerate(groups.items(), start=1):
+            name = IMAGES_NAME if number == 1 else f"{IMAGES_NAME}-{number}"
+            sets.append(_Images(folder=path.parent / name, rig=path, postures=tuple(some), exposures=levels))
+    return tuple(sets)
+
+
 def _listed(
-    folder: Path, rigs: Sequence[tuple[Path, tuple[Posture, ...], str]], options: OptimizeOptions
+    folder: Path,
+    rigs: Sequence[tuple[Path, tuple[Posture, ...], str]],
+    sets: Sequence[_Images],
+    *,
+    overlaps: bool,
 ) -> dict[str, list[dict[str, Any]]]:
     # the files to come, as result.json lists them
     homes = [(path.parent.relative_to(folder), postures) for path, postures, _ in rigs]
-    pictured = [(home / IMAGES_NAME, postures) for home, postures in homes] if options.images else []
+    pictured = [(images.folder.relative_to(folder), images) for images in sets]
     return {
         "rigs": [
             {"file": (home / RIG_NAME).as_posix(), "postures": [p.as_dict() for p in postures]}
             for home, postures in homes
         ],
-        "images": [{"folder": home.as_posix()} for home, _ in pictured],
+        "images": [
+            {"folder": home.as_posix(), "exposures": list(images.exposures)} for home, images in pictured
+        ],
         "overlaps": [
-            {"map": (home / overlap_map_name(posture)).as_posix()}
-            for home, postures in pictured
-            for posture in postures
+            {"map": (home / overlap_map_name(posture, exposure)).as_posix()}
+            for home, images in pictured
+            for posture in images.postures
+            for exposure in images.exposures
+            if overlaps
         ],
     }
 
 
 def _render(
-    rig: Path,
+    images: _Images,
     part: PartConfig,
-    folder: Path,
-    postures: tuple[Posture, ...],
     options: OptimizeOptions,
     force: bool,
     warn: Callable[[str], None],
-) -> tuple[Overlap, ...]:
+) -> None:
     render_image_set(
-        load_rig(rig),
+        load_rig(images.rig),
         part,
-        folder,
+        images.folder,
         options=RenderOptions(
-            postures=postures,
+            postures=images.postures,
+            exposures=images.exposures,
             points=options.points,
             shadows=options.shadows,
             patch_budget=options.patch_budget,
@@ -217,9 +252,17 @@ def _render(
         force=force,
         warn=warn,
     )
-    overlaps = find_overlaps(read_image_set(folder))
+
+
+def _overlaps(images: _Images, force: bool) -> list[Overlap]:
+    # in the order in which they are listed
+    found = {
+        (overlap.posture, overlap.exposure): overlap
+        for overlap in find_overlaps(read_image_set(images.folder))
+    }
+    overlaps = [found[posture, exposure] for posture in images.postures for exposure in images.exposures]
     for overlap in overlaps:
         write_overlap_map(
-            overlap, folder / overlap_map_name(overlap.posture, overlap.exposure), overwrite=force
+            overlap, images.folder / overlap_map_name(overlap.posture, overlap.exposure), overwrite=force
         )
     return overlaps

@@ -63,6 +63,7 @@ class Paper:
 
     name: str = "paper"
     unit: str = "sensor level"
+    share_of: None = None
 
     def shown(self, score: int) -> str:
         """A plain number: sums of levels have no other unit."""

@@ -39,6 +39,9 @@ class Answer:
         What else the objective says of the best set, as JSON.
     nothing
         Why there is no best set: no combination scores at all. None where there is one.
+    proven_of
+        Where the set was placed before, with what else was chosen: among what `found` proves it to be the best or does
+        not; other sets were not counted. None where the search placed it.
     """
 
     objective: Objective
@@ -46,6 +49,7 @@ class Answer:
     scores: Mapping[str, int]
     details: Mapping[str, Any] = field(default_factory=_no_details)
     nothing: str | None = None
+    proven_of: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,16 +119,17 @@ def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> d
         "lights": _lights(candidates, found.best),
         "score": found.best.score,
         "share_of_visible_area": None if share is None else round(share, 6),
+        "share_of": answer.objective.share_of,
         "usable_sum": found.best.usable,
         "runner_up": None
         if runner_up is None
         else {"lights": _lights(candidates, runner_up), "score": runner_up.score},
         "gap": found.gap,
-        "ties": found.ties,
-        "combinations": combinations,
+        "ties": found.ties if answer.proven_of is None else None,
+        "combinations": combinations if answer.proven_of is None else None,
         "bound": found.bound,
         "proven": found.proven,
-        "complete": found.complete,
+        **({"complete": found.complete} if answer.proven_of is None else {"proven_of": answer.proven_of}),
         "scores_under": dict(answer.scores),
         **answer.details,
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from lightopt.config import RigConfig, relocated, with_values
+from lightopt.config import RigConfig, copied_text
 from lightopt.errors import InputError
 from lightopt.images import posture_folder
 from lightopt.optimize._candidates import Candidates
@@ -55,14 +55,14 @@ def rig_texts(
 
 
 def _edited(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
-    values = relocated(rig, home)
+    values: dict[tuple[str | int, ...], str] = {}
     for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
         if light.elevation_range_deg is not None:
             values["lights", index, "elevation_deg"] = degrees_text(elevation)
         if light.azimuth_range_deg is not None:
             values["lights", index, "azimuth_deg"] = degrees_text(azimuth)
     try:
-        return with_values(rig.source.text, values)
+        return copied_text(rig, home, values)
     except InputError as error:
         raise InputError(*(f"{rig.source.path}: {text}" for text in error.messages)) from None
 

@@ -11,10 +11,10 @@ from typing import Any
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.errors import InputError
 from lightopt.optimize._angles import can_move
-from lightopt.optimize._answer import answer_set
 from lightopt.optimize._appendix import Appendix, Appraise, Outcome
+from lightopt.optimize._blind_classes import Legend
 from lightopt.optimize._blind_files import blind_files, blind_pictures
-from lightopt.optimize._blind_report import BlindReport, Looked, look_for_blind_spots
+from lightopt.optimize._blind_report import BlindReport
 from lightopt.optimize._candidates import Candidates, find_candidates
 from lightopt.optimize._contrast import Contrast
 from lightopt.optimize._detectability import Detectability
@@ -30,10 +30,11 @@ from lightopt.optimize._outputs import Written, write_outputs
 from lightopt.optimize._provenance import provenance_of
 from lightopt.optimize._result import SetResult
 from lightopt.optimize._rig_text import check_editable
+from lightopt.optimize._searches import candidates_beside, searched, searched_beside
 from lightopt.optimize._trials import unroll
-from lightopt.optimize._words import combinations_text, cut_off
+from lightopt.optimize._words import combinations_text
 from lightopt.overlap import Overlap
-from lightopt.rendering import Report, cast_rays_at, refuse_hopeless
+from lightopt.rendering import PatchTable, Report, cast_rays_at, refuse_hopeless
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
 
 __all__ = ["Optimum", "optimize"]
@@ -86,6 +87,8 @@ def optimize(
     searching: Callable[[str, float], None] | None = None,
     appraise: Appraise | None = None,
     page: Callable[[Draft], str] | None = None,
+    legend: Legend | None = None,
+    table: PatchTable | None = None,
 ) -> Optimum:
     """Find the best positions of a rig's lights for a part (paper, section 5), and write them to a folder.
 
@@ -111,6 +114,10 @@ def optimize(
         Called with what was found; what it returns is written with the rest.
     page
         Makes the HTML of report.html, such as :func:`lightopt.report.optimum_report`; None for no report.
+    legend
+        Adds the legend to pictures of blind spots, such as :func:`lightopt.report.with_legend`; None for none.
+    table
+        Patches that were cut before, of the postures of the options in their order.
 
     Raises
     ------
@@ -136,6 +143,7 @@ def optimize(
         common_elevation=options.common_elevation,
         points=options.points,
         places=options.places,
+        alone=options.places is not None,
     )
     find()  # what is wrong with the rig alone is told before the part is loaded
     check_editable(rig)
@@ -164,10 +172,16 @@ def optimize(
             sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.contrast
         ),
     )
-    makers = Matrices(rig, part, scene, candidates, options, Path(folder), caster, inspection)
-    if tell is not None:
-        tell(combinations_text(candidates))
-    results, looked = _searched(makers, objectives, thresholds, report, searching, say)
+    makers = Matrices(rig, part, scene, candidates, options, Path(folder), caster, inspection, table)
+    beside = candidates_beside(makers, rig, find, len(objectives), say)
+    if tell is not None and (beside is not None or options.places is None):
+        tell(combinations_text(beside or candidates))
+    results, looked = searched(
+        makers, objectives if beside is None else objectives[:1], thresholds, report, searching, say
+    )
+    if beside is not None:
+        results = searched_beside(makers, beside, results, objectives, thresholds, report, searching, say)
+        candidates = beside
     if page is not None:
         makers.patches()
     if makers.coarse is not None:
@@ -184,15 +198,17 @@ def optimize(
                 table=makers.patches,
             )
         )
+        results = appendix.results or results
     blind = None
     if defects is not None:
         patches = makers.patches().patches
         blind = BlindReport.of(appendix.looked or looked, patches.areas, defects, candidates.names)
-        appendix = Appendix(
+        appendix = replace(
+            appendix,
             sections={"blind_spots": blind.as_dict(), **appendix.sections},
             files={
                 **blind_files(blind, patches, scene.placement),
-                **blind_pictures(blind, patches, scene, caster),
+                **blind_pictures(blind, patches, scene, caster, legend),
                 **appendix.files,
             },
         )
@@ -243,54 +259,16 @@ def optimize(
     )
 
 
-def _searched(
-    makers: Matrices,
-    objectives: tuple[Objective, ...],
-    thresholds: Thresholds,
-    report: Report | None,
-    searching: Callable[[str, float], None] | None,
-    say: Callable[[str], None],
-) -> tuple[tuple[SetResult, ...], list[Looked]]:
-    """The best sets of every posture, or of all together, and what they leave unseen where that was asked for."""
-    defects = next((objective for objective in objectives if isinstance(objective, Detectability)), None)
-    options, postures_of_all = makers.options, makers.scene.postures
-    results: list[SetResult] = []
-    looked: list[Looked] = []
-    # the matrices of postures that do not share their lights are never held together
-    for postures in [postures_of_all] if options.common_lights else [(one,) for one in postures_of_all]:
-        matrices = [makers.matrix(posture, report, held=len(postures)) for posture in postures]
-        results.append(
-            answer_set(
-                matrices,
-                postures,
-                makers.candidates,
-                objectives,
-                thresholds,
-                rows=options.rows,
-                limit=options.limit,
-                threads=options.threads,
-                progress=searching,
-            )
-        )
-        if defects is not None:
-            best = results[-1].answers[0].found.best.candidates
-            looked += [
-                look_for_blind_spots(matrix, posture, thresholds, seen_in=defects.seen_in, candidates=best)
-                for matrix, posture in zip(matrices, postures, strict=True)
-            ]
-        del matrices
-        for answer in results[-1].answers:
-            if not answer.found.complete and answer.nothing is None:
-                say(cut_off(answer, postures))
-    return tuple(results), looked
-
-
 def _objectives(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, say: Callable[[str], None]
 ) -> tuple[Objective, ...]:
     # one that was asked for must be possible; one that was not is left out
     chosen = objectives_named(
-        options.objectives, lambda: Detectability(unroll(build_catalogue(part)), options.seen_in)
+        options.objectives,
+        # places that were chosen before were chosen for the images of all postures together
+        lambda: Detectability(
+            unroll(build_catalogue(part)), options.seen_in, across_postures=options.places is not None
+        ),
     )
     refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
     problems = [text for text in refusals.values() if text is not None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from lightopt.errors import counted
+from lightopt.errors import counted, percent
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._result import Answer
@@ -22,25 +22,35 @@ __all__ = [
     "ties_text",
 ]
 
+NOT_COUNTED = "not counted"
+"""Runner-up and ties where no other combination was looked at."""
+
 
 def score_text(value: int, objective: Objective, area: int) -> str:
     """A score with its unit, and as a share of the visible area [µm²] where it is one."""
     share = objective.share(value, area)
-    return objective.shown(value) + ("" if share is None else f" ({100.0 * share:.1f} %)")
+    return objective.shown(value) + ("" if share is None else f" ({percent(share)})")
 
 
 def gap_text(found: Found, objective: Objective) -> str:
     """By how much the runner-up scores less; of the combinations looked at (≥) where some are left."""
+    if _alone(found):
+        return NOT_COUNTED
     return "-" if found.gap is None else f"{_seen(found)}−{objective.shown(found.gap)}"
 
 
 def ties_text(found: Found) -> str:
-    """How many combinations share the optimum's score."""
+    """How many combinations share the optimum's score; of a set that was chosen before nobody counted them."""
+    if _alone(found):
+        return NOT_COUNTED
     return "none" if found.complete and found.ties == 1 else f"{_seen(found)}{found.ties:,} best"
 
 
-def looked_text(found: Found) -> str:
-    """How many combinations were scored, excluded by a bound, and left."""
+def looked_text(answer: Answer) -> str:
+    """How many combinations were scored, excluded by a bound, and left; nobody counted those of a set placed before."""
+    found = answer.found
+    if answer.proven_of is not None:
+        return NOT_COUNTED
     text = f"{found.scored:,}" + (f" + {found.excluded:,} by bound" if found.excluded else "")
     return text + (f", {found.left:,} left" if found.left else "")
 
@@ -76,6 +86,11 @@ def combinations_text(candidates: Candidates) -> str:
     sizes = candidates.space.sizes
     positions = " × ".join(map(str, sizes))
     return f"{positions} positions of {', '.join(candidates.names)}: {counted(math.prod(sizes), 'combination')} at most"
+
+
+def _alone(found: Found) -> bool:
+    # one combination: chosen before, or of lights that do not move
+    return found.complete and found.scored + found.excluded == 1
 
 
 def _seen(found: Found) -> str:

@@ -7,24 +7,29 @@ detectability counts them. In how many images a pair is seen is counted over all
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.plan._choose import Choice, Wanted, choose_postures
 from lightopt.plan._combinations import Places, combination_sums, place_lights
+from lightopt.plan._commands import Command, Way, way_through
 from lightopt.plan._counts import (
     Counts,
     PairWeights,
     added,
     counts_of_images,
     gain_of,
+    gains_of,
     no_counts,
     reached,
     worth,
 )
 from lightopt.plan._cover import Cover, Step, greedy_cover
+from lightopt.plan._exchange import exchanged
 from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, Brackets, Shot, plan_exposures
 from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
+from lightopt.plan._offered import choose_with_exposures
 from lightopt.plan._options import PlanOptions
-from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf
+from lightopt.plan._result import SHARES_OF, ChosenPostures, PlanResult, TrustOf
 from lightopt.plan._run import Planned, plan
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
 from lightopt.plan._trust import DEFAULT_TOLERANCE_TARGET, Assess, Offset, Tolerances, Trust, Widest, trust_of
+from lightopt.plan._unreached import Reach, TargetUnreached
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
 
 __all__ = [
@@ -33,10 +38,12 @@ __all__ = [
     "DEFAULT_TOLERANCE_TARGET",
     "DRAWN_PATCHES",
     "PLANNED_PART_NAME",
+    "SHARES_OF",
     "Assess",
     "Brackets",
     "Choice",
     "ChosenPostures",
+    "Command",
     "Counts",
     "Cover",
     "LeftOutPosture",
@@ -48,21 +55,27 @@ __all__ = [
     "PlanOptions",
     "PlanResult",
     "Planned",
+    "Reach",
     "Setup",
     "Shot",
     "Step",
     "Survey",
+    "TargetUnreached",
     "Tolerances",
     "Trust",
     "TrustOf",
     "Wanted",
+    "Way",
     "Widest",
     "added",
     "choose_postures",
+    "choose_with_exposures",
     "combination_sums",
     "counts_of_images",
     "drawn_patches",
+    "exchanged",
     "gain_of",
+    "gains_of",
     "greedy_cover",
     "no_counts",
     "place_lights",
@@ -73,5 +86,6 @@ __all__ = [
     "reached",
     "trust_of",
     "usable_postures",
+    "way_through",
     "worth",
 ]

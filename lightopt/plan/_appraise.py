@@ -10,11 +10,12 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.images import posture_folder
 from lightopt.optimize import RIG_NAME, Looked, OptimizeOptions, Outcome, angles_of
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
+from lightopt.plan._commands import commands
 from lightopt.plan._exposures import Brackets, plan_exposures
 from lightopt.plan._looked import looked_at
 from lightopt.plan._options import OBJECTIVE, PlanOptions
 from lightopt.plan._postures import candidates_of, inspection_of
-from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf, commands
+from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
 from lightopt.plan._trust import Tolerances, trust_of
 from lightopt.plan._write import PLANNED_PART_NAME
@@ -62,14 +63,14 @@ def appraised(
         for result in outcome.results
         for posture in result.postures
     }
-    brackets: Brackets | None = None
+    brackets = None if chosen is None else chosen.brackets
     trust: tuple[TrustOf, ...] = ()
     if wanted.exposures or wanted.tolerances is not None:
         survey = survey or _own_survey(outcome, part, options)
         asked = _Asked(
             rig=rig, outcome=outcome, options=options, survey=survey, angles=angles, tell=searching
         )
-        if wanted.exposures:
+        if wanted.exposures and chosen is None:
             brackets = asked.brackets(wanted)
         if wanted.tolerances is not None:
             trust = asked.trust(wanted.tolerances, brackets)
@@ -80,7 +81,7 @@ def appraised(
         chosen=chosen,
         brackets=brackets,
         trust=trust,
-        commands=commands(files, PLANNED_PART_NAME, brackets),
+        commands=commands(rig, files, PLANNED_PART_NAME, brackets),
     )
     if OBJECTIVE not in (answer.objective.name for found in outcome.results for answer in found.answers):
         return result, ()
@@ -141,7 +142,9 @@ class _Asked:
         """How far the score falls, of each posture and of all together."""
         drawn = replace(self.survey, table=drawn_patches(self.survey.table, DRAWN_PATCHES))
         postures = tuple(self.angles)
-        groups = [(posture,) for posture in postures] + ([postures] if len(postures) > 1 else [])
+        # of one posture alone nothing is seen where its lights are fewer than the images that must show it
+        single = len(self.rig.lights) >= self.options.seen_in or len(postures) == 1
+        groups = [(posture,) for posture in postures if single] + ([postures] if len(postures) > 1 else [])
         return tuple(
             TrustOf(
                 postures=group,
@@ -151,6 +154,7 @@ class _Asked:
                     tolerances,
                     progress=self._teller(f"tolerances, {', '.join(map(str, group))}"),
                 ),
+                unit=self.outcome.results[0].answers[0].objective.unit,
                 patches=len(drawn.patches),
             )
             for group in groups

@@ -1,58 +1,59 @@
 """Few postures and one set of light positions that show most of the surface together.
 
 The lights are mounted once and stand the same in all postures. Postures and lights depend on each other, so they take
-turns: postures by greedy cover for the lights as they are, then the lights by trying every combination for those
-postures, and so on until nothing is gained. The first turns are taken on patches drawn from all, and where these gain
-nothing any more, on all patches; so are gains and bound of the last choice.
+turns (:mod:`lightopt.plan._turns`), which end in a local optimum. They begin at several places, the lights as they
+stand, where they serve one posture best, and at both ends of their ranges, on patches drawn from all; the best of what
+they come to is carried on on all patches, and so are gains and bound of the choice.
+
+A target is reached by the fewest postures whose choice by number reaches it, so that a number and a target that takes
+as many give the same plan.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lightopt.errors import InputError
-from lightopt.optimize import DEFAULT_LIMIT, Candidates
-from lightopt.plan._combinations import Places, place_lights
-from lightopt.plan._counts import Counts, added, counts_of_images, no_counts
-from lightopt.plan._cover import Cover, greedy_cover
+from lightopt.optimize import Candidates
+from lightopt.plan._combinations import PlaceCounts, first_allowed
+from lightopt.plan._cover import Cover
+from lightopt.plan._places import MOST_COUNT_BYTES, holds_places
 from lightopt.plan._survey import Survey
+from lightopt.plan._turns import State, Turns, Wanted, merit
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
 
-__all__ = ["MOST_COUNT_BYTES", "Choice", "Wanted", "choose_postures"]
-
-MOST_COUNT_BYTES = 1_500_000_000
-"""Of the counts of all candidate postures, and of all positions of the lights, that are held at a time."""
+__all__ = ["Choice", "Stood", "Wanted", "choose_postures"]
 
 MOST_TURNS, MOST_LAST_TURNS = 6, 3
 """On drawn patches and on all."""
+
+DRAWN_MARGIN = 0.01
+"""Share by which what drawn patches show may fall short of a target and still be tried on all."""
 
 Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
-    """What is asked of the postures.
+class Stood:
+    """What the rig's lights show where they stood.
 
     Attributes
     ----------
-    least
-        Images that must show a pair, of all postures together.
-    count
-        Most postures; as many as the target takes where None.
-    target
-        Share of the pairs to be shown.
-    limit
-        Most combinations of the lights' positions that are tried; with more, lights are moved one at a time.
+    share
+        Of the pairs of the drawn patches, at exposure 1.
+    postures
+        In how many postures, chosen for these lights; fewer than the plan's where no other adds anything.
+    panels
+        The lights there, world frame.
     """
 
-    least: int = 1
-    count: int | None = None
-    target: float | None = None
-    limit: int = DEFAULT_LIMIT
+    share: float
+    postures: int
+    panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,13 +73,18 @@ class Choice:
     exact
         Whether every combination of the lights was tried for the postures of each turn.
     turns
-        How often the lights were placed.
-    before
-        Share that the candidate postures chosen for the rig's lights as they stood show; of the drawn patches.
+        How often the lights were placed on the way to this choice.
+    starts
+        From how many places of the lights the turns began.
+    stood
+        What the rig's lights show where they stood.
     on_all
         Whether the last turns were taken on all patches; not where memory is not meant for so many positions.
     settled
         Whether no combination of the positions that were tried last shows more of all patches in these postures.
+    places
+        What each position of each light shows of all patches in these postures, each image with the survey's exposures;
+        None where that is not known any more.
     """
 
     postures: tuple[Posture, ...]
@@ -87,9 +93,20 @@ class Choice:
     panels: tuple[PanelLight, ...]
     exact: bool
     turns: int
-    before: float
+    starts: int
+    stood: Stood
     on_all: bool
     settled: bool
+    places: tuple[PlaceCounts, ...] | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def before(self) -> Stood | None:
+        """What the rig's lights show where they stood; None where they stay there, of which the cover says more."""
+        same = (
+            np.allclose(old.outward, new.outward, rtol=0.0, atol=1e-9)
+            for old, new in zip(self.stood.panels, self.panels, strict=True)
+        )
+        return None if all(same) else self.stood
 
 
 def choose_postures(
@@ -107,7 +124,7 @@ def choose_postures(
     Parameters
     ----------
     whole, drawn
-        All patches, and those that the turns are taken on; both of all postures.
+        All patches, and those that the first turns are taken on; both of all postures.
     postures
         To choose from, at least one.
     start
@@ -130,137 +147,119 @@ def choose_postures(
             f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
             f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; take a larger --posture-step or fewer --patches"
         )
-    last = _Turns(whole, postures, candidates, wanted, tell)
-    first = last if drawn.table is whole.table else _Turns(drawn, postures, candidates, wanted, tell)
-    panels = tuple(start)
-    cover = first.postures_for(panels, None, "postures for the lights as they stand")
-    before = cover.share
-    now = first.settled(
-        _State(panels=panels, cover=cover), MOST_TURNS, "all patches" if first is last else "drawn patches"
-    )
-    on_all = first is last or last.holds_places
-    if first is not last:
-        now = replace(
-            now,
-            cover=last.postures_for(now.panels, now.cover.chosen, "postures, all patches"),
-            settled=candidates is None,
-        )
-        if on_all:
-            now = last.settled(now, MOST_LAST_TURNS, "all patches")
-    return Choice(
-        postures=tuple(postures[i] for i in now.cover.chosen),
-        cover=now.cover,
-        lights=now.lights,
-        panels=now.panels,
-        exact=now.exact,
-        turns=now.turns,
-        before=before,
-        on_all=on_all,
-        settled=now.settled,
-    )
+    return _Chooser(whole, drawn, postures, start, candidates, wanted, tell).choice()
 
 
-def _merit(cover: Cover, wanted: Wanted) -> tuple[float, ...]:
-    # reaching the target with few first; without one, more seen
-    if wanted.target is not None and cover.share >= wanted.target:
-        return (1.0, -len(cover.steps), cover.reached, cover.worth)
-    return (0.0, cover.reached, cover.worth)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _State:
-    """Lights, and the postures chosen for them; where they stand among the candidates, None as they stood."""
-
-    panels: tuple[PanelLight, ...]
-    cover: Cover
-    lights: tuple[int, ...] | None = None
-    exact: bool = True
-    turns: int = 0
-    settled: bool = True
-
-
-class _Turns:
+class _Chooser:
     def __init__(
         self,
-        survey: Survey,
+        whole: Survey,
+        drawn: Survey,
         postures: Sequence[Posture],
+        start: Sequence[PanelLight],
         candidates: Candidates | None,
         wanted: Wanted,
         tell: Tell | None,
     ) -> None:
-        self.survey, self.postures, self.candidates, self.wanted = survey, postures, candidates, wanted
-        self.weights = survey.weights
-        self._tell = tell
+        self.wanted, self.postures, self.start = wanted, postures, tuple(start)
+        self.candidates = candidates
+        least = wanted.least
+        self.last = Turns(whole, postures, candidates, least=least, where="all patches", tell=tell)
+        self.first = (
+            self.last
+            if drawn.table is whole.table
+            else Turns(drawn, postures, candidates, least=least, where="drawn patches", tell=tell)
+        )
+        self.on_all = self.first is self.last or holds_places(whole, candidates, least=least)
+        self.starts = 1
+        self._drawn: dict[int, State] = {}
 
-    @property
-    def holds_places(self) -> bool:
-        """Whether there is room for the counts of all positions of the lights."""
-        places = 0 if self.candidates is None else sum(len(some) for some in self.candidates.panels)
-        pairs = len(self.survey.patches) * self.weights.masks.shape[1]
-        # those of a posture's images beside the sums
-        return places * (self.wanted.least + 1) * pairs * 8 <= MOST_COUNT_BYTES
+    def choice(self) -> Choice:
+        if self.wanted.target is None:
+            now = self._on_all(self._of_drawn(self.wanted.count))
+        else:
+            now = self._fewest(self.wanted.target)
+        one = replace(self.wanted, count=max(1, len(now.cover.steps)), target=None)
+        stood = self.first.cover(self.start, None, one)
+        cover = now.cover
+        if self.wanted.target is not None:
+            cover = replace(cover, least=cover.fewest(self.wanted.target))
+        return Choice(
+            postures=tuple(self.postures[i] for i in cover.chosen),
+            cover=cover,
+            lights=now.lights,
+            panels=now.panels,
+            exact=now.exact,
+            turns=now.turns,
+            starts=self.starts,
+            stood=Stood(share=stood.share, postures=len(stood.steps), panels=self.start),
+            on_all=self.on_all,
+            settled=now.settled,
+            places=self.last.placed(cover.chosen),
+        )
 
-    def settled(self, now: _State, most: int, where: str) -> _State:
-        """Lights for the postures, and postures for the lights, until nothing is gained or after so many turns."""
-        if self.candidates is None:
+    def _fewest(self, target: float) -> State:
+        # how many it takes about, then the fewest whose choice by number reaches the target on all patches
+        rough = self._from_all_starts(self.wanted)
+        most = self.wanted.count or len(self.postures)
+        enough = count = len(rough.cover.steps) if rough.cover.share >= target else most
+        if rough.cover.share < target and self.wanted.count is None:
+            # drawn patches may show less than all do: those decide
+            now = self._on_all(rough)
+            if self.first is self.last or now.cover.all_reached < target * now.cover.total:
+                return now
+            enough = count = max(1, len(rough.cover.steps))
+        while count > 1 and self._of_drawn(count - 1).cover.share >= target - DRAWN_MARGIN:
+            count -= 1
+        while True:
+            now = self._on_all(self._of_drawn(count))
+            if now.cover.share < target and len(now.cover.steps) < count:
+                # more than these add nothing on drawn patches, and may on all
+                now = self._on_all(self._of_drawn(count), count)
+            short = now.cover.share < target and len(now.cover.steps) == count < most
+            # with so many, not even all postures under these lights
+            hopeless = count >= enough and now.cover.all_reached < target * now.cover.total
+            if not short or hopeless:
+                return now
+            count += 1
+
+    def _of_drawn(self, count: int | None) -> State:
+        # the best of so many postures on drawn patches
+        assert count is not None
+        if count not in self._drawn:
+            self._drawn[count] = self._from_all_starts(replace(self.wanted, count=count, target=None))
+        return self._drawn[count]
+
+    def _on_all(self, now: State, count: int | None = None) -> State:
+        # carried on on all patches, where the number is what was chosen, or more, not the target
+        if self.first is self.last:
             return now
-        for turn in range(1, most + 1):
-            places = self.lights_for(now.cover.chosen, f"lights, turn {turn}, {where}")
-            now = replace(
-                now,
-                exact=now.exact and places.exact,
-                turns=now.turns + 1,
-                settled=places.reached <= now.cover.reached,
-            )
-            if places.candidates == now.lights:
-                return now
-            panels = tuple(self.candidates.panels[i][k] for i, k in enumerate(places.candidates))
-            better = self.postures_for(panels, now.cover.chosen, f"postures, turn {turn}, {where}")
-            gained = _merit(better, self.wanted) > _merit(now.cover, self.wanted)
-            # positions of the grid are taken before the lights as they stand where they serve as well
-            as_good = _merit(better, self.wanted) == _merit(now.cover, self.wanted)
-            if not gained and not (as_good and now.lights is None):
-                return now
-            now = replace(now, panels=panels, cover=better, lights=places.candidates, settled=False)
-        return now
+        wanted = replace(self.wanted, count=count or max(1, len(now.cover.steps)), target=None)
+        cover = self.last.cover(now.panels, now.lights, wanted, before=now.cover.chosen)
+        now = replace(now, cover=cover, settled=self.candidates is None)
+        return self.last.settled(now, MOST_LAST_TURNS, wanted) if self.on_all else now
 
-    def postures_for(self, panels: Sequence[PanelLight], among: Sequence[int] | None, stage: str) -> Cover:
-        """The cover for lights: the greedy one of all postures, or of those of the last turn where that is better."""
-        counts: list[Counts] = []
-        for i, posture in enumerate(self.postures):
-            images = self.survey.flags(posture, [[panel] for panel in panels])
-            counts.append(counts_of_images([layer[0] for layer in images], self.wanted.least))
-            self._say(stage, (i + 1) / len(self.postures))
-        free = greedy_cover(counts, self.weights, count=self.wanted.count, target=self.wanted.target)
-        if not among:
-            return free
-        kept = greedy_cover(
-            counts, self.weights, count=self.wanted.count, target=self.wanted.target, among=among
+    def _from_all_starts(self, wanted: Wanted) -> State:
+        best: State | None = None
+        starts = self._starts(wanted)
+        self.starts = len(starts)
+        for lights in starts:
+            panels = self.start if lights is None else self.first.panels(lights)
+            now = self.first.settled(self.first.begin(panels, lights, wanted), MOST_TURNS, wanted)
+            if best is None or merit(now.cover, wanted) > merit(best.cover, wanted):
+                best = now
+        assert best is not None
+        return best
+
+    def _starts(self, wanted: Wanted) -> tuple[tuple[int, ...] | None, ...]:
+        # as they stand; where they serve the best single posture; all at the lower, all at the upper ends
+        if self.candidates is None:
+            return (None,)
+        one = self.first.cover(self.start, None, replace(wanted, count=1, target=None))
+        space = self.candidates.space
+        ends = (
+            first_allowed(space, space.groups[0]),
+            first_allowed(space, [rows[::-1] for rows in space.groups[-1]]),
         )
-        return kept if _merit(kept, self.wanted) > _merit(free, self.wanted) else free
-
-    def lights_for(self, chosen: Sequence[int], stage: str) -> Places:
-        """The best positions of the lights for postures."""
-        assert self.candidates is not None
-        k = self.wanted.least
-        empty = no_counts(self.weights, k)
-        totals = [np.repeat(empty[None], len(some), axis=0) for some in self.candidates.panels]
-        for done, i in enumerate(chosen):
-            images = self.survey.flags(self.postures[i], self.candidates.panels)
-            for total, layer in zip(totals, images, strict=True):
-                for place, flags in enumerate(layer):
-                    total[place] = added(total[place], counts_of_images([flags], k))
-            self._say(stage, (done + 1) / (len(chosen) + 1))
-        before = len(chosen) / (len(chosen) + 1)
-        return place_lights(
-            totals,
-            self.weights,
-            self.candidates.space,
-            limit=self.wanted.limit,
-            threads=self.survey.threads,
-            progress=lambda share: self._say(stage, before + (1.0 - before) * share),
-        )
-
-    def _say(self, stage: str, share: float) -> None:
-        if self._tell is not None:
-            self._tell(stage, share)
+        alone = [self.first.lights(one.chosen, wanted).candidates] if one.chosen else []
+        return tuple(dict.fromkeys([None, *alone, *(tuple(end) for end in ends if end is not None)]))

@@ -31,7 +31,7 @@ from lightopt.optimize import (
 from lightopt.plan._counts import Counts, PairWeights, Words, added, no_counts
 from lightopt.rendering import available_processors, run_all
 
-__all__ = ["Places", "combination_sums", "place_lights"]
+__all__ = ["PlaceCounts", "Places", "combination_sums", "first_allowed", "place_lights"]
 
 Int64 = NDArray[np.int64]
 
@@ -239,7 +239,7 @@ def _one_at_a_time(
     rows: Rows,
     threads: int | None,
 ) -> Places | None:
-    now = _first_allowed(space, rows)
+    now = first_allowed(space, rows)
     if now is None:
         return None
     best: Places | None = None
@@ -258,7 +258,8 @@ def _one_at_a_time(
     return best
 
 
-def _first_allowed(space: Space, rows: Rows) -> list[int] | None:
+def first_allowed(space: Space, rows: Rows) -> list[int] | None:
+    """The first combination whose panels do not collide, in the order of the rows; None where there is none."""
     # depth first: with so many combinations, a mask of them all is too large
     chosen: list[int] = []
 

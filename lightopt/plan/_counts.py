@@ -10,7 +10,7 @@ and what a count is worth is the sum of its flags, each times its pair's weight.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,18 @@ from lightopt.errors import InputError
 from lightopt.kernels import kernel
 from lightopt.optimize import Trial, add_image, added, trial_planes, word_weight
 
-__all__ = ["Counts", "PairWeights", "added", "counts_of_images", "gain_of", "no_counts", "reached", "worth"]
+__all__ = [
+    "Counts",
+    "PairWeights",
+    "added",
+    "counts_of_images",
+    "gain_of",
+    "gains_of",
+    "no_counts",
+    "reached",
+    "together",
+    "worth",
+]
 
 Counts = NDArray[np.uint64]
 """Shape (k, p, words): flag l says that a pair is seen in l + 1 images or more."""
@@ -79,6 +90,14 @@ def no_counts(weights: PairWeights, k: int) -> Counts:
     return np.zeros((k, len(weights.areas), weights.masks.shape[1]), np.uint64)
 
 
+def together(some: Iterable[Counts], weights: PairWeights, k: int) -> Counts:
+    """In how many images of several counts each pair is seen, up to k, shape (k, p, words)."""
+    now = no_counts(weights, k)
+    for counts in some:
+        now = added(now, counts)
+    return now
+
+
 def counts_of_images(images: Sequence[Words], k: int) -> Counts:
     """In how many of some images each pair is seen, up to k.
 
@@ -107,7 +126,13 @@ def reached(counts: Counts, weights: PairWeights) -> int:
 
 def gain_of(counts: Counts, more: Counts, weights: PairWeights) -> int:
     """By how much :func:`worth` grows when `more` is added to `counts`."""
-    return int(_gain(counts, more, weights.areas, weights.masks, weights.factors))
+    return gains_of(counts, more, weights)[1]
+
+
+def gains_of(counts: Counts, more: Counts, weights: PairWeights) -> tuple[int, int]:
+    """By how much :func:`reached` and :func:`worth` grow when `more` is added to `counts`."""
+    top, whole = _gains(counts, more, weights.areas, weights.masks, weights.factors)
+    return int(top), int(whole)
 
 
 @kernel
@@ -123,11 +148,13 @@ def _sum(flags: Words, areas: Int64, masks: Words, factors: Int64) -> np.int64:
 
 
 @kernel
-def _gain(counts: Counts, more: Counts, areas: Int64, masks: Words, factors: Int64) -> np.int64:
-    total = np.int64(0)
+def _gains(
+    counts: Counts, more: Counts, areas: Int64, masks: Words, factors: Int64
+) -> tuple[np.int64, np.int64]:
+    top, whole = np.int64(0), np.int64(0)
     k = counts.shape[0]
     for p in range(counts.shape[1]):
-        trials = np.int64(0)
+        most, each = np.int64(0), np.int64(0)
         for w in range(counts.shape[2]):
             if more[0, p, w]:
                 for level in range(k):
@@ -136,6 +163,10 @@ def _gain(counts: Counts, more: Counts, areas: Int64, masks: Words, factors: Int
                         flags |= counts[low, p, w] & more[level - 1 - low, p, w]
                     flags &= ~counts[level, p, w]
                     if flags:
-                        trials += word_weight(flags, w, masks, factors)
-        total += areas[p] * trials
-    return total
+                        value = word_weight(flags, w, masks, factors)
+                        each += value
+                        if level == k - 1:
+                            most += value
+        top += areas[p] * most
+        whole += areas[p] * each
+    return top, whole

@@ -4,19 +4,20 @@ Each candidate (a posture, or a posture at a further exposure) sees each pair in
 set S is Σ weight · min(k, Σ counts of its members): monotone and submodular, what one more candidate adds never grows
 with the set. So, after any steps of the greedy choice with set S' and remaining gains g, no N candidates are worth more
 than worth(S') + the sum of the N largest g; and N greedy steps reach at least the share 1 − (1 − 1/N)^N > 1 − 1/e of
-the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). Both are printed, the least of the first counts.
+the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). The least of the first counts, and is never looser
+than the second.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from lightopt.errors import InputError
-from lightopt.plan._counts import Counts, PairWeights, added, gain_of, no_counts, reached, worth
+from lightopt.plan._counts import Counts, PairWeights, added, gain_of, no_counts, reached, together, worth
 
-__all__ = ["Cover", "Step", "greedy_cover"]
+__all__ = ["Cover", "Step", "greedy_cover", "greedy_order", "steps_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +56,8 @@ class Cover:
         Images that a pair has to be seen in.
     total
         Weight of all pairs.
-    bound
-        No set of as many candidates is worth more.
+    bounds
+        Of sets of 0, 1, 2, … candidates up to as many as were chosen: none is worth more.
     all_worth, all_reached
         Of all candidates together.
     least
@@ -67,7 +68,7 @@ class Cover:
     dropped: tuple[int, ...]
     k: int
     total: int
-    bound: int
+    bounds: tuple[int, ...]
     all_worth: int
     all_reached: int
     least: int | None
@@ -95,14 +96,36 @@ class Cover:
     @property
     def bound_share(self) -> float:
         """No set of as many candidates sees more than this share in k images or more."""
+        return self.bound_of(len(self.bounds) - 1)
+
+    def bound_of(self, count: int) -> float:
+        """No set of so many candidates, up to as many as were chosen, sees more than this share in k or more."""
         # [count ≥ k] ≤ min(k, count) / k
-        return min(self.bound / self.k, self.all_reached) / max(1, self.total)
+        return min(self.bounds[count] / self.k, self.all_reached) / max(1, self.total)
+
+    @property
+    def bound(self) -> int:
+        """No set of as many candidates is worth more."""
+        return self.bounds[-1]
+
+    def fewest(self, target: float) -> int | None:
+        """No set of fewer candidates than that sees this share; None where all together do not."""
+        if self.all_reached < target * self.total:
+            return None
+        # a pair seen in k images is worth k
+        enough = [size for size, bound in enumerate(self.bounds) if bound >= self.k * target * self.total]
+        return enough[0] if enough else len(self.steps)
 
     @property
     def guarantee(self) -> float:
-        """Share of the best worth that the greedy choice of as many reaches whatever the candidates."""
-        n = len(self.steps)
-        return 1.0 - (1.0 - 1.0 / n) ** n if n else 1.0
+        """Of what the best set of as many sees in k images or more, the share that these see at least."""
+        # with k = 1 never less than a greedy choice has whatever the candidates, 1 − (1 − 1/N)^N
+        return self.share / self.bound_share if self.bound_share > 0.0 else 1.0
+
+    @property
+    def proven(self) -> bool:
+        """Whether no set of as many sees more in k images or more."""
+        return self.reached >= min(self.bound // self.k, self.all_reached)
 
 
 def greedy_cover(
@@ -145,6 +168,31 @@ def greedy_cover(
     return _Greedy(candidates, weights, count, target, among).cover()
 
 
+def greedy_order(candidates: Mapping[int, Counts], weights: PairWeights) -> tuple[int, ...]:
+    """All of some candidates, each time the one that adds most to those before it; the first of equals."""
+    left = dict(candidates)
+    ordered: list[int] = []
+    now: Counts | None = None
+    while left:
+        before = no_counts(weights, len(next(iter(left.values())))) if now is None else now
+        best = max(left, key=lambda i, before=before: gain_of(before, left[i], weights))
+        now = added(before, left.pop(best))
+        ordered.append(best)
+    return tuple(ordered)
+
+
+def steps_of(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> tuple[Step, ...]:
+    """What candidates add one after the other: index and counts of each."""
+    steps: list[Step] = []
+    now: Counts | None = None
+    for one, counts in ordered:
+        now = no_counts(weights, len(counts)) if now is None else now
+        gain = gain_of(now, counts, weights)
+        now = added(now, counts)
+        steps.append(Step(candidate=one, gain=gain, worth=worth(now, weights), reached=reached(now, weights)))
+    return tuple(steps)
+
+
 class _Greedy:
     def __init__(
         self,
@@ -159,6 +207,7 @@ class _Greedy:
         self.allowed = range(len(candidates)) if among is None else sorted(among)
         self.most = min(len(candidates), count or len(candidates))
         self.total = weights.total
+        self.target = target
         self.goal = None if target is None else target * self.total
         self.chosen: list[int] = []
         self.dropped: list[int] = []
@@ -175,17 +224,17 @@ class _Greedy:
                 break
             self.chosen.remove(redundant)
             self.dropped.append(redundant)
-        reachable = self.goal is not None and all_reached >= self.goal
-        return Cover(
-            steps=tuple(self._steps()),
+        cover = Cover(
+            steps=steps_of([(i, self.candidates[i]) for i in self.chosen], self.weights),
             dropped=tuple(one for one in self.dropped if one not in self.chosen),
             k=self.k,
             total=self.total,
-            bound=min(all_worth, self._bound(len(self.chosen))),
+            bounds=tuple(min(all_worth, self._bound(size)) for size in range(len(self.chosen) + 1)),
             all_worth=all_worth,
             all_reached=all_reached,
-            least=self._least() if reachable else None,
+            least=None,
         )
+        return cover if self.target is None else replace(cover, least=cover.fewest(self.target))
 
     def _choose(self) -> None:
         now = self._together(self.chosen)
@@ -215,35 +264,8 @@ class _Greedy:
                 spare.append((loss, -place, one))
         return min(spare)[2] if spare else None
 
-    def _steps(self) -> list[Step]:
-        steps: list[Step] = []
-        now = no_counts(self.weights, self.k)
-        for one in self.chosen:
-            gain = gain_of(now, self.candidates[one], self.weights)
-            now = added(now, self.candidates[one])
-            steps.append(
-                Step(
-                    candidate=one,
-                    gain=gain,
-                    worth=worth(now, self.weights),
-                    reached=reached(now, self.weights),
-                )
-            )
-        return steps
-
     def _together(self, some: Sequence[int]) -> Counts:
-        now = no_counts(self.weights, self.k)
-        for one in some:
-            now = added(now, self.candidates[one])
-        return now
+        return together((self.candidates[one] for one in some), self.weights, self.k)
 
     def _bound(self, size: int) -> int:
         return min(here + sum(heapq.nlargest(size, gains)) for here, gains in self.seen)
-
-    def _least(self) -> int:
-        # a pair seen in k images is worth k
-        assert self.goal is not None
-        size = 0
-        while self._bound(size) < self.k * self.goal and size < len(self.chosen):
-            size += 1
-        return size

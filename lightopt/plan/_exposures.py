@@ -1,8 +1,10 @@
 """Further exposures of chosen postures: planned where they show enough more, and nowhere else.
 
 Offered are the postures' images at other exposures, all lights together; the one that shows most pairs more is planned,
-then the next, as long as it shows enough more, or the target takes it. A light's exposures in a posture are one image:
-a pair that two of them show has not been confirmed by another light or from another side.
+then the next, as long as it shows enough more, or the target takes it. Where two images must show a pair, two exposures
+may add together what neither adds alone: where no single one shows enough more, two are planned that together show
+twice as much. A light's exposures in a posture are one image: a pair that two of them show has not been confirmed by
+another light or from another side.
 """
 
 from __future__ import annotations
@@ -10,11 +12,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
 from lightopt.errors import InputError
-from lightopt.plan._counts import Counts, PairWeights, Words, added, counts_of_images, no_counts, reached
+from lightopt.plan._counts import (
+    Counts,
+    PairWeights,
+    Words,
+    added,
+    counts_of_images,
+    reached,
+    together,
+    worth,
+)
 from lightopt.plan._survey import Survey, scattered_flags
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
@@ -34,6 +47,10 @@ __all__ = [
 Images = Words
 """Flags of the pairs that the images of a posture show, shape (lights, p, words); where one image is enough, of all
 together, shape (1, p, words)."""
+
+Why = Literal["gain", "pair", "target"]
+"""A further exposure is planned: it adds as much as one has to; it does with another, the two twice as much; or less,
+and the target was not reached without it."""
 
 DEFAULT_EXPOSURE_GAIN = 1.0
 """Points (hundredths of the pairs) that a further exposure of a posture has to add, unless asked otherwise."""
@@ -55,14 +72,19 @@ class Shot:
         Relative to exposure 1.
     gain
         Share of the pairs that it adds: to what is planned before it where it is planned, else to the whole plan.
-    planned
-        Whether the gain is enough.
+    why
+        It is planned: its gain is enough, or that of two together, or the target takes it; None where it is not.
     """
 
     posture: Posture
     exposure: float
     gain: float
-    planned: bool
+    why: Why | None
+
+    @property
+    def planned(self) -> bool:
+        """Whether it is."""
+        return self.why is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +115,7 @@ class Brackets:
 def check_exposures(offered: Sequence[float], gain_points: float) -> list[str]:
     """What is wrong with exposures and the gain that is asked of them."""
     problems = [
-        f"--exposures: expected numbers above 0, such as 1,1/4,1/16, found {exposure:g}"
+        f"--exposures: expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
         for exposure in offered
         if not (math.isfinite(exposure) and exposure > 0.0)
     ]
@@ -212,6 +234,8 @@ def pick_shots(
 ) -> Brackets:
     """Take the exposure that adds most to what is seen, the first of equals, as long as it adds enough and anything.
 
+    Where none does, the two that add most together, as long as that is twice as much and anything.
+
     Parameters
     ----------
     postures
@@ -236,25 +260,59 @@ def pick_shots(
     planned: list[Shot] = []
     while True:
         gains = taken.gains(left)
-        best = max(range(len(left)), key=lambda i: gains[i], default=None)
-        if best is None or gains[best] == 0:
-            break
         short = target is not None and taken.seen < target * total
-        if gains[best] < least_gain * total and not short:
+        some, why = _best(taken, left, gains, least_gain * total, short)
+        if not some:
             break
-        offer = left.pop(best)
-        planned.append(_shot(postures, offer, gains.pop(best) / total, planned=True))
-        taken.take(offer)
+        # of two the one first that adds more alone
+        for offer in [left[i] for i in some]:
+            before_it = taken.seen
+            taken.take(offer)
+            planned.append(_shot(postures, offer, (taken.seen - before_it) / total, why))
+        left = [offer for i, offer in enumerate(left) if i not in some]
     rest = [
-        _shot(postures, offer, gain / total, planned=False) for offer, gain in zip(left, gains, strict=True)
+        _shot(postures, offer, gain.reached / total, None) for offer, gain in zip(left, gains, strict=True)
     ]
     return Brackets(
         before=before / total, after=taken.seen / total, shots=(*planned, *rest), least_gain=least_gain
     )
 
 
-def _shot(postures: Sequence[Posture], offer: Offer, gain: float, *, planned: bool) -> Shot:
-    return Shot(posture=postures[offer.posture], exposure=offer.exposure, gain=gain, planned=planned)
+def _best(
+    taken: _Taken, offers: Sequence[Offer], gains: Sequence[_Gain], least: float, short: bool
+) -> tuple[tuple[int, ...], Why]:
+    """What to plan next, by index, and why; nothing where nothing pays and the target is met or beyond reach."""
+    one = max(range(len(offers)), key=lambda i: gains[i].reached, default=None)
+    if one is None:
+        return (), "gain"
+    alone = gains[one].reached
+    if alone >= max(1.0, least):
+        return (one,), "gain"
+    # in vain where two do not add twice as much; with the target out of reach alone, anything will do
+    two = taken.pair(offers, gains, at_least=1 if short and alone == 0 else max(1, math.ceil(2.0 * least)))
+    if two is not None:
+        return two[1], "pair" if two[0] >= 2.0 * least else "target"
+    return ((one,), "target") if short and alone > 0 else ((), "gain")
+
+
+def _shot(postures: Sequence[Posture], offer: Offer, gain: float, why: Why | None) -> Shot:
+    return Shot(posture=postures[offer.posture], exposure=offer.exposure, gain=gain, why=why)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Gain:
+    """What an offer adds alone.
+
+    Attributes
+    ----------
+    reached
+        To the weight of the pairs that are seen in enough images.
+    nearer
+        At most this weight of the other pairs is seen in more images than before.
+    """
+
+    reached: int
+    nearer: int
 
 
 class _Taken:
@@ -262,27 +320,76 @@ class _Taken:
 
     def __init__(self, images: Sequence[Images], weights: PairWeights, least: int) -> None:
         self._images, self._weights, self._least = list(images), weights, least
-        self.seen = reached(self._together(range(len(images))), weights)
+        self._own = [self._counts(some) for some in images]
+        self._set_seen()
 
-    def gains(self, offers: Sequence[Offer]) -> list[int]:
-        """By how much each offer would add to the weight of the pairs that are seen."""
+    def gains(self, offers: Sequence[Offer]) -> list[_Gain]:
+        """What each offer would add."""
         others: dict[int, Counts] = {}
-        gains: list[int] = []
+        gains: list[_Gain] = []
         for offer in offers:
             at = offer.posture
             if at not in others:
-                others[at] = self._together([i for i in range(len(self._images)) if i != at])
-            own = counts_of_images(list(self._images[at] | offer.images), self._least)
-            gains.append(reached(added(others[at], own), self._weights) - self.seen)
+                others = {at: self._without({at})}
+            now = added(others[at], self._counts(self._images[at] | offer.images))
+            more = reached(now, self._weights) - self.seen
+            # a pair that is now seen often enough is worth one more at least, and so is one that is seen once more
+            gains.append(_Gain(reached=more, nearer=worth(now, self._weights) - self._worth - more))
         return gains
+
+    def pair(
+        self, offers: Sequence[Offer], gains: Sequence[_Gain], *, at_least: int
+    ) -> tuple[int, tuple[int, int]] | None:
+        """The two offers that add most together, the first of equals: how much, and their indices.
+
+        The one that adds more alone stands first.
+
+        Parameters
+        ----------
+        offers, gains
+            What there is, and what each adds alone.
+        at_least
+            Two that add less are not looked for.
+        """
+        # what both are needed for is nearer with either
+        most = {
+            (i, j): gains[i].reached + gains[j].reached + min(gains[i].nearer, gains[j].nearer)
+            for i, j in combinations(range(len(offers)), 2)
+        }
+        best: tuple[int, tuple[int, int]] | None = None
+        for i, j in sorted(most, key=lambda two: (-most[two], two)):
+            if most[i, j] < (at_least if best is None else best[0] + 1):
+                break
+            gain = self._gain_of(offers[i], offers[j])
+            if gain >= (at_least if best is None else best[0] + 1):
+                best = gain, ((j, i) if gains[j].reached > gains[i].reached else (i, j))
+        return best
 
     def take(self, offer: Offer) -> None:
         """Plan it."""
-        self._images[offer.posture] = self._images[offer.posture] | offer.images
-        self.seen = reached(self._together(range(len(self._images))), self._weights)
+        at = offer.posture
+        self._images[at] = self._images[at] | offer.images
+        self._own[at] = self._counts(self._images[at])
+        self._set_seen()
 
-    def _together(self, postures: Sequence[int]) -> Counts:
-        total = no_counts(self._weights, self._least)
-        for i in postures:
-            total = added(total, counts_of_images(list(self._images[i]), self._least))
-        return total
+    def _gain_of(self, one: Offer, other: Offer) -> int:
+        at = {one.posture, other.posture}
+        total = self._without(at)
+        for posture in at:
+            images = self._images[posture]
+            for offer in (one, other):
+                if offer.posture == posture:
+                    images = images | offer.images
+            total = added(total, self._counts(images))
+        return reached(total, self._weights) - self.seen
+
+    def _set_seen(self) -> None:
+        total = self._without(set())
+        self.seen, self._worth = reached(total, self._weights), worth(total, self._weights)
+
+    def _without(self, postures: set[int]) -> Counts:
+        rest = (own for i, own in enumerate(self._own) if i not in postures)
+        return together(rest, self._weights, self._least)
+
+    def _counts(self, images: Images) -> Counts:
+        return counts_of_images(list(images), self._least)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from typing import Literal
 
 from lightopt.config import RigConfig
@@ -81,12 +82,11 @@ def _possible(
     thresholds: Thresholds,
     least: int,
 ) -> Shown:
-    # light by light: the positions of all of them at all exposures would be much to hold
+    # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold
     total: Shown | None = None
     for light, panels in enumerate(places):
-        one = shown_by(
-            survey.matrices(posture, [panels], exposures=offered), thresholds, least=least, first_light=light
-        )
+        matrices = chain.from_iterable(survey.in_pieces(posture, panels, exposures=offered))
+        one = shown_by(matrices, thresholds, least=least, first_light=light)
         total = one if total is None else shown_together(total, one)
     assert total is not None
     return total

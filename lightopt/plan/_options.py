@@ -86,8 +86,11 @@ def check_plan(options: PlanOptions) -> None:
     if options.postures is not None and options.postures < 1:
         problems.append(f"--choose-postures: expected 1 posture or more, found {options.postures}")
     if options.target is not None and not 0.0 < options.target <= 1.0:
+        percents = 1.0 < options.target <= 100.0
+        hint = f"; {options.target:g} % is --target {options.target / 100.0:g}" if percents else ""
         problems.append(
-            f"--target: expected a share of the surface above 0 and up to 1, such as 0.95, found {options.target:g}"
+            "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found "
+            f"{options.target:g}{hint}"
         )
     problems += check_exposures(options.exposures, options.exposure_gain)
     if problems:

@@ -17,20 +17,25 @@ from lightopt.optimize import (
     find_candidates,
     unroll,
 )
-from lightopt.plan._choose import Choice, Wanted, choose_postures
+from lightopt.plan._choose import Choice
+from lightopt.plan._commands import way_through
 from lightopt.plan._grid import posture_grid, usable_postures
+from lightopt.plan._offered import choose_with_exposures
 from lightopt.plan._options import PlanOptions
 from lightopt.plan._result import ChosenPostures
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
+from lightopt.plan._turns import Wanted
 from lightopt.plan._unreached import unreached
 from lightopt.rendering import build_patches, cast_rays_at
-from lightopt.scene import Scene, build_catalogue, build_lights, build_scene, travel_order, travel_s
-from lightopt.transforms import Posture
+from lightopt.scene import (
+    Scene,
+    build_catalogue,
+    build_lights,
+    build_scene,
+    pace_text,
+)
 
-__all__ = ["HOME", "candidates_of", "inspection_of", "places_of", "plan_postures"]
-
-HOME = Posture(0.0, 0.0)
-"""Where the stage's way begins."""
+__all__ = ["candidates_of", "inspection_of", "places_of", "plan_postures"]
 
 
 def plan_postures(
@@ -67,9 +72,11 @@ def plan_postures(
     places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
     postures, left_out = usable_postures(replace(scene, postures=grid), places, caster)
     if tell is not None:
+        few = wanted.postures is not None and len(postures) < wanted.postures
+        asked = f", fewer than the {wanted.postures} that were asked for" if few else ""
         tell(
-            f"{counted(len(postures), 'posture')} to choose from, {len(left_out)} left out; patches are cut for all "
-            "of them"
+            f"{counted(len(postures), 'posture')} to choose from{asked}, {len(left_out)} left out; patches are cut for "
+            "all of them"
         )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
@@ -80,42 +87,44 @@ def plan_postures(
         inspection=inspection_of(scene, part, options),
         shadows=options.shadows,
         threads=options.threads,
-        exposures=wanted.all_exposures,
     )
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
-    choice = choose_postures(
+    choice, brackets = choose_with_exposures(
         whole,
         drawn,
         postures,
         lights,
         candidates,
         Wanted(least=options.seen_in, count=wanted.postures, target=wanted.target, limit=options.limit),
+        offered=wanted.all_exposures,
+        gain_points=wanted.exposure_gain,
         tell=searching,
     )
     if wanted.target is not None and choice.cover.share < wanted.target:
-        raise CheckFailed(unreached(wanted.target, choice, drawn, least=options.seen_in))
+        offered = replace(drawn, exposures=wanted.all_exposures)
+        raise unreached(wanted.target, choice, offered, least=options.seen_in)
     if not choice.postures:
         raise CheckFailed(
             f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
             f"{counted(options.seen_in, 'image')} or more: lower --threshold or --seen-in, or change the lights' gain, "
             "their ranges, or the catalogue"
         )
-    stage = None if rig.hardware is None else rig.hardware.stage
 
-    def time(start: Posture, end: Posture) -> float:
-        return travel_s(stage, start, end)
-
-    order = travel_order(choice.postures, start=HOME, time=time)
     chosen = ChosenPostures(
         choice=choice,
+        brackets=brackets,
         offered=len(postures),
         left_out=left_out,
-        order=order,
-        travel_s=sum(time(a, b) for a, b in zip((HOME, *order), order, strict=False)),
+        way=way_through(rig, choice.postures),
+        pace=pace_text(rig),
         least=options.seen_in,
+        asked=wanted.postures,
         target=wanted.target,
         drawn=len(drawn.patches),
         patches=len(whole.patches),
+        max_edge=table.max_edge,
+        footprint=table.footprint,
+        grain=table.grain,
         visible_share=float(np.sum(table.patches.areas[whole.patches]) / np.sum(table.patches.areas)),
         exposures=wanted.all_exposures,
     )
@@ -146,5 +155,9 @@ def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None
     if all(light.elevation_range_deg is None and light.azimuth_range_deg is None for light in rig.lights):
         return None
     return find_candidates(
-        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
+        rig,
+        step_deg=options.step_deg,
+        common_elevation=options.common_elevation,
+        points=options.points,
+        alone=True,
     )

@@ -1,19 +1,31 @@
-"""A plan as JSON, and as commands that carry it out."""
+"""What was planned, and how it reads as JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lightopt.optimize import degrees_text
 from lightopt.plan._choose import Choice
+from lightopt.plan._commands import Command, Way
 from lightopt.plan._exposures import Brackets
 from lightopt.plan._grid import LeftOutPosture
 from lightopt.plan._trust import Offset, Trust
 from lightopt.transforms import Posture
 
-__all__ = ["ChosenPostures", "PlanResult", "TrustOf", "commands", "plan_dict"]
+__all__ = ["SHARES_OF", "ChosenPostures", "PlanResult", "TrustOf", "plan_dict"]
+
+SHARES_OF = "the surface that the camera sees in any posture to choose from × defects by weight"
+"""What the shares of a plan are shares of."""
+
+TELLING_SHARE = 0.001
+"""Of the pairs: what postures add together that are not worth an image."""
+
+STOOD_OF = "the drawn patches, in postures chosen for these lights, at exposure 1"
+"""What the share of the lights as they stood is of."""
+
+OWN_SHARES_OF = "the surface that the camera sees in any of the postures × defects by weight"
+"""The same of exposures for a part's own postures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,33 +40,61 @@ class ChosenPostures:
         Postures to choose from.
     left_out
         Postures that the stage reaches and that are of no use.
-    order
-        The chosen ones in the order in which the stage travels least.
-    travel_s
-        Time of that way from (0°, 0°) [s]; at 1 °/s where the rig has no stage device.
+    way
+        Through the chosen ones, were all captured in one round.
+    pace
+        How fast the stage goes, and who says so.
     least
         Images that must show a pair.
-    target
-        Share to be reached; None where a number of postures was asked for.
+    asked, target
+        Number of postures and share that were asked for; None for what was not.
     drawn, patches
         Patches that the first turns of postures and lights were taken on, and those of the last ones and all figures.
+    max_edge, footprint
+        Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
+    grain
+        How far shares may be off since a patch counts as its middle does: see :class:`lightopt.rendering.PatchTable`.
     visible_share
         Of the part's surface, by area, what the camera sees in one candidate posture or more.
     exposures
-        That postures and lights were chosen with: an image shows what it shows with one of them.
+        That were offered, 1 among them.
+    brackets
+        Which of them are planned; None where there was no offer.
     """
 
     choice: Choice
     offered: int
     left_out: tuple[LeftOutPosture, ...]
-    order: tuple[Posture, ...]
-    travel_s: float
+    way: Way
+    pace: str
     least: int
+    asked: int | None
     target: float | None
     drawn: int
     patches: int
+    max_edge: float
+    footprint: float
+    grain: float
     visible_share: float
     exposures: tuple[float, ...] = (1.0,)
+    brackets: Brackets | None = None
+
+    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
+        """That are planned for a posture, the longest first."""
+        return (1.0,) if self.brackets is None else self.brackets.of(posture)
+
+    @property
+    def proven(self) -> bool:
+        """Whether no other postures with no other lights show more: then there is nothing that turns could miss."""
+        cover = self.choice.cover
+        return cover.reached == cover.total or (self.choice.turns == 0 and cover.proven)
+
+    @property
+    def telling(self) -> int:
+        """How many of the postures, in the order in which they were chosen, come within a tenth of a point of all."""
+        steps = self.choice.cover.steps
+        enough = (steps[-1].reached if steps else 0) - TELLING_SHARE * self.choice.cover.total
+        return next((i for i, step in enumerate(steps, start=1) if step.reached >= enough), len(steps))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,12 +107,15 @@ class TrustOf:
         Which.
     trust
         What becomes of their score.
+    unit
+        Of the score.
     patches
         Patches that it was worked out on.
     """
 
     postures: tuple[Posture, ...]
     trust: Trust
+    unit: str
     patches: int
 
 
@@ -95,61 +138,16 @@ class PlanResult:
     chosen: ChosenPostures | None = None
     brackets: Brackets | None = None
     trust: tuple[TrustOf, ...] = ()
-    commands: tuple[str, ...] = ()
+    commands: tuple[Command, ...] = ()
 
+    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
+        """That are planned for a posture, the longest first."""
+        return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
-def commands(rigs: Mapping[Posture, str], part: str, brackets: Brackets | None) -> tuple[str, ...]:
-    """Commands that carry a plan out, in the folder of its files: those that capture it, then those that render it.
-
-    One of each kind for all postures of the same rig file and exposures, into an image set of their own.
-
-    Parameters
-    ----------
-    rigs
-        Rig file of each posture.
-    part
-        Part file.
-    brackets
-        Further exposures; None for exposure 1 alone.
-    """
-    groups: dict[tuple[str, tuple[float, ...]], list[Posture]] = {}
-    for posture, rig in rigs.items():
-        groups.setdefault((rig, brackets.of(posture) if brackets else (1.0,)), []).append(posture)
-    captures: list[str] = []
-    renders: list[str] = []
-    for number, ((rig, exposures), some) in enumerate(groups.items(), start=1):
-        end = "" if len(groups) == 1 else f"-{number}"
-        chosen = [
-            f"--posture={degrees_text(p.elevation_deg)},{degrees_text(p.rotation_deg)}"
-            for p in some
-            if len(groups) > 1
-        ]
-        levels = [f"{exposure:.9g}" for exposure in exposures]
-        captures.append(
-            " ".join(
-                [
-                    "lightopt capture",
-                    rig,
-                    part,
-                    *chosen,
-                    f"--exposures {','.join(levels)}",
-                    f"-o captured{end}",
-                ]
-            )
-        )
-        renders.append(
-            " ".join(
-                [
-                    "lightopt render",
-                    rig,
-                    part,
-                    *chosen,
-                    *(f"--exposure {x}" for x in levels),
-                    f"-o rendered{end}",
-                ]
-            )
-        )
-    return (*captures, *renders)
+    @property
+    def shares_of(self) -> str:
+        """What the shares of exposures and postures are shares of."""
+        return OWN_SHARES_OF if self.chosen is None else SHARES_OF
 
 
 def plan_dict(result: PlanResult, names: Sequence[str]) -> dict[str, Any]:
@@ -166,52 +164,78 @@ def plan_dict(result: PlanResult, names: Sequence[str]) -> dict[str, Any]:
     if result.chosen is not None:
         sections["chosen_postures"] = _chosen_dict(result.chosen)
     if result.brackets is not None:
-        sections["exposures"] = _brackets_dict(result.brackets)
+        sections["exposures"] = _brackets_dict(result.brackets, result.shares_of)
     if result.trust:
         sections["trust"] = [_trust_dict(one, names) for one in result.trust]
     if result.commands:
-        sections["commands"] = list(result.commands)
+        sections["commands"] = [command.text for command in result.commands]
+        sections["rounds"] = [
+            {"command": command.text, **_way_dict(command.way)} for command in result.commands if command.way
+        ]
     return sections
+
+
+def _way_dict(way: Way) -> dict[str, Any]:
+    return {
+        "order_of_travel": [posture.as_dict() for posture in way.order],
+        "travel_s": round(way.seconds, 3),
+    }
 
 
 def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
     cover = chosen.choice.cover
     total = max(1, cover.total)
+    before = chosen.choice.before
     return {
         "seen_in": chosen.least,
+        "asked": chosen.asked,
         "target": chosen.target,
         "share": round(cover.share, 6),
+        "shares_of": SHARES_OF,
+        "optimum": "proven" if chosen.proven else "local",
         "bound": round(cover.bound_share, 6),
         "greedy_guarantee": round(cover.guarantee, 6),
         "fewest_possible": cover.least,
         "all_candidates": round(cover.all_reached / total, 6),
-        "lights_as_they_stand": round(chosen.choice.before, 6),
+        "lights_as_they_stand": None
+        if before is None
+        else {"share": round(before.share, 6), "postures": before.postures, "share_of": STOOD_OF},
         "postures": [
             {
                 **posture.as_dict(),
+                "exposures": list(chosen.exposures_of(posture)),
                 "gain": round(step.gain / (cover.k * total), 6),
                 "share": round(step.reached / total, 6),
             }
             for posture, step in zip(chosen.choice.postures, cover.steps, strict=True)
         ],
-        "order_of_travel": [posture.as_dict() for posture in chosen.order],
-        "travel_s": round(chosen.travel_s, 3),
+        "postures_to_a_tenth_of_a_point": chosen.telling,
+        **_way_dict(chosen.way),
+        "travel_pace": chosen.pace,
         "candidates": chosen.offered,
         "left_out": [
             {**out.posture.as_dict(), "kind": out.kind, "reason": out.reason} for out in chosen.left_out
         ],
         "turns": chosen.choice.turns,
+        "starts": chosen.choice.starts,
         "every_combination_tried": chosen.choice.exact,
         "turns_on_all_patches": chosen.choice.on_all,
         "lights_best_for_postures": chosen.choice.exact and chosen.choice.settled,
-        "patches": {"drawn": chosen.drawn, "all": chosen.patches},
+        "patches": {
+            "drawn": chosen.drawn,
+            "all": chosen.patches,
+            "max_edge_mm": round(chosen.max_edge, 6),
+            "footprint_mm": round(chosen.footprint, 6),
+            "grain": round(chosen.grain, 6),
+        },
         "visible_share_of_surface": round(chosen.visible_share, 6),
-        "with_any_of_exposures": list(chosen.exposures),
+        "bounds_with_any_of_exposures": list(chosen.exposures),
     }
 
 
-def _brackets_dict(brackets: Brackets) -> dict[str, Any]:
+def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
     return {
+        "shares_of": shares_of,
         "share_without": round(brackets.before, 6),
         "share": round(brackets.after, 6),
         "least_gain": brackets.least_gain,
@@ -221,6 +245,7 @@ def _brackets_dict(brackets: Brackets) -> dict[str, Any]:
                 "exposure": shot.exposure,
                 "gain": round(shot.gain, 6),
                 "planned": shot.planned,
+                "planned_for": shot.why,
             }
             for shot in brackets.shots
         ],
@@ -237,6 +262,7 @@ def _trust_dict(one: TrustOf, names: Sequence[str]) -> dict[str, Any]:
         "postures": [posture.as_dict() for posture in one.postures],
         "patches": one.patches,
         "score": trust.score,
+        "unit": one.unit,
         "worst_corner": {
             "share_of_score": share(trust.worst),
             "part": _offset_dict(trust.worst_pose, "tilt_deg", "rotation_deg"),

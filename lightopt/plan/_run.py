@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.images import file_sha256
 from lightopt.optimize import (
+    OBJECTIVES,
     Appendix,
     Draft,
+    Legend,
     OptimizeOptions,
     Optimum,
     Outcome,
@@ -20,9 +23,13 @@ from lightopt.optimize import (
     optimize,
     refuse_other_result,
 )
+from lightopt.plan._answers import planned_answers
 from lightopt.plan._appraise import appraised
+from lightopt.plan._asked import command_text
+from lightopt.plan._commands import HOME
+from lightopt.plan._grid import posture_grid
 from lightopt.plan._options import OBJECTIVE, PlanOptions, check_plan
-from lightopt.plan._postures import HOME, places_of, plan_postures
+from lightopt.plan._postures import candidates_of, places_of, plan_postures
 from lightopt.plan._result import ChosenPostures, PlanResult, plan_dict
 from lightopt.plan._survey import Survey
 from lightopt.plan._trust import lights_problem
@@ -63,12 +70,13 @@ def plan(
     report: Report | None = None,
     searching: Tell | None = None,
     page: Callable[[Draft], str] | None = None,
+    legend: Legend | None = None,
 ) -> Planned:
     """Plan postures and exposures, say how exactly the angles must hold, and write it all with the best lights.
 
     Parameters
     ----------
-    rig, part, folder, force, warn, tell, report, searching, page
+    rig, part, folder, force, warn, tell, report, searching, page, legend
         As for :func:`lightopt.optimize.optimize`.
     options
         Of the optimisation.
@@ -89,38 +97,56 @@ def plan(
     _check_images(rig, part, options, wanted)
     if wanted.tolerances is not None and (problem := lights_problem(len(rig.lights))):
         raise InputError(problem)
+    asked = command_text(rig.source.path, part.source.path, options, wanted)
     options = replace(options, plan={**options.plan, **_facts(options, wanted)})
     chosen: ChosenPostures | None = None
     survey: Survey | None = None
     if wanted.chooses or wanted.exposures:
         planned_text(part, [HOME], folder=Path(folder), comment="")  # says now what would be wrong with it
     if wanted.chooses:
-        _check_chooses(options)
+        _check_chooses(rig, options, wanted)
         if not force:
             refuse_other_result(Path(folder), _early_provenance(rig, part, options))
         chosen, survey = plan_postures(rig, part, options, wanted, tell, searching)
         options = replace(
             options,
             objectives=options.objectives or (OBJECTIVE,),
-            postures=chosen.order,
+            postures=chosen.way.order,
             common_lights=True,
             places=places_of(rig, chosen.choice, options),
         )
     found: list[PlanResult] = []
 
     def appraise(outcome: Outcome) -> Appendix:
+        if chosen is not None and survey is not None:
+            # one set of lights for all postures is one result
+            answers = planned_answers(
+                outcome.results[0],
+                chosen,
+                survey,
+                outcome.candidates,
+                candidates_of(rig, options),
+                None if searching is None else partial(searching, "the score along each angle"),
+            )
+            outcome = replace(outcome, results=(answers,))
         result, looked = appraised(rig, part, outcome, options, wanted, chosen, survey, searching)
         found.append(result)
         files = {}
-        if found[0].commands:
+        if result.commands:
             files[PLANNED_PART_NAME] = planned_text(
                 part,
                 outcome.scene.postures,
                 folder=Path(folder),
-                comment=f"planned by: lightopt optimize {_asked(wanted)}",
+                comment=f"planned by: {asked}",
             )
         names = [light.name for light in rig.lights]
-        return Appendix(sections=plan_dict(found[0], names), files=files, looked=looked)
+        return Appendix(
+            sections=plan_dict(result, names),
+            files=files,
+            results=outcome.results,
+            looked=looked,
+            exposures={posture: result.exposures_of(posture) for posture in outcome.scene.postures},
+        )
 
     optimum = optimize(
         rig,
@@ -134,6 +160,8 @@ def plan(
         searching=searching,
         appraise=appraise,
         page=page,
+        legend=legend,
+        table=None if chosen is None or survey is None else survey.table_of(chosen.way.order),
     )
     return Planned(optimum=optimum, result=found[0])
 
@@ -145,18 +173,19 @@ def _facts(options: OptimizeOptions, wanted: PlanOptions) -> dict[str, Any]:
     return {"seen_in": options.seen_in, "threshold": options.contrast, **wanted.facts()}
 
 
-def _asked(wanted: PlanOptions) -> str:
-    if not wanted.chooses:
-        return f"--exposures {','.join(f'{x:.9g}' for x in wanted.exposures)}"
-    count = [] if wanted.postures is None else [f"--choose-postures {wanted.postures}"]
-    target = [] if wanted.target is None else [f"--target {wanted.target:g}"]
-    return " ".join([*count, *target, f"--posture-step {wanted.posture_step_deg:g}"])
-
-
-def _check_chooses(options: OptimizeOptions) -> None:
-    problems: list[str] = []
+def _check_chooses(rig: RigConfig, options: OptimizeOptions, wanted: PlanOptions) -> None:
+    beside = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
+    problems = [text for text in beside if text is not None]
     if options.postures is not None:
-        problems.append("--posture: postures are chosen here; leave --posture or --choose-postures out")
+        asked = " and ".join(
+            name
+            for name, value in (("--choose-postures", wanted.postures), ("--target", wanted.target))
+            if value is not None
+        )
+        problems.append(
+            f"--posture: given together with {asked}, by which postures are chosen from the stage's range; leave "
+            f"--posture out, or {asked}"
+        )
     if options.objectives and options.objectives[0] != OBJECTIVE:
         problems.append(
             f"--objective: postures are chosen by what they show of the defects: expected {OBJECTIVE} first, found "
@@ -169,14 +198,15 @@ def _check_chooses(options: OptimizeOptions) -> None:
 def _check_images(rig: RigConfig, part: PartConfig, options: OptimizeOptions, wanted: PlanOptions) -> None:
     # no defect can be seen in more images than there are
     if wanted.chooses:
-        images, what = len(rig.lights), "lights: scores and blind spots ask it of one posture's images"
+        offered = len(posture_grid(rig, part, step_deg=wanted.posture_step_deg))
+        most = min(offered, wanted.postures or offered)
+        images = len(rig.lights) * most
+        what = f"images of the plan: {counted(len(rig.lights), 'light')} × {counted(most, 'posture')} at most"
     elif wanted.exposures:
         postures = options.postures or part.postures
         images = len(rig.lights) * len(postures)
-        what = (
-            f"images of the plan: {len(rig.lights)} lights × {len(postures)} postures, further exposures of the same "
-            "light not being others"
-        )
+        of = f"{counted(len(rig.lights), 'light')} × {counted(len(postures), 'posture')}"
+        what = f"images of the plan: {of}, further exposures of the same light not being others"
     else:
         return
     if options.seen_in > images:

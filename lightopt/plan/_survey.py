@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.optimize import Inspection, LuminanceMatrix, area_units, luminance_matrices
+from lightopt.optimize import (
+    MOST_BYTES,
+    Inspection,
+    LuminanceMatrix,
+    area_units,
+    luminance_matrices,
+    matrix_bytes,
+)
 from lightopt.plan._counts import PairWeights, Words
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable
@@ -66,6 +73,11 @@ class Survey:
         units = area_units(self.table.patches.areas[self.patches])
         return PairWeights.of_trials(self.inspection.trials, units)
 
+    def table_of(self, postures: Sequence[Posture]) -> PatchTable:
+        """The same patches in some of the postures."""
+        rows = [self.table.postures.index(posture) for posture in postures]
+        return replace(self.table, postures=tuple(postures), visible=self.table.visible[rows])
+
     def matrices(
         self,
         posture: Posture,
@@ -88,12 +100,42 @@ class Survey:
             progress=progress,
         )
 
+    def places_at_once(self, posture: Posture, exposures: Sequence[float]) -> int:
+        """How many places of lights :meth:`matrices` has room for."""
+        seen = int(self.table.visible[self.table.postures.index(posture)].sum())
+        return max(1, MOST_BYTES // max(1, matrix_bytes(self.scene, seen, len(exposures), self.inspection)))
+
+    def in_pieces(
+        self, posture: Posture, places: Sequence[PanelLight], *, exposures: Sequence[float] = (1.0,)
+    ) -> Iterator[tuple[LuminanceMatrix, ...]]:
+        """As :meth:`matrices` of one light, of as many of its places at a time as there is room for."""
+        # what was given out before is held while the next is made
+        most = max(1, self.places_at_once(posture, exposures) // 2)
+        if len(places) <= 2 * most:
+            most = len(places)
+        for start in range(0, len(places), most):
+            yield self.matrices(posture, [places[start : start + most]], exposures=exposures)
+
     def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
         """Which pairs the images show: of each light an array of shape (places, p, words)."""
-        matrices, patches = self.matrices(posture, panels, exposures=self.exposures), self.patches
+        patches = self.patches
+        if sum(map(len, panels)) <= self.places_at_once(posture, self.exposures):
+            matrices = self.matrices(posture, panels, exposures=self.exposures)
+            return tuple(
+                np.stack(
+                    [scattered_flags(matrices, patches, light=light, place=at) for at in range(len(some))]
+                )
+                for light, some in enumerate(panels)
+            )
         return tuple(
-            np.stack([scattered_flags(matrices, patches, light=light, place=at) for at in range(len(some))])
-            for light, some in enumerate(panels)
+            np.stack(
+                [
+                    scattered_flags(matrices, patches, light=0, place=at)
+                    for matrices in self.in_pieces(posture, some, exposures=self.exposures)
+                    for at in range(len(matrices[0].levels[0]))
+                ]
+            )
+            for some in panels
         )
 
 

@@ -23,7 +23,6 @@ __all__ = [
     "DEFAULT_TOLERANCE_TARGET",
     "LARGEST_TOLERANCE",
     "MOST_LIGHTS",
-    "RESOLUTION",
     "RUNGS",
     "Assess",
     "Offset",
@@ -39,8 +38,8 @@ Offset = tuple[float, float]
 
 QUANTILE = 0.05
 
-RESOLUTION = 0.05
-"""To which the widest tolerance is found [°]."""
+STEPS_PER_DEG = 20
+"""Steps of the widest tolerances: they are multiples of 0.05°, and a step more does not keep the score."""
 
 DEFAULT_TOLERANCE_TARGET = 0.95
 """Share of the score that the widest tolerances keep, unless asked otherwise."""
@@ -124,10 +123,10 @@ class Widest:
     what
         Name of the light, ``all lights``, or ``part``.
     angle
-        ``elevation``, ``azimuth``, ``both``, ``tilt`` or ``rotation``.
+        ``elevation``, ``azimuth``, ``both angles at once``, ``tilt`` or ``rotation``.
     degrees
         The widest tolerance that keeps the score, every angle but these being as it should [°]; of those that were
-        tried: the rungs, and halves of the step between the last that keeps it and the first that does not.
+        tried: the rungs, and multiples of 0.05° between the last that keeps it and the first that does not.
     open_ended
         Whether that is the widest that was looked for.
     """
@@ -267,7 +266,7 @@ def _angles(names: Sequence[str]) -> Iterator[tuple[str, str, int | None]]:
     for light, name in enumerate(names):
         yield name, "elevation", light
         yield name, "azimuth", light
-    yield "all lights", "both", None
+    yield "all lights", "both angles at once", None
     yield "part", "tilt", None
     yield "part", "rotation", None
 
@@ -280,7 +279,7 @@ def _widest(
             (sign * degrees, 0.0) if angle in ("elevation", "tilt") else (0.0, sign * degrees)
             for sign in (-1.0, 1.0)
         ]
-        if angle == "both":
+        if angle == "both angles at once":
             return assess((0.0, 0.0), [list(_corners(degrees))] * len(exact)).min() >= least
         if light is None:
             return all(assess(pose, exact)[0] >= least for pose in either)
@@ -293,8 +292,9 @@ def _widest(
         kept = rung
     else:
         return kept, True
-    low, high = kept, rung
-    while high - low > RESOLUTION:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if keeps(middle) else (low, middle)
-    return low, False
+    # rungs are multiples of a step
+    low, high = round(kept * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if keeps(middle / STEPS_PER_DEG) else (low, middle)
+    return low / STEPS_PER_DEG, False

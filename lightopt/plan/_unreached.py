@@ -1,19 +1,62 @@
-"""Why a target cannot be reached."""
+"""Why a target is not reached."""
 
 from __future__ import annotations
 
-from lightopt.errors import counted, percent
-from lightopt.optimize import Shown, Thresholds, blind_spots, blind_text, shown_by
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lightopt.errors import CheckFailed, counted, percent
+from lightopt.optimize import Blind, Shown, Thresholds, blind_spots, blind_text, shown_by
 from lightopt.plan._choose import Choice
 from lightopt.plan._survey import Survey
+from lightopt.transforms import Posture
 
-__all__ = ["unreached"]
+__all__ = ["Reach", "TargetUnreached", "unreached"]
 
 NEAR_SHARE = 0.01
-"""Postures that come this near to all of them are told where a target cannot be reached."""
+"""Postures that come this near to all of them are told where a target is not reached."""
 
 
-def unreached(target: float, choice: Choice, survey: Survey, *, least: int) -> str:
+@dataclass(frozen=True, kw_only=True)
+class Reach:
+    """What so many postures show, all with the same lights.
+
+    Attributes
+    ----------
+    posture
+        The last of them.
+    share
+        Of the pairs, what these postures show: others of as many, and other lights, may show more.
+    bound
+        No postures of as many show more with these lights.
+    """
+
+    posture: Posture
+    share: float
+    bound: float
+
+
+class TargetUnreached(CheckFailed):
+    """A target that is not reached.
+
+    Parameters
+    ----------
+    *messages
+        What can be reached, and why no more.
+    target
+        Share of the pairs that was asked for.
+    steps
+        What each number of postures shows at least.
+    """
+
+    def __init__(self, *messages: str, target: float, steps: tuple[Reach, ...]) -> None:
+        super().__init__(*messages)
+        self.target, self.steps = target, steps
+
+
+def unreached(target: float, choice: Choice, survey: Survey, *, least: int) -> TargetUnreached:
     """What can be reached, by how many postures, and why no more.
 
     Parameters
@@ -27,28 +70,52 @@ def unreached(target: float, choice: Choice, survey: Survey, *, least: int) -> s
     least
         Images that must show a pair.
     """
+    cover = choice.cover
+    steps = tuple(
+        Reach(posture=posture, share=step.reached / max(1, cover.total), bound=cover.bound_of(number))
+        for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
+    )
+    return TargetUnreached(_text(target, choice, survey, least), target=target, steps=steps)
+
+
+def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
     cover, offered = choice.cover, len(survey.table.postures)
     most = cover.all_reached / max(1, cover.total)
+    asked = f"{100.0 * target:.9g} %"
     if most >= target:
         return (
-            f"--target: {counted(len(cover.steps), 'posture')} show {percent(cover.share)} of the surface × defects, "
-            f"and no {len(cover.steps)} of {offered} show more than {percent(cover.bound_share)} with these lights; "
-            f"{percent(target)} was asked for. Raise --choose-postures or leave it out"
+            f"--target: {counted(len(cover.steps), 'posture')} show {percent(cover.share, short_of=target)} of the "
+            f"surface × defects, and no {len(cover.steps)} of {offered} show more than "
+            f"{percent(cover.bound_share, short_of=target)} with these lights; {asked} was asked for. "
+            "Raise --choose-postures or leave it out"
         )
+    lost = _lost(choice, survey, least)
     near = next(
         (i for i, step in enumerate(cover.steps, 1) if step.reached >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
     )
     return (
-        f"--target: {percent(target)} of the surface × defects cannot be reached: with the best lights found, all "
-        f"{offered} postures together show {percent(most)}, and {counted(near, 'posture')} come within "
-        f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(choice, survey, least)}. Ask for less, "
-        "plan --choose-postures, or change what stands in the way"
+        f"--target: {asked} of the surface × defects is not reached: with {_which(choice)}, all {offered} postures "
+        f"together show {percent(most, short_of=target)}, and {counted(near, 'posture')} come within "
+        f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. {_hint(lost, survey)}Ask "
+        "for less, plan --choose-postures, or change what stands in the way"
     )
 
 
-def _reasons(choice: Choice, survey: Survey, least: int) -> str:
-    # over all candidate postures, under the chosen lights
+def _which(choice: Choice) -> str:
+    return "the best lights found (others may show more)" if choice.turns else "the lights as they stand"
+
+
+def _hint(lost: Mapping[int, float], survey: Survey) -> str:
+    # more light helps where there is too little of it
+    dim = lost.get(Blind.CONTRAST, 0.0) + lost.get(Blind.SHADOWED, 0.0)
+    if max(survey.exposures) > 1.0 or dim <= 0.5 * sum(lost.values()):
+        return ""
+    return "Longer exposures may show some of it: offer them, such as --exposures 1,4,16. "
+
+
+def _lost(choice: Choice, survey: Survey, least: int) -> dict[int, float]:
+    # surface × defects by reason, over all candidate postures, under the chosen lights
     thresholds = Thresholds.of_sensor(
         shade_share=0.0,
         max_level=survey.scene.sensor.max_level,
@@ -59,7 +126,13 @@ def _reasons(choice: Choice, survey: Survey, least: int) -> str:
     for posture in survey.table.postures:
         matrices = survey.matrices(posture, [[panel] for panel in choice.panels], exposures=survey.exposures)
         seen.append(shown_by(matrices, thresholds, least=least))
-    lost = blind_spots(survey.table.patches.areas, seen).by_reason()
+    # the shares are of the surface that the camera sees in one of them
+    areas = np.zeros(len(survey.table.patches))
+    areas[survey.patches] = survey.table.patches.areas[survey.patches]
+    return blind_spots(areas, seen).by_reason()
+
+
+def _reasons(lost: Mapping[int, float], choice: Choice) -> str:
     whole = max(sum(lost.values()), 1e-12)
     names = [panel.name for panel in choice.panels]
     ordered = sorted(lost.items(), key=lambda item: (-item[1], item[0]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from lightopt.config import PartConfig, relocated, with_list, with_values
+from lightopt.config import PartConfig, copied_text, with_list
 from lightopt.errors import InputError
 from lightopt.optimize import degrees_text
 from lightopt.transforms import Posture
@@ -40,7 +40,7 @@ def planned_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path,
             "into; load it from one"
         )
     try:
-        text = with_values(part.source.text, relocated(part, folder))
+        text = copied_text(part, folder)
         return with_list(
             text,
             "postures",

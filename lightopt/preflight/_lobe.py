@@ -9,6 +9,7 @@ from lightopt.preflight._report import Finding
 from lightopt.preflight._subject import SceneSubject
 from lightopt.rendering import highlight_level
 from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
+from lightopt.sensor import Sensor
 
 __all__ = ["check_levels", "check_points"]
 
@@ -78,6 +79,7 @@ def check_levels(subject: SceneSubject) -> Iterator[Finding]:
     text = (
         f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one that "
         f"mirrors the whole panel of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}"
+        f"{_taken_off(sensor, reflectance.full_scale)}"
     )
     if level >= saturation:
         exposure = 0.5 * saturation / level
@@ -90,3 +92,10 @@ def check_levels(subject: SceneSubject) -> Iterator[Finding]:
         )
     else:
         yield Finding("ok", "levels", text, where, values)
+
+
+def _taken_off(sensor: Sensor, full_scale: float) -> str:
+    # why light saturates at another level than the sensor file says
+    black = f" less its black level of {sensor.black_level:g}" if sensor.black_level else ""
+    scale = f", in levels of full_scale {full_scale:g}" if sensor.max_level != full_scale else ""
+    return f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""

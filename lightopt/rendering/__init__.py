@@ -27,6 +27,7 @@ from lightopt.rendering._patches import (
     build_patches,
     patch_pixels,
     patch_positions,
+    patches_for_edge,
     visible_points,
 )
 from lightopt.rendering._pixels import (
@@ -80,6 +81,7 @@ __all__ = [
     "panels_in_part",
     "patch_pixels",
     "patch_positions",
+    "patches_for_edge",
     "refuse_hopeless",
     "render",
     "render_image_set",

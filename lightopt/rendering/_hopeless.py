@@ -11,7 +11,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.mesh import face_normals
 from lightopt.raycast import RayCaster
-from lightopt.rendering._surface import trace_samples
+from lightopt.rendering._surface import trace_hits
 from lightopt.scene import (
     PartView,
     Scene,
@@ -166,7 +166,7 @@ def _pixels(scene: Scene, view: PartView, caster: RayCaster) -> int:
             np.arange(left, right, dtype=np.float64) + 0.5,
             np.arange(start, min(start + step, bottom), dtype=np.float64) + 0.5,
         )
-        hits, _ = trace_samples(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
+        hits = trace_hits(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
         count += len(hits.ray)
         if count >= LEAST_PIXELS:
             break

@@ -14,7 +14,7 @@ from lightopt.raycast import Hits, RayCaster
 from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_seeing
 from lightopt.rendering._disturbed import DisturbedSamples, disturbed_samples
 from lightopt.rendering._points import shade_points
-from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
 from lightopt.rendering._threads import available_processors, run_all
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 from lightopt.transforms import Posture
@@ -128,8 +128,7 @@ def trace_posture(mesh: TriangleMesh, view: PartView, caster: RayCaster) -> Hits
     """
     left, top, right, bottom = screen_window(view.camera, mesh)
     columns, rows = np.meshgrid(_centres(left, right), _centres(top, bottom))
-    hits, _ = trace_samples(caster, mesh, view.camera, columns.ravel(), rows.ravel())
-    return hits
+    return trace_hits(caster, mesh, view.camera, columns.ravel(), rows.ravel())
 
 
 def render(

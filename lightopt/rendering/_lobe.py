@@ -9,6 +9,7 @@ varies little: neither needs many nodes.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,10 +45,11 @@ _LINEARISATIONS = 3
 _BOX_STEPS = 12
 
 
+@cache
 def gauss_legendre_table() -> tuple[Float64, Float64]:
     """Nodes and weights on [0, 1] of the Gauss–Legendre rules; row n has the rule of n nodes.
 
-    Two arrays of shape (MAX_NODES + 1, MAX_NODES).
+    Two arrays of shape (MAX_NODES + 1, MAX_NODES), worked out once.
     """
     nodes = np.zeros((MAX_NODES + 1, MAX_NODES))
     weights = np.zeros((MAX_NODES + 1, MAX_NODES))
@@ -55,6 +57,8 @@ def gauss_legendre_table() -> tuple[Float64, Float64]:
         x, w = np.polynomial.legendre.leggauss(n)
         nodes[n, :n] = 0.5 * (x + 1.0)
         weights[n, :n] = 0.5 * w
+    for table in (nodes, weights):
+        table.flags.writeable = False
     return nodes, weights
 
 

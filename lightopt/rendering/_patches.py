@@ -23,6 +23,7 @@ __all__ = [
     "build_patches",
     "patch_pixels",
     "patch_positions",
+    "patches_for_edge",
     "visible_points",
 ]
 
@@ -51,6 +52,12 @@ class PatchTable:
         Longest edge of a patch that the camera may see, unless the mesh was finer already [mm].
     footprint
         Side of a pixel's footprint on the part, where it is smallest [mm].
+    seen_faces
+        Faces of the mesh that the camera sees, where they are as many as patches were asked for, or more; 0 otherwise,
+        and of a table from arrays.
+    exceeded
+        Patches that were asked for, where more are visible although the faces that the camera sees are fewer: half as
+        many are for cutting; 0 otherwise, and of a table from arrays.
     """
 
     patches: Patches
@@ -58,6 +65,8 @@ class PatchTable:
     visible: NDArray[np.bool_]
     max_edge: float
     footprint: float
+    seen_faces: int = 0
+    exceeded: int = 0
 
     @property
     def message(self) -> str:
@@ -68,7 +77,25 @@ class PatchTable:
             if self.max_edge <= self.footprint
             else f"{self.max_edge / self.footprint:.3g} times the pixel's footprint of {self.footprint:.3g} mm"
         )
-        return f"{seen:,} visible patches of {len(self.patches):,}; edges up to {self.max_edge:.3g} mm ({reached})"
+        text = f"{seen:,} visible patches of {len(self.patches):,}; edges up to {self.max_edge:.3g} mm ({reached})"
+        if self.seen_faces:
+            text += f"; {self.seen_faces:,} of the mesh's own triangles may show: no --patches makes fewer"
+        if self.exceeded:
+            text += (
+                f"; more than --patches {self.exceeded:,}: half of these are for cutting long triangles, and the "
+                "mesh's other triangles leave less"
+            )
+        return text
+
+    @property
+    def grain(self) -> float:
+        """How far a share of the visible area may be off since a patch counts as its middle does, 0 to 1.
+
+        The standard deviation if the middle of each patch were a place by chance, and half of the places counted:
+        √(Σ a²) / (2 Σ a). Shares that are told of wholly seen and wholly unseen patches are better than that.
+        """
+        areas = self.patches.areas[self.visible.any(axis=0)]
+        return 0.5 * math.sqrt(float((areas**2).sum())) / max(float(areas.sum()), 1e-300)
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """The table as named arrays for ``patches.npz``."""
@@ -142,7 +169,9 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
     caster
         Of the scene's part.
     budget
-        About how many patches may be visible. A mesh that has more faces to begin with is not coarsened.
+        About how many patches may be visible. A mesh that has more faces to begin with is not coarsened; half of the
+        budget is for cutting long faces, however many others there are: where the camera sees more faces than the
+        other half, the budget may be exceeded by up to a half, and the table says so.
     """
     mesh = scene.mesh
     views = [view_from_part(scene, posture) for posture in scene.postures]
@@ -157,23 +186,43 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
         rest = np.flatnonzero(~seen)
         seen[rest] = visible_points(centroids[rest], facets[rest], view, caster)
     hidden, shown = int((~seen).sum()), int(seen.sum())
-    edge = footprint
-    if shown >= budget:
-        # finer than the budget to begin with: every face is one patch
-        edge = max(edge, _longest_edge(mesh, seen))
+    edge, most = footprint, _most_cuts(budget, shown)
     limit = hidden + 16 * max(budget, shown) + 1  # beyond it the step below is the longest anyway
-    while shown < budget and (
-        cut := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden - shown
-    ) > (budget - shown):
+    while (cut := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden - shown) > most:
         # what cutting adds goes with 1 / edge²
-        edge *= max(1.02, min(4.0, math.sqrt(cut / (budget - shown))))
+        edge *= max(1.02, min(4.0, math.sqrt(cut / max(1, most))))
+    edge = min(edge, max(footprint, _longest_edge(mesh, seen)))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
     visible = np.stack(
         [visible_points(patches.centroids, facets[patches.face], view, caster) for view in views]
     )
+    over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
     return PatchTable(
-        patches=patches, postures=scene.postures, visible=visible, max_edge=edge, footprint=footprint
+        patches=patches,
+        postures=scene.postures,
+        visible=visible,
+        max_edge=edge,
+        footprint=footprint,
+        seen_faces=shown if shown >= budget else 0,
+        exceeded=budget if over else 0,
     )
+
+
+def patches_for_edge(table: PatchTable, mesh: TriangleMesh, edge: float) -> int:
+    """The budget of patches with which no edge of what the camera sees is longer than so much [mm], about."""
+    seen = np.zeros(len(mesh.faces), np.bool_)
+    seen[table.patches.face[table.visible.any(axis=0)]] = True
+    cuts = estimate_patch_count(mesh, edge, select=seen) - len(mesh.faces)
+    return min(cuts + max(table.seen_faces, int(seen.sum())), 2 * cuts + 1)
+
+
+def _most_cuts(budget: int, shown: int) -> int:
+    """Patches that cutting may add to the faces that the camera sees.
+
+    What is left of the budget; half of it where fine faces elsewhere take more, whether or not these are within the
+    budget, since a large flat face of two triangles would else be seen or not, lit or not, as the middles of these are.
+    """
+    return max(budget - shown, budget // 2)
 
 
 def patch_pixels(patch: NDArray[np.int32], count: int) -> PatchPixels:
@@ -205,7 +254,7 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
 
 def _longest_edge(mesh: TriangleMesh, faces: NDArray[np.bool_]) -> float:
     corners = mesh.vertices[mesh.faces[faces]]
-    return float(np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max()))
+    return float(np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(initial=0.0)))
 
 
 def _smallest_footprint(view: PartView, mesh: TriangleMesh) -> float:

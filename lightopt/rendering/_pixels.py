@@ -104,7 +104,7 @@ def trace_pixels(
         np.concatenate([b[2].front for b in blocks] or [none]),
     )
     shape = (scene.camera.height, scene.camera.width)
-    edge = _spread(_edges(surface, row, column, shape), row, column, shape)
+    edge = _spread(_edges(surface, row, column, shape), row, column)
     cosine: Float64 = np.einsum("ij,ij->i", surface.normals, surface.views)
     clean = surface.front & ~edge & (cosine >= LEAST_COS_VIEW)
     return PosturePixels(
@@ -152,9 +152,9 @@ def panel_verdict(
     mixed = ((clear > 0) & (clear < above)) | ((above > 0) & (above < len(targets)))
     hidden = (clear == 0) & (above > 0) & ~mixed
     lit = (clear > 0) & ~mixed
-    shape, row, column = pixels.shape, pixels.row, pixels.column
-    near_hidden = _spread(hidden | mixed, row, column, shape)
-    near_lit = _spread(lit | mixed, row, column, shape)
+    row, column = pixels.row, pixels.column
+    near_hidden = _spread(hidden | mixed, row, column)
+    near_lit = _spread(lit | mixed, row, column)
     verdict = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
     verdict[mixed | (lit & near_hidden) | (hidden & near_lit)] = LEFT_OUT
     return verdict
@@ -196,15 +196,19 @@ def _edges(
     return edge
 
 
-def _spread(flags: Bool, row: NDArray[np.int32], column: NDArray[np.int32], shape: tuple[int, int]) -> Bool:
+def _spread(flags: Bool, row: NDArray[np.int32], column: NDArray[np.int32]) -> Bool:
     # pixels with a flagged one within MARGIN_PX rows and columns
+    if not len(row):
+        return flags.copy()
     m = MARGIN_PX
-    grid = np.zeros((shape[0] + 2 * m, shape[1] + 2 * m), np.bool_)
+    row, column = row - row.min(), column - column.min()
+    rows, columns = int(row.max()) + 1, int(column.max()) + 1
+    grid = np.zeros((rows + 2 * m, columns + 2 * m), np.bool_)
     grid[row + m, column + m] = flags
-    wide = np.zeros_like(grid)
-    for dx in range(-m, m + 1):
-        wide |= np.roll(grid, dx, axis=1)
-    near = np.zeros_like(grid)
-    for dy in range(-m, m + 1):
-        near |= np.roll(wide, dy, axis=0)
-    return near[row + m, column + m]
+    wide = grid[:, :columns].copy()
+    for dx in range(1, 2 * m + 1):
+        wide |= grid[:, dx : dx + columns]
+    near = wide[:rows].copy()
+    for dy in range(1, 2 * m + 1):
+        near |= wide[dy : dy + rows]
+    return near[row, column]

@@ -12,7 +12,7 @@ from lightopt.mesh import TriangleMesh
 from lightopt.raycast import Hits, RayCaster, resolve_hits
 from lightopt.scene import PinholeCamera, pixel_directions
 
-__all__ = ["SurfacePoints", "interpolate_surface", "trace_samples"]
+__all__ = ["SurfacePoints", "interpolate_surface", "trace_hits", "trace_samples"]
 
 Float64 = NDArray[np.float64]
 
@@ -74,6 +74,22 @@ def interpolate_surface(
     )
 
 
+def trace_hits(
+    caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
+) -> Hits:
+    """Where camera rays through image points meet the part, without what the surface is like there.
+
+    Parameters
+    ----------
+    caster, mesh, camera, columns, rows
+        As for :func:`trace_samples`.
+    """
+    directions = pixel_directions(camera, columns, rows)
+    return resolve_hits(
+        caster.first_hit(camera.position, directions), camera.position, directions, mesh.vertices, mesh.faces
+    )
+
+
 def trace_samples(
     caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
 ) -> tuple[Hits, SurfacePoints]:
@@ -88,10 +104,7 @@ def trace_samples(
     columns, rows
         Image points [px], shape (n,).
     """
-    directions = pixel_directions(camera, columns, rows)
-    hits = resolve_hits(
-        caster.first_hit(camera.position, directions), camera.position, directions, mesh.vertices, mesh.faces
-    )
+    hits = trace_hits(caster, mesh, camera, columns, rows)
     return hits, interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)
 
 

@@ -5,6 +5,14 @@ from lightopt.report._fit_pictures import fit_chart, residual_picture
 from lightopt.report._frames_drawing import frames_drawing
 from lightopt.report._inspection_pictures import defect_overlay
 from lightopt.report._inspection_report import BatchRow, batch_report, inspection_page, inspection_report
+from lightopt.report._inspection_tables import (
+    dark_told,
+    defect_table,
+    placement_told,
+    surface_table,
+    surface_told,
+)
+from lightopt.report._legend import with_legend
 from lightopt.report._optimum_report import optimum_page, optimum_report
 from lightopt.report._page import (
     Answer,
@@ -42,7 +50,9 @@ __all__ = [
     "add_contact_sheets",
     "batch_report",
     "contact_sheet",
+    "dark_told",
     "defect_overlay",
+    "defect_table",
     "fit_chart",
     "frames_drawing",
     "inspection_page",
@@ -50,6 +60,10 @@ __all__ = [
     "optimum_page",
     "optimum_report",
     "page_html",
+    "placement_told",
     "residual_picture",
     "rig_drawing",
+    "surface_table",
+    "surface_told",
+    "with_legend",
 ]

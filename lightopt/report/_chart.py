@@ -22,6 +22,8 @@ SHADE = "#c2410c33"
 WIDTH, PANEL_HEIGHT = 900, 300
 LEFT, RIGHT, TOP, GAP, BOTTOM = 110, 30, 70, 60, 60
 MOST_TICKS = 8
+LEAST_DECADES = 0.5
+"""A logarithmic axis of more than this has ticks at 1, 2 and 5 of each decade, one of more than 1.5 whole decades."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +60,8 @@ class ChartPanel:
         Whether the axis is logarithmic; values must be above 0 then.
     mark
         Place (x, value) of a dot; None for none.
-    dots
-        Further places (x, value) beside the line, shape (k, 2).
+    dots, dot_px
+        Further places (x, value) beside the line, shape (k, 2), and the radius that they are drawn with.
     span
         Interval (from, to) of the common axis that is shaded; None for none.
     lines
@@ -71,6 +73,7 @@ class ChartPanel:
     log: bool = False
     mark: tuple[float, float] | None = None
     dots: NDArray[np.float64] | None = None
+    dot_px: float = 1.5
     span: tuple[float, float] | None = None
     lines: tuple[ChartLine, ...] = ()
 
@@ -136,7 +139,7 @@ def chart_image(
             texts.append((LEFT - 8, place + 5, f"{tick:g}", "right"))
         places = [_place(across, up, top, a, b) for a, b in zip(x, panel.values, strict=True)]
         for x_dot, y_dot in dots:
-            canvas.disc(np.array(_place(across, up, top, x_dot, y_dot)), 1.5, fill=SOFT)
+            canvas.disc(np.array(_place(across, up, top, x_dot, y_dot)), panel.dot_px, fill=SOFT)
         drawn = [(places, LINE)]
         for line in panel.lines:
             own = [_place(across, up, top, a, b) for a, b in zip(line.x, line.values, strict=True)]
@@ -196,6 +199,10 @@ class _Axis:
         if self.log and span > 1.5:
             step = max(1, math.ceil(span / MOST_TICKS))
             return [10.0**e for e in range(math.ceil(self.low), math.floor(self.high) + 1, step)]
+        if self.log and span > LEAST_DECADES:
+            decades = range(math.floor(self.low), math.floor(self.high) + 1)
+            every = [float(f"{m}e{e}") for e in decades for m in (1, 2, 5)]
+            return [tick for tick in every if self.low <= math.log10(tick) <= self.high]
         low, high = (10.0**self.low, 10.0**self.high) if self.log else (self.low, self.high)
         raw = (high - low) / MOST_TICKS
         unit = 10.0 ** math.floor(math.log10(raw))

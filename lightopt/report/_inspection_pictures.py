@@ -2,83 +2,102 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from lightopt.inspection import InspectedPosture, SyntheticImage
+from lightopt.inspection import KIND_COLOURS, FoundDefect, GreyPicture, InspectedPosture, Kind, grey_picture
 from lightopt.report._canvas import write_picture
 from lightopt.report._typeface import Typeface
 
-__all__ = ["COLOURS", "defect_overlay", "deviation_picture", "overlay_image", "synthetic_picture"]
+__all__ = ["defect_overlay", "enlarged", "overlay_image"]
 
-BOX_MARGIN_PX = 4
-LABEL_SIZE = 15
-COLOURS = {"shape": (230, 60, 40), "stain": (60, 130, 230), "unknown": (240, 170, 30)}
+BOX_MARGIN_PX = 3
+LABEL_SIZE, LABEL_GAP_PX = 15, 3
+LABEL_SHARE, LINE_SHARE = 1 / 43, 1 / 800
+"""Numbers are at least this share of the picture's width, lines of boxes about this: a wide picture is looked at from
+afar."""
+
+LABEL_COLOURS: Final[Mapping[Kind, tuple[int, int, int]]] = {
+    "shape": (255, 120, 100),
+    "stain": (130, 185, 255),
+    "unknown": (255, 195, 70),
+}
+"""Lighter, to be read on black."""
 
 
-def defect_overlay(path: Path, posture: InspectedPosture, numbers: Mapping[int, int]) -> Path:
-    """Write the picture that :func:`overlay_image` makes as PNG, into a folder that exists."""
-    return write_picture(path, overlay_image(posture, numbers))
+def defect_overlay(path: Path, posture: InspectedPosture, defects: Sequence[FoundDefect]) -> Path:
+    """Write the picture that :func:`overlay_image` makes as PNG, as large as the images, into a folder that exists."""
+    return write_picture(path, overlay_image(posture, defects)[0])
 
 
-def overlay_image(posture: InspectedPosture, numbers: Mapping[int, int]) -> Image.Image:
+def overlay_image(
+    posture: InspectedPosture, defects: Sequence[FoundDefect], *, enlarge: int = 1
+) -> tuple[Image.Image, GreyPicture]:
     """The posture's image without highlights, with the outlines and numbers of its defects.
 
-    Red for shape, blue for stain, orange for what could not be told. Where no such image was made, the least level of
-    each pixel.
+    Red for shape, blue for stain, orange for what could not be told of the defect, whichever posture told it. Where no
+    such image was made, the least level of each pixel.
 
     Parameters
     ----------
     posture
         Of an inspection.
-    numbers
-        Number of the defect by the index of its sighting.
+    defects
+        Of the inspection.
+    enlarge
+        Pixels are made squares of so many; lines and numbers are as the picture's width asks for.
+
+    Returns
+    -------
+    :
+        The picture, and what is beneath its marks.
     """
     if posture.synthetic is not None:
         level, mask = posture.synthetic.level, posture.synthetic.mask
     else:
         level, mask = np.minimum(posture.view.level, posture.view.limit).min(axis=0), posture.view.part
-    rgb, _ = _grey(level, mask)
+    shown = grey_picture(level, mask)
+    rgb = np.repeat(shown.grey[..., None], 3, axis=2)
+    found = {id(sighting): defect for defect in defects for sighting in defect.sightings}
     for index, sighting in enumerate(posture.sightings):
-        rgb[_rim(posture.labels == index + 1)] = COLOURS[sighting.kind]
-    image = Image.fromarray(rgb)
-    draw, face = ImageDraw.Draw(image), Typeface(LABEL_SIZE)
-    for index, sighting in enumerate(posture.sightings):
-        left, top, right, bottom = sighting.box_px
-        colour = COLOURS[sighting.kind]
-        m = BOX_MARGIN_PX
-        draw.rectangle([left - m, top - m, right + m - 1, bottom + m - 1], outline=colour)
-        face.paint(
-            image,
-            right + m + 3.0,
-            max(top - m + 11.0, 12.0),
-            str(numbers[index]),
-            fill="#{:02x}{:02x}{:02x}".format(*colour),
-            align="left",
+        rgb[_rim(posture.labels == index + 1)] = KIND_COLOURS[found[id(sighting)].best.kind]
+    image = enlarged(Image.fromarray(rgb), enlarge)
+    line = max(1, round(LINE_SHARE * image.width))
+    draw, face = ImageDraw.Draw(image), Typeface(max(LABEL_SIZE, round(LABEL_SHARE * image.width)))
+    for sighting in posture.sightings:
+        defect = found[id(sighting)]
+        colour = KIND_COLOURS[defect.best.kind]
+        left, top, right, bottom = (enlarge * side for side in sighting.box_px)
+        m = BOX_MARGIN_PX * enlarge
+        draw.rectangle([left - m, top - m, right + m - 1, bottom + m - 1], outline=colour, width=line)
+        x, baseline = _label_place(
+            image, face, str(defect.number), (left - m, top - m, right + m, bottom + m)
         )
-    return image
+        fill = "#{:02x}{:02x}{:02x}".format(*LABEL_COLOURS[defect.best.kind])
+        face.paint(image, x, baseline, str(defect.number), fill=fill, halo="#000000")
+    return image, shown
 
 
-def synthetic_picture(image: SyntheticImage) -> tuple[Image.Image, float]:
-    """The image without highlights, and the level that is shown white [grey level]."""
-    rgb, white = _grey(image.level, image.mask)
-    return Image.fromarray(rgb), white
+def enlarged(image: Image.Image, times: int) -> Image.Image:
+    """A picture whose pixels are squares of so many."""
+    return image.resize((times * image.width, times * image.height), Image.Resampling.NEAREST)
 
 
-def deviation_picture(image: SyntheticImage) -> tuple[Image.Image, float]:
-    """How uncertain the image without highlights is, and the deviation that is shown white [grey level]."""
-    rgb, white = _grey(image.deviation, image.mask)
-    return Image.fromarray(rgb), white
-
-
-def _grey(level: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[NDArray[np.uint8], float]:
-    white = max(float(np.percentile(level[mask], 99.9)), 1e-6) if mask.any() else 1.0
-    grey = (255.0 * np.clip(level / white, 0.0, 1.0) + 0.5).astype(np.uint8)
-    return np.repeat(grey[..., None], 3, axis=2), white
+def _label_place(
+    image: Image.Image, face: Typeface, text: str, box: tuple[int, int, int, int]
+) -> tuple[float, float]:
+    # left end and baseline: beside the box, on its other side where there is no room, and never beyond the picture
+    left, top, right, _ = box
+    width = face.width(text) + LABEL_GAP_PX
+    x = right + LABEL_GAP_PX if right + LABEL_GAP_PX + width <= image.width else left - width
+    x = min(max(x, LABEL_GAP_PX), image.width - width)
+    baseline = min(max(top + face.cap_height, face.cap_height + LABEL_GAP_PX), image.height - LABEL_GAP_PX)
+    return float(x), float(baseline)
 
 
 def _rim(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.inspection import FoundDefect, Inspection
-from lightopt.report._inspection_pictures import COLOURS
+from lightopt.inspection import KIND_COLOURS, FoundDefect, Inspection, Kind
 from lightopt.report._page import SurfaceView
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
 
@@ -18,8 +18,11 @@ __all__ = ["marked_part"]
 Float64 = NDArray[np.float64]
 
 PART_COLOUR = "#c9ced6"
-KINDS = ("shape", "stain", "unknown")
-WORDS = {"shape": "shape", "stain": "stain", "unknown": "shape or stain: could not be told"}
+WORDS: Final[Mapping[Kind, str]] = {
+    "shape": "shape",
+    "stain": "stain",
+    "unknown": "shape or stain: could not be told",
+}
 
 LEAST_SHARE = 0.015
 """A ball's radius is at least this share of the part's size, so that the smallest defect is seen from afar."""
@@ -49,7 +52,7 @@ def marked_part(result: Inspection, name: str) -> SurfaceView:
         radius = max(0.5 * defect.size[0], LEAST_SHARE * size)
         vertices.append(middle + radius * ball)
         triangles.append(faces + np.int32(count))
-        classes.append(np.full(len(faces), 1 + KINDS.index(defect.best.kind), np.uint8))
+        classes.append(np.full(len(faces), 1 + list(WORDS).index(defect.best.kind), np.uint8))
         count += len(ball)
     layer = SurfaceLayer(name="defects", classes=_legend(result.defects), of_face=np.concatenate(classes))
     return SurfaceView(
@@ -70,10 +73,10 @@ def _legend(defects: Sequence[FoundDefect]) -> tuple[SurfaceClass, ...]:
     kinds = (
         SurfaceClass(
             label=WORDS[kind],
-            colour="#{:02x}{:02x}{:02x}".format(*COLOURS[kind]),
+            colour="#{:02x}{:02x}{:02x}".format(*KIND_COLOURS[kind]),
             amount=str(sum(defect.best.kind == kind for defect in defects)),
         )
-        for kind in KINDS
+        for kind in WORDS
     )
     return (SurfaceClass(label="the part", colour=PART_COLOUR), *kinds)
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.errors import counted
+from lightopt.errors import counted, percent
 from lightopt.optimize import (
     Answer as Best,
 )
 from lightopt.optimize import (
+    Detectability,
     Draft,
     SetResult,
     angles_of,
@@ -41,7 +42,8 @@ def answer_blocks(draft: Draft) -> list[Block]:
             Table(
                 header=header,
                 rows=rows,
-                caption="Of each light its elevation from the table plane and its azimuth from the world's X axis.",
+                caption="Of each light its elevation from the table plane and its azimuth about Z from the world's +X "
+                "towards +Y.",
             )
         )
     if chosen is None:
@@ -69,9 +71,17 @@ def scores_table(draft: Draft) -> Table:
         header=header,
         rows=rows,
         numbers_from=2,
-        caption="Shares are of the surface that the camera sees in the posture. ranking.csv lists the best "
-        "combinations, result.json has all numbers.",
+        caption=f"{_shares(draft)} ranking.csv lists the best combinations, result.json has all numbers.",
     )
+
+
+def _shares(draft: Draft) -> str:
+    # what the shares of scores are shares of
+    named: dict[str, list[str]] = {}
+    for answer in draft.results[0].answers:
+        if answer.objective.share_of is not None:
+            named.setdefault(answer.objective.share_of, []).append(answer.objective.name)
+    return " ".join(f"Shares of {' and '.join(names)}: of {surface}." for surface, names in named.items())
 
 
 def postures_text(result: SetResult) -> str:
@@ -90,31 +100,37 @@ def _answer(result: SetResult) -> Answer:
     score = best.objective.shown(best.found.best.score)
     if share is None:
         return Answer(figure=score, text=f"by {best.objective.name}, {where}")
+    surface = "surface × defects (by weight)" if isinstance(best.objective, Detectability) else "surface"
+    added = ", added up" * (len(result.postures) > 1)
     return Answer(
-        figure=f"{100.0 * share:.1f} %",
-        text=f"of the surface that the camera sees, by {best.objective.name}: {score}, {where}",
+        figure=percent(share),
+        text=f"of the {surface} that the camera sees in {where}{added}: {score} by {best.objective.name}",
     )
 
 
 def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None) -> Answer:
     images = counted(chosen["seen_in"], "image")
-    postures = ", ".join(str(_posture(one)) for one in chosen["postures"])
+    postures = ", ".join(str(Posture.from_dict(one)) for one in chosen["order_of_travel"])
     text = (
-        f"of the surface × defects is seen in {images} or more, all postures together: {postures}; the surface is what "
-        "the camera sees in any posture to choose from"
+        f"of the surface × defects is seen in {images} or more, by all planned images together, in {postures}; the "
+        "surface is what the camera sees in any posture to choose from"
     )
     share = chosen["share"]
     if exposures is not None:
         share = exposures["share"]
-        text += f". With exposure 1 alone {100.0 * exposures['share_without']:.1f} %"
-    return Answer(figure=f"{100.0 * share:.1f} %", text=text)
+        planned = any(shot["planned"] for shot in exposures["shots"])
+        alone = f"With exposure 1 alone {percent(exposures['share_without'])}"
+        text += f". {alone if planned else 'No further exposure adds enough to be planned'}"
+    return Answer(figure=percent(share), text=text)
 
 
 def _plan_proof(chosen: Mapping[str, Any]) -> str:
     number = counted(len(chosen["postures"]), "posture")
+    if chosen["optimum"] == "proven":
+        return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
     bound = (
         f"Proven: with these lights no {number} of the {chosen['candidates']} show more than "
-        f"{100.0 * chosen['bound']:.1f} %."
+        f"{percent(chosen['bound'])}."
     )
     if not chosen["turns"]:
         return f"{bound} No light moves."
@@ -124,13 +140,10 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
     if chosen["lights_best_for_postures"]:
         bound += " Proven: in these postures no other positions of the lights show more."
     return (
-        f"{bound} Not proven: that no other postures with other lights show more; the lights were placed for the "
-        f"postures, and the postures chosen for the lights, in {counted(chosen['turns'], 'turn')} ({tried}) {where}."
+        f"{bound} A local optimum: other postures with other lights may show more; the lights were placed for the "
+        f"postures, and the postures chosen for the lights, in {counted(chosen['turns'], 'turn')}, the best of "
+        f"{counted(chosen['starts'], 'start')} ({tried}) {where}."
     )
-
-
-def _posture(facts: Mapping[str, Any]) -> Posture:
-    return Posture(facts["elevation_deg"], facts["rotation_deg"])
 
 
 def _row(draft: Draft, result: SetResult) -> list[str]:
@@ -144,7 +157,7 @@ def _row(draft: Draft, result: SetResult) -> list[str]:
 
 def _angles(draft: Draft, answer: Best) -> list[str]:
     return [
-        f"{degrees(elevation)}, {degrees(azimuth)}"
+        f"{degrees(elevation)},\u00a0{degrees(azimuth)}"
         for elevation, azimuth in angles_of(draft.candidates, answer.found.best)
     ]
 
@@ -174,8 +187,13 @@ def _scores(draft: Draft, result: SetResult, answer: Best, names: list[str]) -> 
         postures_text(result),
         answer.objective.name,
         *_angles(draft, answer),
-        *(score_text(answer.scores[name], objectives[name], result.area) for name in names),
-        gap_text(answer.found, answer.objective),
+        *(_unbroken(score_text(answer.scores[name], objectives[name], result.area)) for name in names),
+        _unbroken(gap_text(answer.found, answer.objective)),
         ties_text(answer.found),
-        looked_text(answer.found),
+        looked_text(answer),
     ]
+
+
+def _unbroken(score: str) -> str:
+    # a line may end between a score and its share only
+    return score.replace(" mm²", "\u00a0mm²").replace(" %", "\u00a0%")

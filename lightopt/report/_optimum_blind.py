@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 
-from lightopt.optimize import Blind, BlindReport, BlindSpots
+from lightopt.errors import percent
+from lightopt.optimize import (
+    BLIND_CLASSES,
+    BLIND_LIGHTS,
+    Blind,
+    BlindClass,
+    BlindReport,
+    BlindSpots,
+    blind_class,
+    blind_classes,
+    blind_legend,
+)
 from lightopt.report._surface import SurfaceClass, SurfaceLayer
 
 __all__ = ["blind_layers"]
-
-# Okabe and Ito; what is seen and what no camera sees as in the view of what the images show
-KINDS = (
-    (Blind.SEEN, "all defects seen", "#56b4e9"),
-    (Blind.CONTRAST, "contrast under noise", "#f0e442"),
-    (Blind.SATURATED, "saturated by a light", "#d55e00"),
-    (Blind.SHADOWED, "shadowed", "#0b3c5d"),
-    (Blind.GRAZING, "seen at a grazing angle", "#cc79a7"),
-    (Blind.CAMERA, "never seen by the camera", "#c9ced6"),
-)
 
 # matplotlib's cividis (Nuñez, Anderton and Renslow, 2018) in equal steps: the brighter the more is seen
 SHARES = (
@@ -40,35 +38,40 @@ def blind_layers(report: BlindReport) -> list[SurfaceLayer]:
         where = "all postures" if posture is None else f"posture {posture}"
         layers.append(blind_layer(f"{where}, why not", chosen))
         if posture is None:
-            layers.append(blind_layer(f"{where}, why not, wherever the lights can stand", possible))
+            layers.append(blind_layer(f"{where}, why not with the lights {BLIND_LIGHTS[1]}", possible))
     return layers
 
 
 def share_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
-    """How large a share of the defects is seen on every patch."""
+    """How large a share of the defects is seen on every patch, and of how much of the surface."""
     limits = np.array([limit for limit, *_ in SHARES])
     of_face = np.searchsorted(limits, spots.share, side="left").astype(np.uint8)
     of_face[spots.share >= 1.0] = len(SHARES) - 1
     of_face[spots.codes == Blind.CAMERA] = len(SHARES)
-    kinds = [*((label, colour) for _, label, colour in SHARES), KINDS[-1][1:]]
-    return _layer(name, spots, of_face, kinds)
-
-
-def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
-    """The reasons of every patch; which light saturates it is told by the table."""
-    codes = np.minimum(spots.codes, Blind.SATURATED)
-    of_face = np.zeros(len(codes), np.uint8)
-    for index, (code, *_) in enumerate(KINDS):
-        of_face[codes == code] = index
-    return _layer(name, spots, of_face, [(label, colour) for _, label, colour in KINDS])
-
-
-def _layer(
-    name: str, spots: BlindSpots, of_face: NDArray[np.uint8], kinds: Sequence[tuple[str, str]]
-) -> SurfaceLayer:
+    never = blind_class(Blind.CAMERA)
+    kinds = [*((label, colour) for _, label, colour in SHARES), (never.label, _hex(never))]
     areas = np.bincount(of_face, weights=spots.areas, minlength=len(kinds)) / spots.areas.sum()
     classes = tuple(
-        SurfaceClass(label=label, colour=colour, amount=f"{100.0 * area:.1f} %")
+        SurfaceClass(label=label, colour=colour, amount=percent(float(area)))
         for (label, colour), area in zip(kinds, areas, strict=True)
     )
     return SurfaceLayer(name=name, classes=classes, of_face=of_face)
+
+
+def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
+    """The reasons of every patch, those that there are, with their shares of the surface × defects.
+
+    Which light saturates a patch is told by the table.
+    """
+    shares = {row.label: percent(row.share) for row in blind_legend(spots)}
+    of_face = blind_classes(spots)
+    shown = [k for k, one in enumerate(BLIND_CLASSES) if one.label in shares or (of_face == k).any()]
+    classes = tuple(
+        SurfaceClass(label=one.label, colour=_hex(one), amount=shares.get(one.label, ""))
+        for one in (BLIND_CLASSES[k] for k in shown)
+    )
+    return SurfaceLayer(name=name, classes=classes, of_face=np.searchsorted(shown, of_face).astype(np.uint8))
+
+
+def _hex(one: BlindClass) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*one.colour)

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from lightopt.images import ImageSet, read_image_set, read_png
-from lightopt.optimize import Curve, Draft, SetResult
+from lightopt.optimize import Curve, Detectability, Draft, SetResult
 from lightopt.report._canvas import png_bytes
 from lightopt.report._chart import ChartLine, ChartPanel, chart_image
 from lightopt.report._contact_sheet import entry_thumbnail, saturation_text
@@ -38,24 +38,31 @@ def image_blocks(draft: Draft) -> list[Block]:
     if not sets:
         return [Note(text="Not rendered (--no-images).")]
     maps = {
-        overlap.posture: (draft.folder / listed["map"], overlap.pixels)
+        (overlap.posture, overlap.exposure): (draft.folder / listed["map"], overlap.pixels)
         for listed, overlap in zip(draft.document["overlaps"], draft.overlaps, strict=True)
     }
     rows: list[tuple[str, list[Picture | None]]] = []
     for images in sets:
-        for posture in dict.fromkeys(entry.posture for entry in images.images):
+        shots = dict.fromkeys((entry.posture, entry.exposure) for entry in images.images)
+        levels = {entry.exposure for entry in images.images}
+        for posture, exposure in shots:
             pictures = [
                 _picture(images, index)
                 for index, entry in enumerate(images.images)
-                if entry.posture == posture
+                if (entry.posture, entry.exposure) == (posture, exposure)
             ]
-            rows.append((f"posture {posture}", [*pictures, _overlap(*maps[posture])]))
+            # one light has no others for its highlights to overlap with
+            together = [_overlap(*maps[posture, exposure])] if maps else []
+            at = f", exposure {exposure:.9g}" * (levels != {1.0})
+            rows.append((f"posture {posture}{at}", [*pictures, *together]))
+    which = "the planned exposures" if draft.document.get("exposures") else "exposure 1"
+    right = " On the right: blue where one image is saturated, red where several are." * bool(maps)
     return [
         Gallery(
-            header=[*draft.candidates.names, "highlights together"],
+            header=[*draft.candidates.names, *(["highlights together"] if maps else [])],
             rows=rows,
-            caption="What the camera would deliver at exposure 1; red: saturated pixels. On the right: blue where one "
-            "image is saturated, red where several are. Images are averaged down, counts are of the full ones.",
+            caption=f"What the camera would deliver at {which}; red: saturated pixels.{right} Images are averaged "
+            "down, counts are of the full ones.",
         )
     ]
 
@@ -139,7 +146,8 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     ]
     where = postures_text(result)
     area = best.objective.share(0, result.area) is not None
-    label = "% of the visible surface" if area else best.objective.unit
+    surface = f"visible surface{' × defects' * isinstance(best.objective, Detectability)}"
+    label = f"% of the {surface}" if area else best.objective.unit
     image = chart_image(
         title=f"{best.objective.name}, {where}",
         x_label=f"{axis} [°]",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lightopt.errors import counted
-from lightopt.optimize import Draft
+from lightopt.errors import counted, percent
+from lightopt.optimize import BLIND_LIGHTS, Draft
 from lightopt.report._page import Block, Facts, Note, Table
 from lightopt.transforms import Posture
 
@@ -27,15 +27,19 @@ def defect_blocks(draft: Draft) -> list[Block]:
     rows = [
         [
             _postures(postures),
-            *(_percent(answer["defects"][name]) for name in names),
+            *(percent(answer["defects"][name]) for name in names),
             str(answer["worst_defect"]),
             f"{answer['worst_direction_deg']:g}°" if "worst_direction_deg" in answer else "-",
         ]
         for postures, answer in answers
     ]
     images = counted(answers[0][1]["seen_in"], "image")
-    caption = f"Shares of the surface that the camera sees on which {images} or more of the posture show the defect."
-    header = ["posture", *names, "seen worst", "walls that lean to"]
+    caption = (
+        f"Shares of {answers[0][1]['share_of']}, on which {images} or more show the defect. "
+        "Directions of walls are counted as direction_deg of defects: in the tangent plane, counterclockwise seen from "
+        "outside, from the X axis of the mesh file."
+    )
+    header = ["posture", *names, "kind seen worst", "walls seen worst lean to"]
     return [Table(header=header, rows=rows, caption=caption)]
 
 
@@ -45,17 +49,21 @@ def blind_tables(draft: Draft) -> list[Block]:
     if spots is None:
         return []
     groups = [("all postures", spots)] if len(spots["postures"]) != 1 else []
-    groups += [(f"posture {_posture(one['posture'])}", one) for one in spots["postures"]]
-    sides = (("chosen", "as found"), ("any_position", "wherever they can stand"))
+    groups += [(f"posture {Posture.from_dict(one['posture'])}", one) for one in spots["postures"]]
+    sides = tuple(zip(("chosen", "any_position"), BLIND_LIGHTS, strict=True))
     entries = [(name, lights, group[key]) for name, group in groups for key, lights in sides]
     reasons = list(dict.fromkeys(one["reason"] for *_, facts in entries for one in facts["blind"]))
     rows: list[list[str]] = []
     for name, lights, facts in entries:
         shares = {one["reason"]: one["share"] for one in facts["blind"]}
-        lost = [_percent(shares.get(reason, 0.0)) for reason in reasons]
-        rows.append([name, lights, _percent(facts["seen"]), *lost])
+        lost = [percent(shares.get(reason, 0.0)) for reason in reasons]
+        rows.append([name, lights, percent(facts["seen"]), *lost])
     images = counted(spots["seen_in"], "image")
-    caption = f"Shares of {spots['shares_of']}; seen: in {images} or more, of a posture or of all."
+    caption = (
+        f"Shares of {spots['shares_of']}; seen: in {images} or more, of a posture or of all. "
+        f"{BLIND_LIGHTS[1].capitalize()}: every light wherever it shows that defect; no one set of positions need show "
+        "all of it."
+    )
     header = ["posture", "lights", "seen", *reasons]
     return [Table(header=header, rows=rows, numbers_from=2, caption=caption)]
 
@@ -65,40 +73,67 @@ def posture_blocks(draft: Draft) -> list[Block]:
     chosen = draft.document.get("chosen_postures")
     if chosen is None:
         return []
-    rows = [[str(_posture(one)), _percent(one["gain"]), _percent(one["share"])] for one in chosen["postures"]]
+    numbered = {
+        Posture.from_dict(one): (number, one) for number, one in enumerate(chosen["postures"], start=1)
+    }
+    rows = [
+        [
+            str(posture),
+            str(number),
+            ", ".join(f"{exposure:.9g}" for exposure in one["exposures"]),
+            percent(one["gain"], 2),
+            percent(one["share"]),
+        ]
+        for posture in map(Posture.from_dict, chosen["order_of_travel"])
+        for number, one in [numbered[posture]]
+    ]
     facts = [
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
-        ("the same number of others shows at most", _percent(chosen["bound"])),
-        ("all candidates together show", _percent(chosen["all_candidates"])),
-        ("with the lights as they stood", _percent(chosen["lights_as_they_stand"])),
+        ("the same number of others shows at most", percent(chosen["bound"])),
+        ("all candidates together show", percent(chosen["all_candidates"])),
         (
             "the camera sees, in some posture",
-            f"{_percent(chosen['visible_share_of_surface'])} of the surface",
+            f"{percent(chosen['visible_share_of_surface'])} of the surface",
         ),
-        (
-            "order of least travel",
-            f"{' → '.join(str(_posture(one)) for one in chosen['order_of_travel'])}, {chosen['travel_s']:.1f} s",
-        ),
+        ("travel from (0°, 0°)", _travel(chosen, draft.document.get("rounds", ()))),
+        ("each patch counts as its middle does", _grain(chosen["patches"])),
     ]
+    if (stood := chosen["lights_as_they_stand"]) is not None:
+        share = (
+            f"{percent(stood['share'])} in {counted(stood['postures'], 'posture')}, of {stood['share_of']}"
+        )
+        facts.append(("with the lights as they stood", share))
+    if chosen["postures_to_a_tenth_of_a_point"] < len(chosen["postures"]):
+        first = chosen["postures_to_a_tenth_of_a_point"]
+        facts.append((f"the first {first} chosen show", percent(chosen["postures"][first - 1]["share"])))
+    if chosen["asked"] is not None and chosen["target"] is None and len(chosen["postures"]) < chosen["asked"]:
+        facts.append(("postures that were asked for", str(chosen["asked"])))
+    if chosen["optimum"] != "proven":
+        guarantee = f"{percent(chosen['greedy_guarantee'])} of the best with these lights"
+        facts.append(("these postures have at least", guarantee))
     k = chosen["seen_in"]
-    if k == 1:
-        guarantee = f"{_percent(chosen['greedy_guarantee'])} of the best"
-        facts.append(("a greedy choice has at least", guarantee))
     if chosen["target"] is not None and chosen["fewest_possible"] is not None:
         needed = counted(chosen["fewest_possible"], "posture")
-        facts.append((f"{_percent(chosen['target'])} takes at least", needed))
+        facts.append((f"{100.0 * chosen['target']:.9g} % takes at least", needed))
     caption = (
-        "Of the surface × defects: what each posture shows that those before it do not, and what it shows with them."
+        "Of the surface × defects: what each posture shows that those chosen before it do not, and what it shows with "
+        "them."
         if k == 1
         else f"Of the surface × defects: adds, images new to a patch and defect, up to {k} of each; together, what "
         f"is seen in {k} images or more."
     )
+    caption = (
+        f"In the order of least travel, were all captured in one round. {caption} Shares are of "
+        f"{chosen['shares_of']}."
+    )
     blocks: list[Block] = [
-        Table(header=["posture", "adds", "together"], rows=rows, caption=caption),
+        Table(
+            header=["posture", "chosen as no.", "exposures", "adds", "together"], rows=rows, caption=caption
+        ),
         Facts(rows=facts),
     ]
     if chosen["left_out"]:
-        left = [[str(_posture(one)), one["reason"]] for one in chosen["left_out"]]
+        left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
         blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
     return [*blocks, *_commands(draft.document)]
 
@@ -110,17 +145,20 @@ def exposure_blocks(draft: Draft) -> list[Block]:
         return []
     rows = [
         [
-            str(_posture(shot["posture"])),
+            str(Posture.from_dict(shot["posture"])),
             f"{shot['exposure']:g}",
-            _percent(shot["gain"], digits=2),
+            percent(shot["gain"], 2),
             "yes" if shot["planned"] else "no",
         ]
         for shot in planned["shots"]
     ]
+    why = {shot["planned_for"] for shot in planned["shots"]}
+    needed = ", or with another twice that" * ("pair" in why)
+    needed += ", or where the target takes it" * ("target" in why)
     text = (
-        f"With the planned exposures {_percent(planned['share'])} of the surface × defects is seen, with exposure 1 "
-        f"alone {_percent(planned['share_without'])}. One is planned where it adds "
-        f"{_percent(planned['least_gain'], digits=2)} or more."
+        f"With the planned exposures {percent(planned['share'])} of the surface × defects is seen, with exposure 1 "
+        f"alone {percent(planned['share_without'])}. One is planned where it adds "
+        f"{percent(planned['least_gain'], 2)} or more{needed}."
     )
     blocks: list[Block] = [
         Note(text=text),
@@ -136,31 +174,51 @@ def trust_blocks(draft: Draft) -> list[Block]:
         return []
     header = ["off by the tolerance", *(_postures(one["postures"]) for one in trust)]
     rows = [
-        ["worst corner keeps", *(_percent(one["worst_corner"]["share_of_score"]) for one in trust)],
-        ["95 % of draws keep", *(_percent(one["quantile_5_percent"]) for one in trust)],
+        ["worst corner keeps", *(percent(one["worst_corner"]["share_of_score"]) for one in trust)],
+        ["95 % of draws keep", *(percent(one["quantile_5_percent"]) for one in trust)],
     ]
     for index, widest in enumerate(trust[0]["widest"]):
         cells = [
             f"{'≥ ' if one['widest'][index]['or_more'] else ''}{one['widest'][index]['degrees']:.2f}°"
             for one in trust
         ]
-        rows.append([f"widest: {widest['what']} {widest['angle']}", *cells])
-    return [Table(header=header, rows=rows, caption="Shares of the score.")]
+        rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
+    asked = draft.document["options"]["tolerances"]
+    caption = (
+        f"Shares of the score: where lights are off by {asked['light_deg']:g}° and the part by {asked['pose_deg']:g}° "
+        "in each of their angles, in the worst way, and in draws. Widest: how far each angle alone, or those of all "
+        f"lights, may be off in steps of 0.05° before less than {percent(asked['target'], 0)} are kept."
+    )
+    return [Table(header=header, rows=rows, caption=caption)]
+
+
+def _travel(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> str:
+    text = f"{chosen['travel_s']:.1f} s {chosen['travel_pace']}"
+    if len(rounds) < 2:
+        return text
+    each = " + ".join(f"{one['travel_s']:.1f}" for one in rounds)
+    total = sum(one["travel_s"] for one in rounds)
+    ways = "; ".join(" → ".join(str(Posture.from_dict(p)) for p in one["order_of_travel"]) for one in rounds)
+    return (
+        f"{text}, were all captured in one round; the {len(rounds)} capture commands below take {each} = "
+        f"{total:.1f} s, each from (0°, 0°) on: {ways}"
+    )
+
+
+def _grain(patches: Mapping[str, Any]) -> str:
+    return (
+        f"{patches['all']:,} patches with edges up to {patches['max_edge_mm']:.3g} mm, where a pixel has "
+        f"{patches['footprint_mm']:.3g} mm: shares may be off by some {100.0 * patches['grain']:.1g} points"
+    )
 
 
 def _commands(document: Mapping[str, Any]) -> list[Block]:
-    return [Note(text=command) for command in document.get("commands", ())]
-
-
-def _posture(facts: Mapping[str, Any]) -> Posture:
-    return Posture(facts["elevation_deg"], facts["rotation_deg"])
+    commands = document.get("commands", ())
+    lead = [Note(text="To carry the plan out, in the folder of this report:")] if commands else []
+    return [*lead, *(Note(text=command) for command in commands)]
 
 
 def _postures(postures: Sequence[Mapping[str, Any]]) -> str:
     if len(postures) == 1:
-        return f"posture {_posture(postures[0])}"
+        return f"posture {Posture.from_dict(postures[0])}"
     return f"all {len(postures)} postures"
-
-
-def _percent(share: float, *, digits: int = 1) -> str:
-    return f"{100.0 * share:.{digits}f} %"

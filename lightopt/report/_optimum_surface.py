@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.errors import percent
 from lightopt.optimize import AREA_UNIT_MM2, Draft, Levels, Thresholds, area_units
 from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
@@ -93,8 +94,9 @@ def _captions(draft: Draft) -> list[str]:
     ]
     if draft.blind is not None:
         captions.append(
-            "Defects are those of the catalogue, by weight; the reason at a patch is that of those not seen there, and "
-            "their percentages are of the part's whole surface."
+            "Defects are those of the catalogue, by weight. How many are seen: percentages are of the part's surface. "
+            "Why not: they are of its surface × defects, as in the table of blind spots; blue where all are seen, pale "
+            "where some are and others not."
         )
     return captions
 
@@ -116,7 +118,7 @@ def _postures(draft: Draft) -> list[Shown]:
 
 def _layer(shown: Shown) -> SurfaceLayer:
     visible = sum(shown.areas)
-    amounts = [*(f"{100.0 * area / max(1, visible):.1f} %" for area in shown.areas), ""]
+    amounts = [*(percent(area / max(1, visible)) for area in shown.areas), ""]
     kinds = tuple(
         SurfaceClass(label=label, colour=colour, amount=amount)
         for (label, colour), amount in zip(SHOWN, amounts, strict=True)
@@ -133,9 +135,7 @@ def _together(draft: Draft, shown: list[Shown]) -> SurfaceLayer:
     best = _best(shown)
     areas = draft.table.patches.areas
     kinds = tuple(
-        SurfaceClass(
-            label=label, colour=colour, amount=f"{100.0 * areas[best == k].sum() / areas.sum():.1f} %"
-        )
+        SurfaceClass(label=label, colour=colour, amount=percent(float(areas[best == k].sum() / areas.sum())))
         for k, (label, colour) in enumerate(SHOWN)
     )
     return SurfaceLayer(name="the best of all postures", classes=kinds, of_face=best)
@@ -146,7 +146,7 @@ def _table(shown: list[Shown]) -> Table:
         [
             str(one.posture),
             *(
-                f"{area * AREA_UNIT_MM2:,.2f} mm² ({100.0 * area / max(1, sum(one.areas)):.1f} %)"
+                f"{area * AREA_UNIT_MM2:,.2f} mm² ({percent(area / max(1, sum(one.areas)))})"
                 for area in one.areas
             ),
         ]
@@ -162,12 +162,12 @@ def _table(shown: list[Shown]) -> Table:
 def _together_note(draft: Draft, shown: list[Shown]) -> list[Block]:
     areas = draft.table.patches.areas
     best = _best(shown)
-    unseen = 100.0 * float(areas[best == _UNSEEN].sum() / areas.sum())
-    usable = 100.0 * float(areas[best == 0].sum() / areas.sum())
+    unseen = float(areas[best == _UNSEEN].sum() / areas.sum())
+    usable = float(areas[best == 0].sum() / areas.sum())
     which = "The posture shows" if len(shown) == 1 else f"The {len(shown)} postures together show"
     return [
         Note(
-            text=f"{which} {usable:.1f} % of the part's whole surface in two usable images or more; "
-            f"{unseen:.1f} % the camera never sees."
+            text=f"{which} {percent(usable)} of the part's whole surface in two usable images or more; "
+            f"{percent(unseen)} the camera never sees."
         )
     ]

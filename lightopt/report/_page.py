@@ -65,12 +65,16 @@ class Table:
         Columns from this one on are numbers, aligned to the right.
     caption
         Below the table.
+    links
+        Per row where its first cell leads, a file's name relative to the page with ``/`` between folders, empty for
+        nowhere; none at all where there are none.
     """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     numbers_from: int = 1
     caption: str = ""
+    links: Sequence[str] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 from itertools import groupby
+from urllib.parse import quote
 
 from PIL import Image
 
@@ -35,6 +36,9 @@ POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; sc
 """The browser itself then refuses every request."""
 
 KEYS = "Drag to turn, wheel to zoom, right button to move; keys on the picture: arrows, + and −, Home."
+
+WIDE = 8
+"""Tables of more columns have narrow margins, and their cells may take several lines."""
 
 FALLBACK = (
     '<p class="note fallback" hidden>This browser shows no WebGL: the picture is a still one'
@@ -128,17 +132,22 @@ def _block(block: Block) -> str:
 
 
 def _table(table: Table) -> str:
-    def row(cells: Sequence[str], tag: str) -> str:
+    def row(cells: Sequence[str], tag: str, href: str = "") -> str:
+        texts = [escape(cell) for cell in cells]
+        if href:
+            texts[0] = f'<a href="{quote(href)}">{texts[0]}</a>'
         marked = (
-            f"<{tag}{' class=number' if i >= table.numbers_from else ''}>{escape(cell)}</{tag}>"
-            for i, cell in enumerate(cells)
+            f"<{tag}{' class=number' if i >= table.numbers_from else ''}>{text}</{tag}>"
+            for i, text in enumerate(texts)
         )
         return f"<tr>{''.join(marked)}</tr>"
 
     caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
-    body = "\n".join(row(cells, "td") for cells in table.rows)
+    links = table.links or [""] * len(table.rows)
+    body = "\n".join(row(cells, "td", href) for cells, href in zip(table.rows, links, strict=True))
+    wide = ' class="wide"' if len(table.header) > WIDE else ""
     return (
-        f'<div class="scroll"><table>{caption}<thead>{row(table.header, "th")}</thead>\n'
+        f'<div class="scroll"><table{wide}>{caption}<thead>{row(table.header, "th")}</thead>\n'
         f"<tbody>{body}</tbody></table></div>"
     )
 

@@ -18,7 +18,8 @@ FIELD_OF_VIEW = math.radians(30.0)
 
 WIDTH, HEIGHT, FINE = 900, 600, 2
 _BLOCK = 250_000
-_AMBIENT, _LAMP = 0.5, 0.55
+_AMBIENT, _LAMP = 0.7, 0.3
+"""As in viewer.js: enough to tell the shape, and so little that colours are those of the legend."""
 
 
 def eye_distance(surface: ColouredSurface) -> float:

@@ -26,7 +26,12 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
     facts = Facts(
         rows=[
             ("found", f"{summary['found']} of {summary['defects']} defects in view"),
-            ("out of view", ", ".join(summary["hidden"]) or "none"),
+            (
+                "shown by no pixel to judge",
+                f"{', '.join(summary['hidden'])}: out of view, at an edge, or narrower than a pixel"
+                if summary["hidden"]
+                else "none",
+            ),
             ("false alarms", f"{summary['false_alarms_per_posture']:g} per posture"),
             ("area under the pixels' ROC", "-" if area is None else f"{area:.4f}"),
         ]
@@ -72,7 +77,9 @@ def _chart(summary: Mapping[str, Any]) -> list[Block]:
         x_label="size of the defect [mm]",
         x=x,
         panels=[
-            ChartPanel(label="found: 1, missed: 0", values=lines[0].values, dots=dots, lines=tuple(lines))
+            ChartPanel(
+                label="found: 1, missed: 0", values=lines[0].values, dots=dots, dot_px=4.5, lines=tuple(lines)
+            )
         ],
         log_x=True,
     )

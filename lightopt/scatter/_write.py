@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from lightopt.config import PartConfig, relocated, with_list, with_values
+from lightopt.config import PartConfig, copied_text, with_list
 from lightopt.errors import InputError
 from lightopt.images import write_text_atomic
 from lightopt.scatter._scatter import ScatteredDefect
@@ -42,7 +42,7 @@ def defects_text(part: PartConfig, defects: Sequence[ScatteredDefect], *, folder
             f"{part.source.at('defects')}: this part names defects already; take the list out, or start from the good "
             "part"
         )
-    text = with_values(part.source.text, relocated(part, folder))
+    text = copied_text(part, folder)
     return with_list(text, "defects", [_entry(defect) for defect in defects], comment=comment)
 
 

@@ -3,7 +3,7 @@
 :func:`build_scene` is the only code that knows both the YAML's words and the physics.
 """
 
-from lightopt.scene._build import build_camera, build_lights, build_scene, unit_hint
+from lightopt.scene._build import build_camera, build_lights, build_scene, chord_tolerance, unit_hint
 from lightopt.scene._camera import (
     Distortion,
     PinholeCamera,
@@ -27,12 +27,13 @@ from lightopt.scene._sampling import (
     points_advice,
 )
 from lightopt.scene._scene import PartView, Placement, Scene, move_part, view_from_part
-from lightopt.scene._travel import travel_order, travel_s
+from lightopt.scene._travel import VIRTUAL_DEG_PER_S, pace_text, travel_order, travel_s
 from lightopt.transforms import Posture
 
 __all__ = [
     "COARSE_SHARE",
     "SNAP_MM",
+    "VIRTUAL_DEG_PER_S",
     "Distortion",
     "Framing",
     "PanelLight",
@@ -47,6 +48,7 @@ __all__ = [
     "build_catalogue",
     "build_lights",
     "build_scene",
+    "chord_tolerance",
     "coarse_points",
     "coarse_warnings",
     "defect_facts",
@@ -56,6 +58,7 @@ __all__ = [
     "is_absurd",
     "like_panels",
     "move_part",
+    "pace_text",
     "panel_corners",
     "panel_grid",
     "pixel_directions",

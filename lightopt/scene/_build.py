@@ -31,11 +31,14 @@ from lightopt.sensor import Sensor
 from lightopt.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.units import MM_PER_UNIT
 
-__all__ = ["build_camera", "build_lights", "build_scene", "unit_hint"]
+__all__ = ["build_camera", "build_lights", "build_scene", "chord_tolerance", "unit_hint"]
 
 CHORD_TOLERANCE_MM = 0.01
 CHORD_TOLERANCE_FOOTPRINTS = 0.2
 """CAD surfaces are tessellated to within the smaller of 10 µm and a fifth of a pixel's footprint."""
+
+ANGULAR_TOLERANCE, MOST_ANGULAR_TOLERANCE = 0.1, 0.5
+"""Largest angle between neighbouring triangles along an edge, and where a coarser chord asks for more, up to [rad]."""
 
 
 def build_scene(
@@ -223,16 +226,38 @@ def _is_square(points: object) -> bool:
 def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, tuple[str, ...]]:
     m = part.mesh
     path = part.source.resolve(m.file)
+    tolerance = chord_tolerance(part, footprint)
     loaded = load_mesh(
         path,
         # formats that carry their unit are checked against `units` when the file is read
         unit_mm=MM_PER_UNIT[m.units] if m.units and path.suffix.lower() in UNITLESS_SUFFIXES else None,
         normals=m.normals,
         crease_angle=math.radians(m.crease_angle_deg),
-        chord_tolerance_mm=min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint),
+        chord_tolerance_mm=tolerance,
+        angular_tolerance=_angular_tolerance(tolerance),
         max_triangles=m.max_triangles,
     )
     return *_place(loaded.mesh, part.placement), loaded.warnings
+
+
+def chord_tolerance(part: PartConfig, footprint: float) -> float:
+    """How far triangles may be from the CAD surface of a STEP file [mm].
+
+    Parameters
+    ----------
+    part
+        The part.
+    footprint
+        Side of a pixel's footprint at the origin [mm].
+    """
+    if part.mesh.chord_tolerance_mm is not None:
+        return part.mesh.chord_tolerance_mm
+    return min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint)
+
+
+def _angular_tolerance(chord: float) -> float:
+    # the sagitta of a chord goes with the square of its angle: both limits coarsen alike
+    return min(MOST_ANGULAR_TOLERANCE, ANGULAR_TOLERANCE * max(1.0, math.sqrt(chord / CHORD_TOLERANCE_MM)))
 
 
 def _place(mesh: TriangleMesh, placement: PlacementConfig) -> tuple[TriangleMesh, Placement]:

@@ -1,14 +1,17 @@
-"""The order of postures in which the stage travels least."""
+"""The order of postures in which the stage travels least, and how fast it goes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import permutations
 
-from lightopt.config import StageDeviceConfig
+from lightopt.config import RigConfig, StageDeviceConfig
 from lightopt.transforms import Posture
 
-__all__ = ["travel_order", "travel_s"]
+__all__ = ["VIRTUAL_DEG_PER_S", "pace_text", "travel_order", "travel_s"]
+
+VIRTUAL_DEG_PER_S = 90.0
+"""Speed of both axes of the virtual bench's stage, which stands in for one that the rig's file does not name [°/s]."""
 
 _EXACT_UP_TO = 7
 
@@ -34,12 +37,36 @@ def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> 
 
 
 def travel_s(stage: StageDeviceConfig | None, start: Posture, end: Posture) -> float:
-    """Seconds that a stage takes from one posture to another, both axes at a time; at 1 °/s where there is none."""
+    """Seconds that a stage takes from one posture to another, both axes at a time.
+
+    Parameters
+    ----------
+    stage
+        The device; None for the virtual bench's.
+    start, end
+        The postures.
+    """
     tilt, turn = end.elevation_deg - start.elevation_deg, end.rotation_deg - start.rotation_deg
     if stage is None:
-        return max(abs(tilt), abs(turn))
+        return max(abs(tilt), abs(turn)) / VIRTUAL_DEG_PER_S
     ways = ((stage.elevation, tilt), (stage.rotation, turn))
     return max((abs(way) / axis.speed_deg_per_s for axis, way in ways if axis is not None), default=0.0)
+
+
+def pace_text(rig: RigConfig) -> str:
+    """How fast the stage of a rig goes by :func:`travel_s`, and who says so."""
+    if rig.hardware is None:
+        return f"at {VIRTUAL_DEG_PER_S:g}°/s of the virtual bench, since the rig has no hardware section"
+    stage = rig.hardware.stage
+    if stage is None:
+        return "the rig's hardware has no stage"
+    axes = (("tilt", stage.elevation), ("rotation", stage.rotation))
+    speeds = {name: axis.speed_deg_per_s for name, axis in axes if axis is not None}
+    if len(set(speeds.values())) == 1:
+        said = f"{next(iter(speeds.values())):g}°/s"
+    else:
+        said = ", ".join(f"{speed:g}°/s in {name}" for name, speed in speeds.items())
+    return f"at {said}, the speed_deg_per_s of the rig's hardware.stage"
 
 
 def _total(order: Sequence[Posture], start: Posture, time: Time) -> float:

@@ -92,7 +92,7 @@ def test_a_changed_file_is_noticed_by_compare_and_fit(captured, tmp_path):
         assert "changed since" in done.stdout + done.stderr
 
 
-def kill_and_resume(captured, tmp_path, kills, seed):
+def kill_and_resume(captured, tmp_path, kills, seed, cli):
     rig, part, truth, _ = captured
     moments = random.Random(seed)
     begun = unfinished = 0
@@ -103,17 +103,19 @@ def kill_and_resume(captured, tmp_path, kills, seed):
         if (out / "manifest.json").exists():
             begun += 1
             unfinished += len(read_image_set(out).images) < 8  # valid, whatever was going on
-        lightopt("capture", rig, part, "-o", out, "--resume", "-q", *EXPOSURES)
+        # in process, which saves the start of an interpreter
+        resumed = cli("capture", rig, part, "-o", out, "--resume", "-q", *EXPOSURES)
+        assert resumed.status == 0, resumed.err
         assert differences(out, truth) == [], f"kill {number}"
         assert not list(out.rglob("*.partial"))
     assert begun >= kills / 2
     assert unfinished >= kills / 3
 
 
-def test_killed_and_resumed_it_is_the_same_set(captured, tmp_path):
-    kill_and_resume(captured, tmp_path, 2, seed=3)
+def test_killed_and_resumed_it_is_the_same_set(captured, tmp_path, cli):
+    kill_and_resume(captured, tmp_path, 2, seed=3, cli=cli)
 
 
 @pytest.mark.slow
-def test_killed_at_50_moments_and_resumed_it_is_the_same_set(captured, tmp_path):
-    kill_and_resume(captured, tmp_path, 50, seed=2026)
+def test_killed_at_50_moments_and_resumed_it_is_the_same_set(captured, tmp_path, cli):
+    kill_and_resume(captured, tmp_path, 50, seed=2026, cli=cli)

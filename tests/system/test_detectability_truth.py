@@ -1,7 +1,6 @@
 """What detectability predicts is what a plain contrast test counts on noisy renders.
 
-The catalogue pixel by pixel, and each kind by nine pixels, within 5 points; pits of 4° within 6, those of 8° from 3
-below to 8 above.
+The catalogue pixel by pixel, and each kind and strewn pits by nine pixels, within 5 points.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from benchmarks._truth_case import Case
 from benchmarks.truth import SEEN_IN, compare, plot, table
 from lightopt import load_part, load_rig
 
@@ -30,7 +30,9 @@ def small_rig(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["cover-knob", "spout"])
-def test_predicted_shares_are_the_counted_ones(small_rig, part, tmp_path):
+def test_predicted_shares_are_the_counted_ones(small_rig, part, tmp_path, monkeypatch):
+    # as many pixels wide as pits of 1.5 mm under the whole camera
+    monkeypatch.setattr("benchmarks._truth_pits.WIDTH_MM", 6.0)
     points = list(compare(small_rig, load_part(CONFIGS / "parts" / f"{part}.yaml"), patches=10_000, pits=24))
     assert {(p.finish, p.seen_in) for p in points} == {(f, k) for f in ("glossy", "satin") for k in SEEN_IN}
     whole = [p for p in points if not p.kind.startswith("pits")]
@@ -38,12 +40,11 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, tmp_path):
     for p in whole:
         if p.kind == "all" or p.pixels > 1:
             assert abs(p.predicted - p.measured) < 0.05, p
-    # some 600 pixels lie on the walls of 24 pits: −2.2 to 3.0 points off for 4°, −0.3 to 7.1 for 8°
     strewn = [p for p in points if p.kind.startswith("pits")]
-    assert len(strewn) == 2 * 2 * 2
+    assert len(strewn) == 2 * 2 * 2 * 2
     for p in strewn:
-        low, high = (-0.06, 0.06) if p.kind == "pits of 4°" else (-0.03, 0.08)
-        assert low < p.measured - p.predicted < high, p
+        # noise takes single pixels across the threshold
+        assert abs(p.predicted - p.measured) < (0.05 if p.pixels > 1 else 0.1), p
     # something is seen and something is not
     assert min(p.measured for p in whole) < 0.1
     assert max(p.measured for p in whole) > 0.5
@@ -56,15 +57,15 @@ def test_a_wrong_prediction_is_found_out(small_rig, monkeypatch):
     """The comparison can fail: with a quarter of the threshold in the prediction only, shares are off."""
     import benchmarks.truth as truth
 
-    def too_sure(case, trials, own=truth._Case.predict):
+    def too_sure(case, trials, own=Case.predict):
         from dataclasses import replace
 
         quarter = replace(case.contrast, threshold=0.25 * case.contrast.threshold)
         return own(replace(case, contrast=quarter), trials)
 
-    monkeypatch.setattr(truth._Case, "predict", too_sure)
+    monkeypatch.setattr(Case, "predict", too_sure)
     monkeypatch.setattr(truth, "FINISHES", {"glossy": {}})
-    monkeypatch.setattr(truth, "EVERY", 5)
+    monkeypatch.setattr("benchmarks._truth_walls.EVERY", 5)
     points = list(
         truth.compare(small_rig, load_part(CONFIGS / "parts" / "cover-knob.yaml"), patches=2000, pits=0)
     )

@@ -117,7 +117,7 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures):
 )
 def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures, seeds):
     """Of 100 seeds, at least 90 per parameter (of 40, 34), and standard errors are those of the scatter."""
-    samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=1000)
+    samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=400)
     truth = dict(TRUTH)
     if freed.gain:
         truth |= {DARK: 0.0, FIRST_GAIN + 1: 0.0, FIRST_GAIN + 2: 0.0}

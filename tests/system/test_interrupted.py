@@ -120,7 +120,7 @@ def test_a_killed_run_is_completed_by_the_same_command(shared_bench, tmp_path, u
 @pytest.mark.slow
 @one_console
 @pytest.mark.parametrize("kill", [False, True], ids=["Ctrl-C", "kill"])
-def test_any_moment(shared_bench, tmp_path, undisturbed, snapshot, kill):
+def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill):
     """Twenty moments from the start of the process to its end; the set is valid after each, or not begun."""
     began = time.monotonic()
     complete(shared_bench, tmp_path / "whole")
@@ -136,7 +136,9 @@ def test_any_moment(shared_bench, tmp_path, undisturbed, snapshot, kill):
             # once all is done, the signal meets an interpreter that is about to leave
             assert kill or process.returncode == 130 or done == IMAGES, errors
             assert kill or not list(out.rglob(".*"))
-        complete(shared_bench, out)
+        # in process, which saves the start of an interpreter
+        completed = cli("render", shared_bench.rig, shared_bench.part, "-o", out, *OPTIONS)
+        assert completed.status == 0, completed.err
         assert snapshot(out) == undisturbed, f"interrupted after {step + 0.5} twentieths"
 
 

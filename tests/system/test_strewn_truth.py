@@ -56,7 +56,7 @@ def test_one_wall_over_the_whole_width_is_found_out(small_rig, knob, monkeypatch
 
 @pytest.mark.slow
 def test_sets_of_lights_are_counted_beside_what_is_predicted_of_them(small_rig, knob, monkeypatch):
-    monkeypatch.setattr(worth, "FINISHES", {"glossy": {}})
+    monkeypatch.setattr("benchmarks._worth_sets.FINISHES", {"glossy": {}})
     rows = list(worth.sets(small_rig, knob, patches=3000, defects=28, step=15.0))
     assert [(row.seen_in, row.what) for row in rows] == [
         (k, what) for k in (1, 2) for what in ("detectability", "paper")
@@ -68,3 +68,21 @@ def test_sets_of_lights_are_counted_beside_what_is_predicted_of_them(small_rig, 
         assert abs(row.counted - row.predicted) <= 0.25 * row.defects
     assert rows[0].counted > rows[2].counted
     assert worth.table(rows).count("cover-knob") == 4
+
+
+@pytest.mark.slow
+def test_plans_are_counted_with_shorter_and_longer_exposures(small_rig, knob, monkeypatch):
+    for name, value in {"STEP": 30.0, "POSTURES": 1, "POSTURE_STEP": 180.0, "SEEN_IN": (1,)}.items():
+        monkeypatch.setattr(f"benchmarks._worth_plans.{name}", value)
+    monkeypatch.setattr("benchmarks._worth_plans.OFFERED", {1.0: "1", 16.0: "16"})
+    own, own_more, chosen, chosen_more = worth.plans(
+        small_rig, knob, finish="glossy", patches=2000, defects=28
+    )
+    assert (own.what, chosen.what) == ("the part's own 1", "1 chosen")
+    assert own_more.what == "the part's own 1, 1 further exposure (1 × 16)"
+    # postures are chosen from more, and exposures come on top
+    assert own.share < own_more.share <= chosen_more.share
+    assert own.share <= chosen.share < chosen_more.share
+    assert own.counted < own_more.counted
+    for row in (own, own_more, chosen, chosen_more):
+        assert abs(row.counted - row.predicted) <= 0.25 * row.defects

@@ -187,7 +187,7 @@ def test_an_early_error_of_a_linear_image_is_not_lost(take, monkeypatch):
         return plain(self, *arguments)
 
     monkeypatch.setattr(CapturedSet, "add_linear", first_fails)
-    with pytest.raises(HardwareError, match="no room for the first"):
+    with pytest.raises(HardwareError, match=r"^while checking and writing the .*: no room for the first"):
         take()
 
 

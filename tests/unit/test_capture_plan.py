@@ -6,10 +6,10 @@ import itertools
 
 import pytest
 
-from lightopt.capture import CaptureOptions, make_plan
+from lightopt.capture import CaptureOptions, make_plan, wiring_of
 from lightopt.config import load_part, load_rig
 from lightopt.errors import InputError
-from lightopt.scene import travel_order
+from lightopt.scene import pace_text, travel_order, travel_s
 from lightopt.transforms import Posture
 
 HARDWARE = """\
@@ -157,6 +157,26 @@ def seconds(a, b):
 
 def total(order, start):
     return sum(seconds(a, b) for a, b in itertools.pairwise((start, *order)))
+
+
+def test_how_fast_the_stage_goes_is_told_with_who_says_so(bench):
+    rig = load_rig(bench.rig)
+    assert pace_text(rig) == "at 90°/s of the virtual bench, since the rig has no hardware section"
+    plan = make_plan(rig, load_part(bench.part))
+    there = Posture(45.0, 90.0)
+    assert plan.travel_s(Posture(0.0, 0.0), there) == travel_s(None, Posture(0.0, 0.0), there) == 1.0
+    hardware = wiring_of(rig).hardware
+    assert hardware.stage is not None
+    slow = hardware.stage.elevation.model_copy(update={"speed_deg_per_s": 5.0})
+    stage = hardware.stage.model_copy(update={"elevation": slow})
+    for one, says in (
+        (hardware.stage, "at 90°/s, the speed_deg_per_s of the rig's hardware.stage"),
+        (stage, "at 5°/s in tilt, 90°/s in rotation, the speed_deg_per_s of the rig's hardware.stage"),
+        (None, "the rig's hardware has no stage"),
+    ):
+        given = rig.model_copy(update={"hardware": hardware.model_copy(update={"stage": one})})
+        assert pace_text(given) == says
+    assert travel_s(stage, Posture(0.0, 0.0), there) == 9.0
 
 
 def test_few_postures_are_visited_in_the_quickest_order():

@@ -124,8 +124,36 @@ def test_pictures_show_each_posture(planned):
     assert files == ["blind.csv", "blind.ply", *pictures, "report.html"]
     picture = read_png(planned.out / "posture_0_0" / "blind.png", colour=True)
     scene = build_scene(planned.rig, planned.part)
-    assert picture.shape == (scene.camera.height, scene.camera.width, 3)
-    assert 0.02 < (picture.max(axis=2) > 0).mean() < 0.98
+    height, width = scene.camera.height, scene.camera.width
+    assert picture.shape[0] > height
+    assert picture.shape[1] >= width
+    view = picture[:height, :width].reshape(-1, 3).astype(float)
+    part = view[(view < 255).any(axis=1)]
+    assert 0.02 < len(part) / len(view) < 0.98
+    # every pixel has the colour of the table at some brightness, or its pale one
+    with (planned.out / "blind.csv").open(encoding="utf-8", newline="") as file:
+        told = {row["what"]: row["colour"] for row in csv.DictReader(file)}
+    full = np.array([[int(text[k : k + 2], 16) for k in (1, 3, 5)] for text in told.values()], float)
+    colours = np.concatenate([full, (full + 255) // 2])
+    shade = np.clip((part @ colours.T) / (colours**2).sum(axis=1), 0.8, 1.0)
+    off = np.abs(part[:, None, :] - shade[:, :, None] * colours).max(axis=2)
+    assert off.min(axis=1).max() <= 1.5
+    # and those of the surface are the same
+    _, _, faces = ply_of(planned.out / "blind.ply")
+    assert {tuple(colour) for colour in faces["colour"].tolist()} <= {
+        tuple(c) for c in colours.astype(int).tolist()
+    }
+    # below it the legend has the colours as they are
+    legend = {tuple(colour) for colour in picture[height:].reshape(-1, 3).tolist()}
+    here = {row for row in told if blind_row(planned, row) > 0.0}
+    assert {tuple(int(told[row][k : k + 2], 16) for k in (1, 3, 5)) for row in here} <= legend
+
+
+def blind_row(planned, what):
+    """Share of a row of blind.csv in the first posture under the chosen lights."""
+    with (planned.out / "blind.csv").open(encoding="utf-8", newline="") as file:
+        rows = [(row["postures"], row["lights"], row["what"], row["share"]) for row in csv.DictReader(file)]
+    return sum(float(row[3]) for row in rows if row[:3] == ("0,0", "chosen", what))
 
 
 def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot, monkeypatch):

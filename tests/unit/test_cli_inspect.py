@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import shutil
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from lightopt import load_part, load_rig
 from lightopt.cli._main import run
-from lightopt.images import read_exr, read_image_set, read_png, write_png
+from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata, write_png
+from lightopt.inspection import InspectOptions, manifest_sha256, provenance
 
 DEFECTS = """\
 defects:
@@ -83,6 +86,10 @@ def test_defects_are_found_where_they_are_and_told_in_every_file(cli, bench, par
         assert {s["posture"]["rotation_deg"] for s in stain["sightings"]} == {0.0, 170.0}
         dent = next(d for d in result["defects"] if d is not stain)
         assert dent["kind"] in ("shape", "unknown")
+        # both walls, though one has a glint many times as strong as what the other loses
+        assert math.dist(dent["position_mm"], truth[1]["position_mm"]) < 0.7
+        assert dent["size_mm"] == pytest.approx([5.0, 5.0], abs=1.5)
+        assert dent["area_mm2"] == pytest.approx(truth[1]["area_mm2"], rel=0.5)
     rows = list(csv.DictReader((bench.out / "defects.csv").read_text(encoding="utf-8").splitlines()))
     assert [int(row["number"]) for row in rows] == [d["number"] for d in result["defects"]]
     ply = (bench.out / "defects.ply").read_text(encoding="utf-8")
@@ -93,6 +100,11 @@ def test_defects_are_found_where_they_are_and_told_in_every_file(cli, bench, par
         assert overlay.size == (160, 120)
     synthetic = read_exr(bench.out / "posture_0_0" / "synthetic.exr")
     assert set(synthetic) == {"Y", "deviation.Y", "filled", "mask"}
+    told = read_png_metadata(bench.out / "posture_0_0" / "synthetic.png")
+    assert told["power"] == 1.0
+    grey = read_png(bench.out / "posture_0_0" / "synthetic.png")
+    expected = np.clip(synthetic["Y"] / told["white_level"], 0.0, 1.0) * 255.0
+    assert np.abs(grey - expected)[synthetic["mask"] > 0].max() < 0.6
     assert set(result["files"]) | {"defects.json"} == {
         p.relative_to(bench.out).as_posix() for p in bench.out.rglob("*") if p.is_file()
     }
@@ -111,6 +123,9 @@ def test_a_good_part_is_ok_and_the_surface_is_accounted_for(cli, bench, parts):
         assert surface["inspected"] > 0.5
         finds = list(surface["finds_contrast"].values())
         assert finds == sorted(finds)
+        classes = finds[-1] + surface["only_stronger"] + surface["only_glints"]
+        assert classes == pytest.approx(surface["inspected"], abs=1e-4)
+        assert 0.0 <= surface["fewer_lights"] < surface["inspected"]
         assert posture["gains"] == pytest.approx({"light1": 1.0, "light3": 1.0}, abs=0.01)
 
 
@@ -133,12 +148,40 @@ def test_other_results_are_replaced_only_with_force(cli, bench, parts, snapshot)
     assert not list(bench.out.rglob("synthetic.*"))
 
 
+def test_a_result_names_the_sets_before_it_whose_predictions_it_may_have(bench, parts, images):
+    rig, part = load_rig(bench.rig), load_part(bench.part)
+    good, bad = (read_image_set(parts[name]) for name in ("good", "bad"))
+
+    def made_from(image_set, *before, shift=True):
+        return provenance(
+            rig, part, [image_set], InspectOptions(shift=shift), before=list(map(manifest_sha256, before))
+        )
+
+    assert made_from(good, bad) != made_from(good)
+    # where the part lies exactly where its file has it, nothing is taken over
+    assert made_from(good, bad, shift=False) == made_from(good, shift=False)
+    # the same images, said to be of another exposure
+    manifest = images / "manifest.json"
+    manifest.write_text(
+        manifest.read_text(encoding="utf-8").replace('"exposure": 1', '"exposure": 2'), "utf-8"
+    )
+    assert read_image_set(images).images[0].exposure == 2
+    assert made_from(read_image_set(images)) != made_from(good)
+
+
 def test_limits_of_the_part_say_what_counts(cli, bench, parts):
     text = bench.part.read_text(encoding="utf-8")
     bench.part.write_text(text + "inspection: {most_defects: 1, least_size_mm: 20}\n", encoding="utf-8")
     assert inspect(cli, bench, parts["bad"], "--fail-on-defect", "--fusion", "none").status == 0
     assert found(bench)["verdict"] == "OK"
     assert len(found(bench)["defects"]) == 2
+    limits = {"most_defects": 1, "least_size_mm": 20.0, "least_contrast": 0.0, "least_inspected": 0.0}
+    assert found(bench)["limits"] == limits
+    rows = list(csv.DictReader((bench.out / "defects.csv").read_text(encoding="utf-8").splitlines()))
+    assert [row["counts"] for row in rows] == ["no", "no"]
+    page = (bench.out / "report.html").read_text(encoding="utf-8")
+    assert "1 defect allowed; one counts from 20 mm and a contrast of 0.0 % on" in page
+    assert "a defect shows in 2 images<" in page
     bench.part.write_text(text + "inspection: {most_defects: 5, least_inspected: 0.99}\n", encoding="utf-8")
     ran = inspect(cli, bench, parts["bad"], "--fail-on-defect", "--fusion", "none", "--force")
     assert ran.status == 1
@@ -166,6 +209,69 @@ def test_several_parts_get_a_folder_each(cli, bench, parts):
     assert "same folder name" in again.err
 
 
+@pytest.fixture
+def dazzled(images):
+    """A set that is saturated all over."""
+    manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
+    for image in manifest["images"]:
+        full = np.full((120, 160), 255, np.uint8)
+        image["sha256"]["png"] = write_png(images / image["png"], full, metadata={})
+    (images / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    return images.rename(images.with_name("dazzled"))
+
+
+def test_a_set_that_is_refused_is_told_and_the_others_go_on(cli, bench, parts, dazzled):
+    ran = inspect(cli, bench, [parts["good"], dazzled, parts["bad"]], "--fusion", "none", "--fail-on-defect")
+    assert ran.status == 2
+    assert "error: dazzled: not inspected: posture (0°, 0°): all" in ran.err
+    assert "error: 1 of 3 sets not inspected: dazzled" in ran.err
+    assert "/bad: NG, 2 defects that count, 0 allowed" in ran.err.replace("\\", "/")
+    assert "3 parts, 1 OK, 1 not inspected" in ran.out
+    lines = ran.out.splitlines()
+    begins = [lines.index(f"{name}:") for name in ("good", "dazzled", "bad")]
+    assert begins == sorted(begins)
+    assert lines[begins[0] + 1].startswith("posture")
+    batch = json.loads((bench.out / "batch.json").read_text(encoding="utf-8"))
+    assert [(one["folder"], one["verdict"]) for one in batch["sets"]] == [
+        ("good", "OK"),
+        ("dazzled", "not inspected"),
+        ("bad", "NG"),
+    ]
+    assert batch["sets"][1]["reasons"][0].startswith(
+        "dazzled, posture (0°, 0°): all"
+    )  # no folders of this machine
+    assert {p.name for p in bench.out.iterdir()} == {"good", "bad", "batch.json", "report.html"}
+    page = (bench.out / "report.html").read_text(encoding="utf-8")
+    for name in ("good", "bad"):
+        assert f'<a href="{name}/report.html">{name}</a>' in page
+        assert (bench.out / name / "report.html").exists()
+    assert "dazzled/report.html" not in page
+    assert "<td>not inspected</td><td>dazzled, posture (0°, 0°): all" in page
+    own = (bench.out / "good" / "report.html").read_text(encoding="utf-8")
+    assert "beneath is the least level over the lights" in own
+    assert "1 of 3</strong> parts are OK; 1 set not inspected" in page
+
+
+def test_a_refused_set_keeps_no_earlier_result_and_an_old_folder_is_asked_for_before_work(
+    cli, bench, parts, dazzled, tmp_path
+):
+    good = shutil.copytree(parts["good"], tmp_path / "other" / "dazzled")
+    assert inspect(cli, bench, [good, parts["bad"]], "--fusion", "none").status == 0
+    (bench.out / "batch.json").unlink()
+    ran = inspect(cli, bench, [parts["bad"], dazzled], "--fusion", "none")
+    assert ran.status == 2
+    assert "--force" in ran.err
+    assert ran.out == ""  # nothing was inspected
+    ran = inspect(cli, bench, [parts["bad"], dazzled], "--fusion", "none", "--force", "--quiet")
+    assert ran.status == 2
+    assert not (bench.out / "dazzled").exists()
+    assert found(bench, "out/bad")["verdict"] == "NG"
+    two = shutil.copytree(dazzled, tmp_path / "two")
+    assert inspect(cli, bench, [dazzled, two], "--truth", out="none").status == 2
+    batch = json.loads((bench.folder / "none" / "batch.json").read_text(encoding="utf-8"))
+    assert [one["verdict"] for one in batch["sets"]] == ["not inspected"] * 2
+
+
 def test_sets_of_a_batch_keep_their_own_postures_and_lights(cli, bench, parts, tmp_path):
     few = rendered(bench, tmp_path / "few", "--light", "light1", *FIRST)
     assert inspect(cli, bench, [few, parts["good"]], "--fusion", "none", out="up").status == 0
@@ -185,6 +291,58 @@ def test_what_a_set_lacks_is_said(cli, bench, tmp_path):
     assert "no image under light3" in ran.err
     assert "fewer images than the 2" in ran.err
     assert "posture (-10°, 170°): no images" in ran.err
+    assert "no images" in ran.out
+    surface = found(bench)["postures"][0]["surface"]
+    lit = surface["inspected"] - surface["only_glints"]
+    assert surface["fewer_lights"] == pytest.approx(lit, abs=2e-5)
+    assert lit > 0.5
+    page = (bench.out / "report.html").read_text(encoding="utf-8")
+    assert "a defect shows in 2 images, or in all where there are fewer<" in page
+
+
+def test_a_missing_posture_is_not_inspected(cli, bench, parts, tmp_path):
+    few = rendered(bench, tmp_path / "few", *FIRST)
+    assert inspect(cli, bench, [parts["good"], few], "--fusion", "none").status == 0
+    whole, half = (found(bench, f"out/{name}")["surface"] for name in ("good", "few"))
+    assert whole["missing"] == 0.0
+    assert half["seen"] == whole["seen"]
+    assert half["missing"] > 0.2
+    assert half["inspected"] < whole["inspected"]
+    for surface in (whole, half):
+        shares = [surface[key] for key in ("inspected", "saturated", "shadow", "edge", "missing")]
+        assert sum(shares) == pytest.approx(1.0, abs=1e-4)
+    page = (bench.out / "few" / "report.html").read_text(encoding="utf-8")
+    assert f"{100.0 * half['missing']:.1f} % of the visible surface has no images" in page
+    row = page.split("<td>all postures</td>")[1].split("</tr>")[0]
+    assert f"{100.0 * half['inspected']:.1f} %" in row
+    assert f"{100.0 * half['missing']:.1f} %" in row
+    assert "<th class=number>no images</th>" in page
+    page = (bench.out / "good" / "report.html").read_text(encoding="utf-8")
+    assert "<td>all postures</td>" in page
+    assert f"% of the part&#x27;s {whole['area_mm2']:.0f} mm² is never seen" in page
+    assert "no images" not in page
+    text = bench.part.read_text(encoding="utf-8")
+    least = 0.5 * (half["inspected"] + whole["inspected"])
+    bench.part.write_text(text + f"inspection: {{least_inspected: {least:.4f}}}\n", encoding="utf-8")
+    ran = inspect(cli, bench, [parts["good"], few], "--fusion", "none", "--fail-on-defect", "--force")
+    assert ran.status == 1
+    assert ran.err.count("NG, ") == 1
+    assert f"few: NG, {100.0 * half['inspected']:.1f} % of the visible surface was inspected" in ran.err
+
+
+def test_what_is_allowed_and_what_is_found_is_said(cli, bench, parts):
+    text = bench.part.read_text(encoding="utf-8")
+    bench.part.write_text(text + "inspection: {most_defects: 3, least_size_mm: 4.5}\n", encoding="utf-8")
+    ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--fail-on-defect", "--truth")
+    assert ran.status == 0
+    assert "OK: 1 defect that counts, 3 allowed\n" in ran.out
+    share = 100.0 * found(bench)["surface"]["finds_contrast"]["0.2"]
+    told = f"a disc of 5 px that changes the light by 20 % is found on {share:.1f} %"
+    assert told in ran.out
+    page = (bench.out / "report.html").read_text(encoding="utf-8")
+    assert "1 defect that counts, 3 allowed. 2 defects on the" in page
+    assert told in page
+    assert "0 shown by no pixel to judge; 0 false alarms per posture" in ran.out
 
 
 def flip(folder, axis):
@@ -220,10 +378,34 @@ def test_the_truth_of_a_run_goes_when_the_next_has_none(cli, bench, parts):
     assert (bench.out / "report.html").exists()
 
 
-def test_labels_are_asked_for_where_there_are_none(cli, bench, parts):
-    ran = inspect(cli, bench, parts["good"], "--fusion", "none", "--truth")
-    assert ran.status == 2
-    assert "nothing is known of defects on this part" in ran.err
+def test_a_set_rendered_without_defects_counts_with_its_false_alarms_alone(cli, bench, parts):
+    bench.part.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
+    ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--truth")
+    assert ran.status == 0, ran.err
+    assert "2 of 2 defects found" in ran.out
+    told = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
+    assert told["labels"] == ["images", "no defects"]
+    assert [(one["set"], one["labels"], one["defects"]) for one in told["sets"]] == [
+        ("good", "no defects", 0),
+        ("bad", "images", 2),
+    ]
+    assert [(one["set"], one["name"], sorted(one["posture"])) for one in told["each"]] == [
+        ("bad", name, ["elevation_deg", "rotation_deg"]) for name in ("stain", "dent")
+    ]
+
+
+def test_what_cannot_be_known_is_refused_before_any_work(cli, bench, parts, images, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("inspected")
+
+    monkeypatch.setattr("lightopt.inspection.inspect_set", never)
+    manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
+    (images / "manifest.json").write_text(json.dumps({**manifest, "part": None, "lightopt": None}), "utf-8")
+    for sets in (images, [parts["bad"], images]):
+        ran = inspect(cli, bench, sets, "--truth")
+        assert ran.status == 2
+        assert "nothing is known of defects on this part" in ran.err
+        assert not bench.out.exists()
 
 
 def test_a_flood_of_regions_is_refused_as_another_part(cli, bench, parts, monkeypatch):
@@ -241,6 +423,31 @@ def test_mirrored_images_are_refused_with_what_would_fit(cli, bench, images):
     assert "do not look like this part" in ran.err
     assert "mirrored left to right" in ran.err
     assert not bench.out.exists() or not list(bench.out.iterdir())
+
+
+def test_black_images_are_called_black(cli, bench, images):
+    manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
+    for image in manifest["images"]:
+        dark = np.zeros((120, 160), np.uint8)
+        image["sha256"]["png"] = write_png(images / image["png"], dark, metadata={})
+    (images / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    ran = inspect(cli, bench, images)
+    assert ran.status == 2
+    assert "posture (0°, 0°): the images do not look like this part" in ran.err
+    assert "they are black: " in ran.err
+
+
+def test_a_black_level_that_is_off_is_told(cli, bench, images):
+    manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
+    for image in manifest["images"]:
+        levels = np.minimum(read_png(images / image["png"]).astype(np.int64) + 9, 255).astype(np.uint8)
+        image["sha256"]["png"] = write_png(images / image["png"], levels, metadata={})
+    (images / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    ran = inspect(cli, bench, images, "--fusion", "none")
+    assert ran.status == 0
+    told = re.search(r"black is ([0-9.]+) sensor levels above the rig's black_level of 0; judged", ran.err)
+    assert told is not None
+    assert float(told.group(1)) == pytest.approx(9.0, abs=0.7)
 
 
 def test_images_that_are_saturated_all_over_are_refused(cli, bench, images):

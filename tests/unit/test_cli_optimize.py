@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from lightopt.cli._main import run
 from lightopt.config import load_rig
 from lightopt.images import read_image_set, read_png
 from lightopt.optimize import OptimizeOptions, optimize
+
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 LIGHTS = """\
 lights:   # three of them
@@ -195,9 +198,29 @@ def test_patches_that_are_too_coarse_are_told(three, cli):
     trimesh.creation.box((40, 30, 10)).export(three.mesh)
     coarse = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--patches", "12")
     assert "patches have edges up to" in coarse.err
-    assert "Raise --patches" in coarse.err
-    fine = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--patches", "20000", "--force")
+    # the number that it names is enough
+    number = re.search(r"whole patches\. --patches (\d+) cuts them to 7\.6 mm or less", coarse.err)
+    assert number is not None, coarse.err
+    fine = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--patches", number[1], "--force")
     assert "patches have edges" not in fine.err
+
+
+def test_a_step_part_of_many_triangles_says_how_to_have_fewer(three, cli):
+    shutil.copyfile(CONFIGS / "parts" / "cover-knob.step", three.folder / "knob.step")
+    three.edit("part.yaml", "knob.stl", "knob.step")
+    few = ("--step", "20", "--no-images", "--no-report", "--posture", "0,0", "--patches", "500")
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *few)
+    told = re.search(r"visible patches of .*; ([\d,]+) of the mesh's own triangles may show", ran.out)
+    assert told is not None, ran.out
+    many = int(told[1].replace(",", ""))
+    assert many > 500
+    three.edit("part.yaml", "knob.step", "knob.step, chord_tolerance_mm: 0.5")
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--force")
+    assert ran.status == 0, ran.err
+    assert "the mesh's own triangles" not in ran.out
+    assert (
+        int(re.search(r"([\d,]+) visible patches", ran.out)[1].replace(",", "")) <= 750
+    )  # half as many cuts beside them
 
 
 def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli, snapshot):
@@ -235,6 +258,8 @@ def test_common_lights_and_common_elevation(three, cli):
     assert (ran.status, ran.err) == (0, "")
     result = result_of(three.out)
     assert [len(group["postures"]) for group in result["results"]] == [2]
+    # a set for many postures is one narrow cell
+    assert any(line.startswith("all 2    paper ") for line in ran.out.splitlines())
     (answer,) = result["results"][0]["objectives"]
     assert answer["lights"][0]["elevation_deg"] == answer["lights"][2]["elevation_deg"]
     assert answer["combinations"]["total"] == 4 * 3

@@ -9,7 +9,11 @@ from pathlib import Path
 import pytest
 
 from lightopt.cli._main import run
+from lightopt.cli._plan_tables import show_plan
 from lightopt.config import load_part, load_rig
+from lightopt.images import read_image_set
+from lightopt.plan import Brackets, PlanResult, Shot
+from lightopt.transforms import Posture
 
 LIGHTS = """\
 lights:
@@ -32,6 +36,10 @@ PLAN = (
     "1,1/16",
     "--tolerance-deg",
     "4",
+    "--objective",
+    "detectability",
+    "--objective",
+    "coverage",
 )
 
 
@@ -71,16 +79,24 @@ def test_the_result_says_postures_gains_and_bounds(planned):
     assert first["gain"] == first["share"]
     assert second["share"] == pytest.approx(first["gain"] + second["gain"], abs=2e-6) == chosen["share"]
     assert chosen["share"] <= chosen["bound"] <= chosen["all_candidates"] + 1e-9
-    assert chosen["greedy_guarantee"] == 0.75
+    assert chosen["greedy_guarantee"] == pytest.approx(chosen["share"] / chosen["bound"], abs=2e-6)
+    assert chosen["optimum"] == "local"
     # 0° and ±45°, four turns, and the one of the part's own that is off this grid
     assert chosen["candidates"] + len(chosen["left_out"]) == 3 * 4 + 1
     assert chosen["every_combination_tried"] is True
     assert str(planned.folder) not in json.dumps(result)
     # the lights that go with them
-    angles = result["results"][0]["objectives"][0]["lights"]
+    answer = result["results"][0]["objectives"][0]
+    angles = answer["lights"]
     rig = load_rig(planned.out / "rig.optimized.yaml")
     assert [light.elevation_deg for light in rig.lights] == [light["elevation_deg"] for light in angles]
     assert result["options"]["choose_postures"] == 2
+    # proven of the lights in these postures only, as the postures' own section has it; others were not counted
+    assert answer["proven"] is chosen["lights_best_for_postures"]
+    assert answer["proven_of"].startswith("positions of the lights in these postures")
+    assert (answer["bound"] == answer["score"]) is answer["proven"]
+    assert (answer["ties"], answer["runner_up"], answer["combinations"]) == (None, None, None)
+    assert "complete" not in answer
 
 
 def test_the_part_has_the_planned_postures_and_all_its_comments(planned):
@@ -88,31 +104,88 @@ def test_the_part_has_the_planned_postures_and_all_its_comments(planned):
     order = result_of(planned.out)["chosen_postures"]["order_of_travel"]
     assert [p.model_dump() for p in part.postures] == order
     text = (planned.out / "part.planned.yaml").read_text(encoding="utf-8")
-    assert (
-        "# as before\n# planned by: lightopt optimize --choose-postures 2 --posture-step 90\npostures:\n"
-        in text
-    )
+    (asked,) = (line for line in text.splitlines() if line.startswith("# planned by: "))
+    assert f"# as before\n{asked}\npostures:\n" in text
+    # the whole command, but for where the files lie
+    words = shlex.split(asked.removeprefix("# planned by: "))
+    assert words[:4] == ["lightopt", "optimize", "rig.yaml", "part.yaml"]
+    assert sorted(words[4:]) == sorted(word.replace("1/16", "0.0625") for word in PLAN)
     assert CATALOGUE in text
+
+
+def test_the_way_takes_as_long_as_the_capture_says(planned, cli):
+    chosen = result_of(planned.out)["chosen_postures"]
+    assert chosen["travel_pace"].startswith("at 90°/s of the virtual bench")
+    ran = cli("capture", planned.out / "rig.optimized.yaml", planned.out / "part.planned.yaml", "--dry-run")
+    assert f", {chosen['travel_s']:.1f} s of them travel" in ran.out
+    moves = [line for line in ran.out.splitlines() if "  move to " in line]
+    told = [f"({p['elevation_deg']:g}°, {p['rotation_deg']:g}°)" for p in chosen["order_of_travel"]]
+    assert [line.split("move to ")[1] for line in moves] == told
+    assert sum(float(line.split()[1]) for line in moves) == pytest.approx(chosen["travel_s"], abs=0.02)
 
 
 def test_exposures_say_what_they_add(planned):
     exposures = result_of(planned.out)["exposures"]
     chosen = result_of(planned.out)["chosen_postures"]
-    # postures and lights are chosen for what any of the exposures shows; not all of them are worth taking
-    assert chosen["with_any_of_exposures"] == [1.0, 0.0625]
-    assert exposures["share_without"] < exposures["share"] <= chosen["share"]
+    # bounds are of what any of the exposures shows, the share of what is planned and of nothing else
+    assert chosen["bounds_with_any_of_exposures"] == [1.0, 0.0625]
+    assert (
+        exposures["share_without"] <= exposures["share"] == chosen["share"] == chosen["postures"][-1]["share"]
+    )
+    for one in chosen["postures"]:
+        posture = {axis: one[axis] for axis in ("elevation_deg", "rotation_deg")}
+        planned_ones = [s["exposure"] for s in exposures["shots"] if s["planned"] and s["posture"] == posture]
+        assert one["exposures"] == [1.0, *planned_ones]
     assert [shot["exposure"] for shot in exposures["shots"]] == [0.0625, 0.0625]
     gains = sum(shot["gain"] for shot in exposures["shots"] if shot["planned"])
     assert exposures["share"] == pytest.approx(exposures["share_without"] + gains, abs=3e-6)
     assert all(shot["planned"] == (shot["gain"] >= 0.01) for shot in exposures["shots"])
 
 
+def test_there_is_one_share_of_the_plan_and_it_is_said_of_what(planned):
+    result = result_of(planned.out)
+    chosen, exposures = result["chosen_postures"], result["exposures"]
+    first = result["results"][0]["objectives"][0]
+    assert first["share_of_visible_area"] == chosen["share"] == exposures["share"]
+    assert first["share_of"] == chosen["shares_of"] == exposures["shares_of"]
+    # entries of the catalogue weigh the same
+    assert first["share_of_visible_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
+    page = (planned.out / "report.html").read_text(encoding="utf-8")
+    assert f"({100.0 * chosen['share']:.1f} %)" in page
+
+
+def test_other_objectives_are_searched_in_the_chosen_postures(planned):
+    result = result_of(planned.out)
+    first, other = result["results"][0]["objectives"]
+    assert (other["objective"], other["combinations"]["scored"], other["proven"]) == ("coverage", 4, True)
+    assert other["score"] >= first["scores_under"]["coverage"]
+    assert other["runner_up"]["score"] <= other["score"]
+    # where the lights serve the plan best, those of another objective show no more
+    assert result["chosen_postures"]["lights_best_for_postures"]
+    assert other["scores_under"]["detectability"] <= first["score"] == first["scores_under"]["detectability"]
+    assert [light["positions_deg"] for light in result["candidates"]] == [
+        [[50.0, 45.0], [60.0, 45.0]],
+        [[40.0, 225.0], [50.0, 225.0]],
+    ]
+
+
+def test_curves_go_through_the_plan(planned):
+    group = result_of(planned.out)["results"][0]
+    best = group["objectives"][0]
+    angles = {light["light"]: light["elevation_deg"] for light in best["lights"]}
+    alone = [curve for curve in group["curves"] if curve["light"] is not None]
+    assert [curve["light"] for curve in alone] == ["light1", "light2"]
+    for curve in alone:
+        at = dict(zip(curve["angles_deg"], curve["scores"], strict=True))
+        assert at[angles[curve["light"]]] == best["score"] == max(at.values())
+
+
 def test_blind_spots_are_those_of_the_whole_plan(planned):
     result = result_of(planned.out)
     spots, chosen, exposures = result["blind_spots"], result["chosen_postures"], result["exposures"]
-    # the same pairs, as a share of the whole surface; patches are cut anew for the chosen postures
+    # the same pairs of the same patches, as a share of the whole surface
     seen = exposures["share"] * chosen["visible_share_of_surface"]
-    assert spots["chosen"]["seen"] == pytest.approx(seen, rel=0.05)
+    assert spots["chosen"]["seen"] == pytest.approx(seen, abs=3e-6)
     # the lights stand where they were chosen to, and what other positions could show is still told
     assert spots["any_position"]["seen"] > spots["chosen"]["seen"]
     for part in (spots, *spots["postures"]):
@@ -182,14 +255,151 @@ def test_lights_that_do_not_move_are_taken_as_they_stand(two, cli):
     assert [light.elevation_deg for light in load_rig(two.out / "rig.optimized.yaml").lights] == [60, 50]
 
 
+@pytest.mark.parametrize("reach", ["", ", elevation_range_deg: [50, 60]"])
+def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
+    first, *_, last = LIGHTS.splitlines(keepends=True)
+    alone = first + last.replace("light2", "light1").replace(", elevation_range_deg: [40, 50]", reach)
+    two.edit("rig.yaml", LIGHTS, alone)
+    asked = ("--patches", "200", "--step", "10", "--choose-postures", "2", "--posture-step", "90")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, "--seen-in", "2", "--tolerance-deg", "1")
+    assert ran.status == 0, ran.err
+    assert "2 postures of 13 show" in ran.out
+    result = result_of(two.out)
+    # either posture confirms what the other shows
+    assert result["chosen_postures"]["share"] > 0.0
+    first = result["results"][0]["objectives"][0]
+    assert first["share_of_visible_area"] == result["chosen_postures"]["share"]
+    assert [light["light"] for light in first["lights"]] == ["light1"]
+    seen = result["chosen_postures"]["share"] * result["chosen_postures"]["visible_share_of_surface"]
+    assert result["blind_spots"]["chosen"]["seen"] == pytest.approx(seen, abs=3e-6)
+    assert [len(one["postures"]) for one in result["trust"]] == [2]
+    assert result["overlaps"] == []
+    page = (two.out / "report.html").read_text(encoding="utf-8")
+    assert "highlights together" not in page
+
+
 @pytest.mark.slow
 def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--target", "0.999", "--posture-step", "90")
     assert ran.status == 1
-    assert "99.9 % of the surface × defects cannot be reached" in ran.err
+    assert (
+        "99.9 % of the surface × defects is not reached: with the best lights found (others may show more)"
+        in ran.err
+    )
     assert "postures together show" in ran.err
     assert "contrast under noise" in ran.err
+    # 400 patches are fewer than are drawn: what no posture shows is there, and no part of what the shares are of
+    assert "never seen by the camera" not in ran.err
     assert not two.out.exists()
+    # what can be had: so many postures, and what they show
+    lines = ran.out.splitlines()
+    start = next(i for i, line in enumerate(lines) if line.split()[:1] == ["postures"])
+    end = next(i for i, line in enumerate(lines) if line.startswith("at least: "))
+    assert lines[start].endswith("show at least  with these lights at most")
+    shares = [float(line.split()[-4]) for line in lines[start + 1 : end]]
+    bounds = [float(line.split()[-2]) for line in lines[start + 1 : end]]
+    assert len(shares) >= 2
+    assert shares == sorted(shares)
+    assert all(share <= bound for share, bound in zip(shares, bounds, strict=True))
+    assert f"postures together show {shares[-1]:.1f} %" in ran.err
+
+
+def test_a_number_of_postures_shows_at_least_what_a_target_beyond_reach_says(two, cli):
+    few = ("--patches", "100", "--step", "10", "--no-images", "--posture-step", "90", "--no-report")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--target", "1", "--quiet")
+    assert ran.status == 1
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--target", "1")
+    row = next(line for line in ran.out.splitlines() if line.startswith("2 "))
+    told = float(row.split()[-4])
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "2")
+    assert ran.status == 0, ran.err
+    assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= told - 0.05
+
+
+def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(two, cli):
+    few = ("--patches", "100", "--step", "10", "--no-images", "--posture-step", "90", "--no-report")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "30")
+    assert ran.status == 0, ran.err
+    assert "13 postures to choose from, fewer than the 30 that were asked for, 0 left out" in ran.out
+    chosen = result_of(two.out)["chosen_postures"]
+    assert chosen["asked"] == 30
+    number, first = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
+    why = "there are no others" if number == 13 else "no other adds anything with these lights"
+    assert f"30 postures were asked for: {why}" in ran.out
+    shares = [one["share"] for one in chosen["postures"]]
+    assert shares[first - 1] >= shares[-1] - 0.001 - 1e-6
+    assert first == 1 or shares[first - 2] < shares[-1] - 0.001 + 1e-6
+    assert (first < number) == (f"--choose-postures {first} does nearly as well" in ran.out)
+    # how large the patches are that all this is told on
+    assert chosen["patches"]["max_edge_mm"] > 1.0
+    points = f"{100.0 * chosen['patches']['grain']:.1g} points"
+    assert f"each seen or not as its middle is: shares may be off by some {points}" in ran.out
+    assert 0.01 < chosen["patches"]["grain"] < 0.1
+
+
+@pytest.mark.slow
+def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
+    asked = ("--patches", "300", "--step", "15", "--choose-postures", "2", "--posture-step", "90")
+    offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.2")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, *offer, "--no-report")
+    assert ran.status == 0, ran.err
+    result = result_of(two.out)
+    expected = {
+        (Posture.from_dict(one), exposure)
+        for one in result["chosen_postures"]["postures"]
+        for exposure in one["exposures"]
+    }
+    assert len(expected) > 2, "exposures are planned beside 1"
+    taken = [
+        (entry.posture, entry.exposure)
+        for listed in result["images"]
+        for entry in read_image_set(two.out / listed["folder"]).images
+    ]
+    assert set(taken) == expected
+    assert len(taken) == 2 * len(expected)
+
+
+@pytest.mark.slow
+def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
+    asked = ("--patches", "300", "--step", "10", "--common-lights")
+    offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.6")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, *offer)
+    assert ran.status == 0, ran.err
+    result = result_of(two.out)
+    planned_ones: dict[Posture, list[float]] = {p: [1.0] for p in (Posture(0.0, 0.0), Posture(-10.0, 170.0))}
+    for shot in result["exposures"]["shots"]:
+        planned_ones[Posture.from_dict(shot["posture"])] += [shot["exposure"]] * shot["planned"]
+    assert sorted(map(len, planned_ones.values())) == [2, 3], "their exposures differ"
+    taken: dict[Posture, set[float]] = {}
+    for listed in result["images"]:
+        for entry in read_image_set(two.out / listed["folder"]).images:
+            taken.setdefault(entry.posture, set()).add(entry.exposure)
+            assert entry.exposure in listed["exposures"]
+    assert {posture: set(levels) for posture, levels in planned_ones.items()} == taken
+    assert len(result["overlaps"]) == 5
+    for overlap in result["overlaps"]:
+        assert (two.out / overlap["map"]).is_file()
+        assert overlap["exposure"] in planned_ones[Posture.from_dict(overlap["posture"])]
+    page = (two.out / "report.html").read_text(encoding="utf-8")
+    assert "What the camera would deliver at the planned exposures" in page
+    assert page.count(", exposure 0.0625<") == 2
+    assert page.count(", exposure 8<") == 1
+    # each command begins at (0°, 0°) and takes its own postures
+    captures = [one["command"] for one in result["rounds"]]
+    assert captures == [text for text in result["commands"] if text.startswith("lightopt capture")]
+    assert len(captures) == 2
+    for number, one in enumerate(result["rounds"], start=1):
+        words = shlex.split(one["command"])[2:]
+        words[:2] = [str(two.out / word) for word in words[:2]]
+        ran_dry = cli("capture", *words, "--dry-run")
+        assert f", {one['travel_s']:.1f} s of them travel" in ran_dry.out
+        assert f"stage, capture {number}: " in ran.out
+    total = sum(one["travel_s"] for one in result["rounds"])
+    assert f"together {total:.1f} s of travel" in ran.out
+    # nothing of it stays where another plan has other image sets
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, "--force")
+    assert ran.status == 0, ran.err
+    assert sorted(path.name for path in two.out.glob("images*")) == ["images"]
 
 
 @pytest.mark.slow
@@ -208,7 +418,23 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
     chosen = result_of(two.out)["chosen_postures"]
     assert chosen["share"] >= 0.3
     assert 1 <= chosen["fewest_possible"] <= len(chosen["postures"])
-    assert "30.0 % takes at least" in ran.out
+    assert "30 % takes at least" in ran.out
+    assert "1 combination at most" not in ran.out, "nothing is searched a second time"
+
+
+@pytest.mark.parametrize(
+    ("why", "expected"),
+    [
+        ("gain", "each adding 1.00 % or more: 90.0 %"),
+        ("pair", "each adding 1.00 % or more, or two that add twice that together: 90.0 %"),
+        ("target", "each adding 1.00 % or more, or needed for the target: 90.0 %"),
+    ],
+)
+def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
+    shots = (Shot(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, why=why),)
+    brackets = Brackets(before=0.9, after=0.904, shots=shots, least_gain=0.01)
+    show_plan(PlanResult(brackets=brackets), Path("out"))
+    assert f"1 further exposure planned, {expected}" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -241,7 +467,8 @@ def test_tolerances_of_another_objective(two, cli):
             ("--target", "0"),
             "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found 0",
         ),
-        (("--target", "95"), "found 95"),
+        (("--target", "95"), "such as 0.95, found 95; 95 % is --target 0.95"),
+        (("--target", "950"), "such as 0.95, found 950\n"),
         (
             ("--choose-postures", "1", "--posture-step", "0"),
             "--posture-step: expected degrees above 0, found 0",
@@ -263,11 +490,26 @@ def test_tolerances_of_another_objective(two, cli):
             ("--tolerance-deg", "2", "--tolerance-target", "1"),
             "--tolerance-target: expected a share of the score",
         ),
-        (("--choose-postures", "1", "--posture", "0,0"), "leave --posture or --choose-postures out"),
+        (("--choose-postures", "1", "--posture", "0,0"), "leave --posture out, or --choose-postures"),
+        (
+            ("--target", "0.5", "--posture", "0,0"),
+            "--posture: given together with --target, by which postures",
+        ),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
         (("--choose-postures", "2", "--seen-in", "0"), "--seen-in: expected the number of images"),
         (("--exposures", "1/4", "--seen-in", "0"), "--seen-in: expected the number of images"),
-        (("--choose-postures", "2", "--seen-in", "3"), "--seen-in: expected at most 2, the number of lights"),
+        (
+            ("--choose-postures", "2", "--seen-in", "5"),
+            "--seen-in: expected at most 4, the number of images of the plan: 2 lights × 2 postures at most",
+        ),
+        (
+            ("--target", "0.5", "--posture-step", "90", "--seen-in", "27"),
+            "--seen-in: expected at most 26, the number of images of the plan: 2 lights × 13 postures at most",
+        ),
+        (
+            ("--choose-postures", "1", "--objective", "detectability", "--objective", "paper"),
+            "objective paper drops each patch's highest and lowest level, and with 2 lights nothing is left",
+        ),
         (
             ("--exposures", "1,1/4", "--seen-in", "9"),
             "2 lights × 2 postures, further exposures of the same light",

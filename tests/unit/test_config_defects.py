@@ -147,7 +147,12 @@ def test_a_catalogue_names_kinds_and_no_places(bench):
     bench.part.write_text(
         bench.part.read_text(encoding="utf-8").rpartition("defect_cat")[0], encoding="utf-8"
     )
-    assert 'unknown key "at_mm"' in refused(bench, defect_catalogue=[GOOD[0]])
+    said = refused(bench, defect_catalogue=[GOOD[0]])
+    assert (
+        'unknown key "at_mm"; it belongs to the entries of defects: remove it, or move the entry there'
+        in said
+    )
+    assert "depth_mm" not in said
 
 
 def test_no_kind_of_error_falls_through(tmp_path):
@@ -182,9 +187,11 @@ def test_a_file_that_nothing_can_be_added_to_is_refused(text):
 
 def test_what_the_documentation_shows_is_read(bench):
     page = (Path(__file__).parents[2] / "docs" / "defects.md").read_text(encoding="utf-8")
-    (snippet,) = re.findall(r"^```yaml\n(.*?)^```", page, re.M | re.S)
-    bench.part.write_text(bench.part.read_text(encoding="utf-8") + snippet, encoding="utf-8")
-    assert [d.shape.kind for d in load_part(bench.part).defects] == ["scratch", "dent", "stain"]
+    snippets = re.findall(r"^```yaml\n(.*?)^```", page, re.M | re.S)
+    bench.part.write_text(bench.part.read_text(encoding="utf-8") + "".join(snippets), encoding="utf-8")
+    part = load_part(bench.part)
+    assert [d.shape.kind for d in part.defects] == ["scratch", "dent", "stain"]
+    assert [one.shape.kind for one in part.defect_catalogue or ()] == ["scratch", "dent", "stain"]
     for entry in BUILT_IN_CATALOGUE:
         row = next(
             line for line in page.splitlines() if line.startswith(f"| {entry.name} |") and "why" not in line

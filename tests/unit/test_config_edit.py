@@ -59,29 +59,27 @@ postures:   # two
 
 
 @pytest.mark.parametrize(
-    ("there", "rest"),
+    ("there", "beside"),
     [
-        ("postures: [{elevation_deg: 0, rotation_deg: 0}]   # the usual\n", "   # the usual\n"),
-        (
-            BLOCK,
-            "\n",
-        ),
-        ("postures:\n- {elevation_deg: 0,\n   rotation_deg: 0}\n", "\n"),
+        ("postures: [{elevation_deg: 0, rotation_deg: 0}]   # the usual\n", "   # the usual"),
+        ("postures: [\n  {elevation_deg: 0, rotation_deg: 0} # one\n]  # all\n", "  # all"),
+        (BLOCK, "   # two"),
+        ("postures:\n- {elevation_deg: 0,\n   rotation_deg: 0}   # of this one only\n", ""),
+        ("postures:  # a 'b': c\n\n  - elevation_deg: 1\n    rotation_deg: 3  # of it\n", "  # a 'b': c"),
     ],
 )
-def test_a_list_takes_the_place_of_another(there, rest):
+def test_a_list_takes_the_place_of_another_and_only_its_own_comment_stays(there, beside):
     before, after = "# a part\nformat: x   # one\n", "# next comes\nreflectance: {R_d: 1}   # all\n"
     new = ["{elevation_deg: 5, rotation_deg: 6}", "{elevation_deg: 7, rotation_deg: 8}"]
     done = with_list(before + there + after, "postures", new, comment="planned", replace=True)
-    block = f"# planned\npostures:\n  - {new[0]}\n  - {new[1]}"
-    assert done == before + block + rest + after
+    block = f"# planned\npostures:{beside}\n  - {new[0]}\n  - {new[1]}\n"
+    assert done == before + block + after
     with pytest.raises(InputError, match="it has such a key"):
         with_list(before + there + after, "postures", new, comment="planned")
     # at the end of the file, and where there is none yet
-    assert (
-        with_list(before + there, "postures", new, comment="planned", replace=True) == before + block + rest
-    )
-    assert with_list(before, "postures", new, comment="planned", replace=True) == f"{before}\n{block}\n"
+    assert with_list(before + there, "postures", new, comment="planned", replace=True) == before + block
+    plain = block.replace(beside, "") if beside else block
+    assert with_list(before, "postures", new, comment="planned", replace=True) == f"{before}\n{plain}"
 
 
 @pytest.mark.parametrize(

@@ -470,6 +470,13 @@ BAD_PARTS = [
     ("units: mm", "units: miles", "mesh.units", ["um, mm, cm, m, inch or ft", '"miles"']),
     ("units: mm", "normals: flat\n  units: mm", "mesh.normals", ["smooth or facet", '"flat"']),
     ("units: mm", "units: mm\n  crease_angle_deg: 0", "+mesh.crease_angle_deg", ["above 0, up to 180"]),
+    ("units: mm", "units: mm\n  chord_tolerance_mm: 0.1", "+mesh.chord_tolerance_mm", ["belongs to STEP"]),
+    (
+        "knob.stl\n  units: mm",
+        "knob.step\n  chord_tolerance_mm: 0",
+        "+mesh.chord_tolerance_mm",
+        ["0.0001 to 10"],
+    ),
     ("units: mm", "units: mm\n  max_triangles: 1.5", "+mesh.max_triangles", ["whole number", "1.5"]),
     ("knob.stl\n  units: mm", "knob.glb\n  units: mm", "+mesh.units", [".glb is in metres", "found mm"]),
     ("knob.stl\n  units: mm", "knob.step\n  units: m", "+mesh.units", ["found m", "is in mm", "remove"]),

@@ -20,9 +20,8 @@ from lightopt.config import (
     StageDeviceConfig,
     TemplateConfig,
     TimingConfig,
+    copied_text,
     load_rig,
-    relocated,
-    with_values,
 )
 from lightopt.errors import InputError
 from lightopt.hardware import light_drivers
@@ -349,10 +348,10 @@ def test_a_copy_elsewhere_still_finds_the_folder_to_replay(tmp_path: Path, where
     rig = load_rig(write(tmp_path, RIG))
     home = tmp_path / where
     home.mkdir(parents=True, exist_ok=True)
-    values = relocated(rig, home)
-    assert (values == {}) == (where == ".")
+    text = copied_text(rig, home)
+    assert (text == RIG) == (where == ".")
     copy = home / "copy.yaml"
-    copy.write_text(with_values(RIG, values), encoding="utf-8")
+    copy.write_text(text, encoding="utf-8")
     again = load_rig(copy)
     assert again.hardware is not None
     assert (
@@ -361,8 +360,28 @@ def test_a_copy_elsewhere_still_finds_the_folder_to_replay(tmp_path: Path, where
 
 
 def test_a_rig_that_names_no_files_is_copied_as_it_is(tmp_path: Path) -> None:
-    assert relocated(load_rig(CONFIGS / "rigs" / "four-panel-serial.yaml"), tmp_path) == {}
-    assert relocated(load_rig(CONFIGS / "rigs" / "four-panel.yaml"), tmp_path) == {}
+    for name in ("four-panel-serial.yaml", "four-panel.yaml"):
+        rig = load_rig(CONFIGS / "rigs" / name)
+        comment, rest = rig.source.text.split("\n", 1)
+        assert "$schema=" in comment
+        assert copied_text(rig, tmp_path).split("\n", 1)[1] == rest
+
+
+@pytest.mark.parametrize("where", [".", "out", "out/deeper"])
+def test_the_schema_that_editors_read_is_found_from_a_copy(tmp_path: Path, where: str) -> None:
+    schema = tmp_path / "schema" / "rig.json"
+    schema.parent.mkdir()
+    schema.write_text("{}", encoding="utf-8")
+    rig = load_rig(write(tmp_path, "# yaml-language-server: $schema=schema/rig.json\n" + RIG))
+    first, rest = copied_text(rig, tmp_path / where).split("\n", 1)
+    assert (tmp_path / where / first.partition("$schema=")[2]).resolve() == schema.resolve()
+    assert rest.startswith(RIG.split("\n", 1)[0])
+
+
+@pytest.mark.parametrize("name", ["https://example.org/rig.json", "not/there.json"])
+def test_a_schema_that_is_no_file_stays_as_it_is_named(tmp_path: Path, name: str) -> None:
+    rig = load_rig(write(tmp_path, f"# yaml-language-server: $schema={name}\n" + RIG))
+    assert copied_text(rig, tmp_path / "out").startswith(f"# yaml-language-server: $schema={name}\n")
 
 
 # ---- whatever is written there, it is told in messages with a line

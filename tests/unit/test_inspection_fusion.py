@@ -100,3 +100,123 @@ def test_one_image_alone_is_given_back():
     for fusion in FUSIONS:
         found = fuse_images(level, 0.1 * ones, ones, MASK, fusion=fusion, probes=0)
         assert np.allclose(found.level[MASK], level[0][MASK], atol=1e-3)
+
+
+def plain_paper(levels, deviations, weights, axis):
+    """The paper's rule as it reads, pixel by pixel: kept where another image has a gradient of half the size nearby."""
+    from lightopt.inspection._fusion import Edges
+
+    edges = Edges.of(weights, deviations, axis)
+    noise = edges.noise.astype(np.float64)
+    gradient = np.where(edges.usable, np.diff(levels, axis=2 if axis == 1 else 1), 0.0).astype(np.float64)
+    result = np.zeros(gradient.shape[1:])
+    for y, x in np.ndindex(*result.shape):
+        voices = np.flatnonzero(edges.usable[:, y, x])
+        kept = []
+        for i in voices:
+            near = (slice(max(y - 1, 0), y + 2), slice(max(x - 1, 0), x + 2))
+            others = [np.abs(gradient[(k, *near)]).max() for k in voices if k != i]
+            size = abs(gradient[i, y, x])
+            if not others or max(others) >= 0.5 * size - 2.0 * noise[i, y, x]:
+                kept.append(gradient[i, y, x])
+        result[y, x] = np.mean(kept) if kept else 0.0
+    return result, edges
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("images", [1, 2, 4])
+def test_the_papers_rule_is_what_it_reads(axis, images):
+    from lightopt.inspection._fusion import fuse_gradients
+
+    rng = np.random.default_rng(images)
+    shape = (images, 70, 23)
+    levels = rng.normal(50, 6, shape).astype(np.float32)
+    levels[rng.random(shape) < 0.1] += 60
+    weights = np.where(rng.random(shape) < 0.3, 0, rng.random(shape)).astype(np.float32)
+    deviations = rng.uniform(0.5, 2, shape).astype(np.float32)
+    expected, edges = plain_paper(levels, deviations, weights, axis)
+    for threads in (1, 3):
+        found = fuse_gradients(levels, edges, fusion="paper", threads=threads)
+        assert np.allclose(found, expected, rtol=1e-12, atol=1e-12)
+    assert np.all(found[edges.unknown] == 0)
+
+
+def plain_choice(levels, deviations, weights, axis, fusion):
+    """The other rules as they read, pixel by pixel."""
+    from lightopt.inspection._fusion import Edges
+
+    edges = Edges.of(weights, deviations, axis)
+    gradient = np.diff(levels, axis=2 if axis == 1 else 1).astype(np.float64)
+    result = np.zeros(gradient.shape[1:])
+    for place in np.ndindex(*result.shape):
+        own = gradient[(slice(None), *place)][edges.usable[(slice(None), *place)]]
+        if not len(own):
+            continue
+        by_size = own[np.argsort(np.abs(own))]
+        result[place] = {
+            "median": np.median(own),
+            "minimum": by_size[0],
+            "second-largest": by_size[max(len(own) - 2, 0)],
+        }[fusion]
+    return result, edges
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("fusion", ["median", "minimum", "second-largest"])
+def test_rules_that_choose_are_what_they_read(axis, fusion):
+    from lightopt.inspection._fusion import fuse_gradients
+
+    rng = np.random.default_rng(8)
+    shape = (4, 70, 23)
+    levels = rng.normal(50, 6, shape).astype(np.float32)
+    weights = np.where(rng.random(shape) < 0.4, 0, 1).astype(np.float32)
+    expected, edges = plain_choice(levels, np.ones(shape, np.float32), weights, axis, fusion)
+    for threads in (1, 3):
+        found = fuse_gradients(levels, edges, fusion=fusion, threads=threads)
+        assert np.allclose(found, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("fusion", ["paper", "second-largest"])
+def test_the_number_of_threads_changes_neither_image_nor_uncertainty(fusion):
+    level, _, specular = scene(noise=1.0)
+    predicted = np.array([shading(np.pi * (0.25 + 0.5 * i)) for i in range(4)], np.float32) + specular
+    deviations = np.ones_like(level)
+    limit = np.full_like(level, TOP)
+
+    def made(threads):
+        weights = trust_weights(level >= TOP, predicted, specular, deviations, limit, threads=threads)
+        good = {"predicted": predicted, "specular": specular}
+        return fuse_images(level, deviations, weights, MASK, fusion=fusion, threads=threads, **good)
+
+    one, three = made(1), made(3)
+    assert np.array_equal(one.level, three.level)
+    assert np.array_equal(one.deviation, three.deviation)
+    assert one.deviation[MASK].min() > 0
+
+
+@pytest.mark.parametrize("fusion", ["median", "minimum", "second-largest"])
+def test_what_noise_makes_of_a_rule_that_chooses_is_taken_off(fusion, monkeypatch):
+    predicted = np.array([shading(np.pi * (0.25 + 0.5 * i)) for i in range(4)], np.float32)
+    none = np.zeros_like(predicted)
+    deviations, limit = np.full_like(predicted, 2.0), np.full_like(predicted, 1e9)
+    weights = trust_weights(none > 0, predicted, none, deviations, limit)
+    # half of one image has no say, as in a former highlight
+    weights[0, :, :45] = 0
+    plain = fuse_images(predicted, deviations, np.ones_like(weights), MASK, fusion=fusion, probes=0).level
+
+    def off(draws):
+        monkeypatch.setattr("lightopt.inspection._synthetic.PROBES", draws)
+        images = []
+        for seed in range(6):
+            noise = np.random.default_rng(seed).standard_normal(predicted.shape, dtype=np.float32)
+            noisy = predicted + deviations * noise
+            good = {"predicted": predicted, "specular": none}
+            images.append(
+                fuse_images(
+                    noisy, deviations, weights, MASK, fusion=fusion, seed=seed, probes=0, **good
+                ).level
+            )
+        return float(np.std((np.mean(images, axis=0) - plain)[MASK]))
+
+    left, before = off(4), off(0)
+    assert left < 0.7 * before

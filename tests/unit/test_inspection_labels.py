@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from lightopt import load_part, load_rig
-from lightopt.images import ImageSet, read_image_set
-from lightopt.inspection import InspectOptions, inspect_set
+from lightopt.errors import InputError
+from lightopt.images import ImageSet, SourceFile, read_image_set
+from lightopt.inspection import InspectOptions, inspect_set, truth_source
 from lightopt.inspection._labels import true_labels
 from lightopt.rendering import RenderOptions, render_image_set
 from lightopt.scene import place_defects
@@ -96,9 +97,35 @@ def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, requ
     assert told["labels"] == ["part file"]
     assert (told["found"], told["hidden"], told["false_alarms_per_posture"]) == (2, [], 0)
 
+    # edited since: nothing is known of what is not named
     bench.part.write_text(good, encoding="utf-8")
     ran = cli(
         "inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "none", *options
     )
     assert ran.status == 2
     assert "nothing is known of defects on this part" in ran.err
+    assert not (bench.folder / "none").exists()
+
+
+def test_what_is_on_a_captured_part_is_told_by_the_file_that_it_was_taken_by(bench, request):
+    good = load_part(bench.part)
+    request.getfixturevalue("take")(bench.folder / "captured")
+    image_set = read_image_set(bench.folder / "captured")
+    named = bench.part.with_name("named.yaml")
+    named.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
+    for asked in (good, load_part(named)):
+        source = truth_source(image_set, asked)
+        assert source.part is not None
+        assert source.part.defects == ()
+        assert "names no defects: held to be a good part" in source.words[0]
+    by_named = replace(image_set.manifest, part=SourceFile(named.name, load_part(named).source.sha256))
+    source = truth_source(ImageSet(image_set.folder, by_named), good)
+    assert [d.name for d in source.part.defects] == ["stain", "dent"]
+    # not as it was then
+    named.write_text(named.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
+    with pytest.raises(
+        InputError, match=r"taken by named\.yaml, which does not lie beside .* as it was then"
+    ):
+        truth_source(ImageSet(image_set.folder, by_named), good)
+    # edited, and it is the one that is given
+    assert len(truth_source(ImageSet(image_set.folder, by_named), load_part(named)).part.defects) == 2

@@ -93,6 +93,28 @@ def test_the_furthest_counts_and_the_rest_has_its_reason(scene):
     assert told["edge"] + told["shadow"] == pytest.approx(1.0, abs=1e-4)
 
 
+def test_what_a_posture_without_images_shows_is_missing(scene):
+    here = replace(scene, postures=(FLAT, TILTED))
+    surface = map_surface(here, cast_rays_at(here))
+
+    def one(reached):
+        return surface_coverage(here, [(FLAT, coverage(scene, reached, 0.1))], surface)
+
+    judged, edges, full = one(Reached.INSPECTED), one(Reached.EDGE), one(Reached.SATURATED)
+    both = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TILTED, Reached.INSPECTED, 0.1))
+    for found in (judged, edges, full):
+        assert found.seen == pytest.approx(both.seen)
+        rest = found.inspected + found.saturated + found.shadow + found.edge + found.missing
+        assert rest == pytest.approx(found.seen)
+    assert judged.inspected < both.inspected - 1.0
+    assert judged.missing == pytest.approx(both.inspected - judged.inspected)
+    assert judged.as_dict()["missing"] == pytest.approx(judged.missing / both.seen, abs=1e-4)
+    # images that show a place at an edge at most leave it to those that there are none of; saturated ones do not
+    assert edges.missing > judged.missing + 1.0
+    assert full.missing == pytest.approx(judged.missing)
+    assert full.saturated == pytest.approx(judged.inspected)
+
+
 def test_a_single_posture_tells_by_its_own_pixels(scene):
     own = replace(
         coverage(scene, Reached.EDGE, np.inf), seen=8.0, inspected=5.0, saturated=1.0, shadow=1.5, edge=0.5

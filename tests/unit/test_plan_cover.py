@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -16,12 +16,15 @@ from lightopt.plan import (
     PairWeights,
     added,
     counts_of_images,
+    exchanged,
     gain_of,
     greedy_cover,
     no_counts,
     reached,
     worth,
 )
+from lightopt.plan._exposures import Offer, pick_shots
+from lightopt.transforms import Posture
 
 
 def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2):
@@ -96,21 +99,23 @@ def test_the_bound_holds_against_the_exact_cover(seed, k):
         cover = greedy_cover(packed, weights, count=count)
         best = exact_worth(plain, heavy, k, len(cover.steps))
         assert cover.worth <= best <= cover.bound
-        assert cover.worth >= cover.guarantee * best
-        assert cover.guarantee > 1.0 - 1.0 / math.e
+        size = len(cover.steps)
+        least = 1.0 - (1.0 - 1.0 / size) ** size  # what a greedy choice has whatever the candidates
+        assert cover.worth >= least * cover.bound >= least * best
+        assert least > 1.0 - 1.0 / math.e
         most = max(
             plain_reached(plain[list(some)].sum(axis=0), heavy, k)
             for some in combinations(range(len(plain)), len(cover.steps))
         )
         assert most <= cover.bound_share * weights.total + 1e-6
-        assert cover.reached <= most
+        assert cover.guarantee * most - 1e-6 <= cover.reached <= most
+        assert cover.proven <= (cover.reached == most)
 
 
 def test_one_step_is_the_best_one():
     plain, packed, weights, heavy = random_case(1)
     cover = greedy_cover(packed, weights, count=1)
     assert cover.worth == cover.bound == exact_worth(plain, heavy, 2, 1)
-    assert cover.guarantee == 1.0
 
 
 @pytest.mark.parametrize("k", [1, 2])
@@ -180,6 +185,33 @@ def test_what_later_ones_make_redundant_is_dropped():
     assert cover.chosen == (1, 2)
 
 
+@pytest.mark.parametrize("k", [1, 2])
+@pytest.mark.parametrize("seed", range(4))
+def test_no_single_exchange_betters_what_exchanges_leave(seed, k):
+    plain, packed, weights, heavy = random_case(seed, postures=9, patches=5, trials=20, k=k)
+
+    def merit(some):
+        counts = plain[list(some)].sum(axis=0)
+        return plain_reached(counts, heavy, k), plain_worth(counts, heavy, k)
+
+    greedy = greedy_cover(packed, weights, count=3).chosen
+    for begin in (greedy, (6, 7, 8)):
+        found = exchanged(packed, weights, begin, threads=2)
+        assert len(set(found)) == 3
+        assert found == exchanged(packed, weights, begin, threads=1)
+        assert merit(found) >= merit(begin)
+        for place, other in product(range(3), set(range(9)) - set(found)):
+            assert merit([*found[:place], other, *found[place + 1 :]]) <= merit(found)
+
+
+def test_an_exchange_takes_back_what_greed_chose_first():
+    wide = flags([1, 1, 1, 1, 0, 0], [1, 1, 0, 0, 1, 0], [0, 0, 1, 1, 0, 1], [0, 0, 0, 0, 0, 1])
+    greedy = greedy_cover(wide, unit_weights(6), count=2)
+    assert greedy.chosen == (0, 1)
+    assert set(exchanged(wide, unit_weights(6), greedy.chosen)) == {1, 2}
+    assert exchanged(wide, unit_weights(6), ()) == ()
+
+
 def test_ties_go_to_the_earlier_candidate():
     cover = greedy_cover(flags([1, 0], [0, 1], [1, 0], [0, 1]), unit_weights(2))
     assert cover.chosen == (0, 1)
@@ -218,3 +250,66 @@ def test_bad_questions_are_refused(arguments, expected):
 def test_nothing_to_choose_from_is_refused():
     with pytest.raises(InputError, match="at least one candidate"):
         greedy_cover([], unit_weights(1))
+
+
+def offered(*areas, images):
+    """Weights of patches with one trial each, and images of one light as lists of the patches that it shows."""
+    weights = PairWeights(
+        areas=np.array(areas, np.int64), masks=np.ones((1, 1), np.uint64), factors=np.ones(1, np.int64)
+    )
+    return weights, [np.isin(np.arange(len(areas)), some)[None, :, None].astype(np.uint64) for some in images]
+
+
+@pytest.mark.parametrize(
+    ("least_gain", "target", "why"),
+    [(0.05, None, "pair"), (0.06, None, None), (0.06, 0.1, "target"), (0.0, None, "pair")],
+)
+def test_two_exposures_that_only_together_show_enough_are_planned(least_gain, target, why):
+    # neither posture shows patch 0 at exposure 1, both do at 1/4; patch 1 is seen once at 1/16, whatever else
+    weights, (dark, short, shorter) = offered(100, 500, 400, images=[[], [0], [1]])
+    postures = [Posture(0.0, 0.0), Posture(0.0, 90.0)]
+    offers = [
+        Offer(posture=0, exposure=0.0625, images=shorter),
+        Offer(posture=0, exposure=0.25, images=short),
+        Offer(posture=1, exposure=0.25, images=short),
+    ]
+    found = pick_shots(postures, [dark, dark], offers, weights, least=2, least_gain=least_gain, target=target)
+    planned = [(shot.posture, shot.exposure, shot.gain, shot.why) for shot in found.shots if shot.planned]
+    assert planned == ([(postures[0], 0.25, 0.0, why), (postures[1], 0.25, 0.1, why)] if why else [])
+    assert found.after == (0.1 if why else 0.0)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_other_two_exposures_add_more_together(seed):
+    rng = np.random.default_rng(seed)
+    patches, lights, postures = 40, 2, [Posture(0.0, 90.0 * i) for i in range(3)]
+    weights, _ = offered(*map(int, rng.integers(1, 50, patches)), images=[])
+
+    def images(density):
+        return (rng.random((lights, patches, 1)) < density).astype(np.uint64)
+
+    least = int(rng.integers(1, 4))
+    now = [images(0.05) for _ in postures]
+    offers = [Offer(posture=i % 3, exposure=0.5**i, images=images(0.08)) for i in range(1, 8)]
+
+    def shown(some):
+        taken = list(now)
+        for i in some:
+            taken[offers[i].posture] = taken[offers[i].posture] | offers[i].images
+        return int(weights.areas[np.sum(taken, axis=(0, 1))[:, 0] >= least].sum())
+
+    before = shown([])
+    alone = max(shown([i]) for i in range(len(offers))) - before
+    two = max(shown(some) for some in combinations(range(len(offers)), 2)) - before
+    # more than any adds alone, and as much as two have to
+    for least_gain in (0.5 * two / weights.total, 0.5 * (two + 1) / weights.total):
+        found = pick_shots(postures, now, offers, weights, least=least, least_gain=least_gain)
+        planned = [shot for shot in found.shots if shot.planned]
+        if alone >= max(1.0, least_gain * weights.total):
+            assert planned[0].why == "gain"
+        elif two > 0 and two >= 2.0 * least_gain * weights.total:
+            assert least > 1
+            assert [shot.why for shot in planned[:2]] == ["pair", "pair"]
+            assert (planned[0].gain + planned[1].gain) * weights.total == pytest.approx(two)
+        else:
+            assert planned == []

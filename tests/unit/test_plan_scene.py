@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lightopt.config import load_part, load_rig
+from lightopt.errors import InputError
 from lightopt.mesh import face_normals
 from lightopt.optimize import (
     OBJECTIVES,
@@ -17,7 +18,9 @@ from lightopt.optimize import (
     Thresholds,
     area_units,
     find_candidates,
+    luminance_matrices,
     luminance_matrix,
+    matrix_bytes,
     unroll,
 )
 from lightopt.plan import (
@@ -28,11 +31,15 @@ from lightopt.plan import (
     Tolerances,
     Wanted,
     choose_postures,
+    choose_with_exposures,
     drawn_patches,
     plan_exposures,
     trust_of,
 )
-from lightopt.plan import _choose as choosing
+from lightopt.plan import _places as placing
+from lightopt.plan import _turns as turning
+from lightopt.plan._looked import looked_at
+from lightopt.plan._unreached import unreached
 from lightopt.rendering import build_patches, cast_rays_at, visible_points
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
 from lightopt.transforms import Posture
@@ -247,8 +254,19 @@ def test_postures_and_lights_are_chosen_together(world, least):
     assert choice.cover.reached <= best <= choice.cover.bound_share * total + 0.5
     alone = choose_postures(survey, survey, POSTURES, lights, None, Wanted(least=least, count=2))
     assert alone.lights is None
-    assert alone.cover.share == pytest.approx(choice.before)
+    assert alone.cover.share == pytest.approx(choice.stood.share)
+    assert choice.stood.postures == len(alone.cover.steps)
+    # told of lights that moved only: of those that stay the plan itself says what they show
+    assert alone.before is None
+    moved = any(not np.allclose(a.outward, b.outward) for a, b in zip(choice.panels, lights, strict=True))
+    assert choice.before == (choice.stood if moved else None)
     assert choice.cover.share >= alone.cover.share
+    # what the last turn counted is kept for the curves, where it was of these postures
+    shots = [(posture, (1.0,)) for posture in choice.postures]
+    again = placing.place_counts(survey, shots, candidates, least=least)
+    assert choice.places is not None or least == 2
+    assert all(np.array_equal(*two) for two in zip(choice.places or again, again, strict=True))
+    assert alone.places is None
 
 
 def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches(world, monkeypatch):
@@ -260,7 +278,7 @@ def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches
     assert free.on_all
     assert free.settled
     # room for two candidate postures, not for six positions and their sums
-    monkeypatch.setattr(choosing, "MOST_COUNT_BYTES", 2 * len(survey.patches) * 8)
+    monkeypatch.setattr(placing, "MOST_COUNT_BYTES", 2 * len(survey.patches) * 8)
     tight = choose_postures(*ask)
     assert not tight.on_all
     assert not tight.settled
@@ -278,6 +296,103 @@ def test_the_target_takes_as_few_postures_as_it_needs(world):
     never = choose_postures(survey, survey, POSTURES, lights, None, Wanted(target=1.0))
     assert never.cover.share < 1.0
     assert never.cover.least is None
+
+
+def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_of(world):
+    rig, survey = world
+    few = replace(survey, table=build_patches(survey.scene, caster=survey.caster, budget=400))
+    assert drawn_patches(few.table, 20_000) is few.table, "so few that none are drawn"
+    assert len(few.patches) < len(few.table.patches)
+    choice = choose_postures(few, few, POSTURES, build_lights(rig), None, Wanted(target=1.0))
+    text = str(unreached(1.0, choice, few, least=1))
+    assert "contrast under noise" in text
+    assert "never seen by the camera" not in text
+    assert "is not reached: with the lights as they stand, all" in text
+    assert "offer them, such as --exposures 1,4,16. Ask for less" in text
+    longer = replace(few, exposures=(4.0, 1.0))
+    assert "--exposures" not in str(unreached(1.0, choice, longer, least=1))
+    # a bound that falls short of the target is not rounded up to it
+    steps = (replace(choice.cover.steps[0], reached=900_000),)
+    cover = replace(
+        choice.cover,
+        steps=steps,
+        total=1_000_000,
+        bounds=(0, 949_960),
+        all_worth=960_000,
+        all_reached=960_000,
+    )
+    short = replace(choice, postures=choice.postures[:1], cover=cover)
+    assert "show more than 94.996 % with these lights; 95 % was asked for" in str(
+        unreached(0.95, short, few, least=1)
+    )
+
+
+def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, monkeypatch):
+    rig, survey = world
+    survey = replace(survey, exposures=(1.0, 0.25, 0.0625))
+    candidates = find_candidates(rig, step_deg=5.0)
+    angles = {posture: setup_of(rig, POSTURES[:1]).angles[0] for posture in POSTURES[:2]}
+    sensor = survey.scene.sensor
+    thresholds = Thresholds.of_sensor(
+        shade_share=0.0,
+        max_level=sensor.max_level,
+        saturated_from=sensor.saturated_from,
+        black_level=sensor.black_level,
+    )
+
+    def looks():
+        flags = survey.flags(POSTURES[0], candidates.panels)
+        looked = looked_at(
+            survey,
+            rig,
+            angles,
+            candidates,
+            exposures=dict.fromkeys(angles, (1.0,)),
+            offered=survey.exposures,
+            thresholds=thresholds,
+            least=2,
+        )
+        facts = [
+            (s.counts, s.usable, s.saturated, s.first) for one in looked for s in (one.possible, one.chosen)
+        ]
+        return [*flags, *(array for some in facts for array in some)]
+
+    free = looks()
+    # room for three places of the five that each light has, at three exposures
+    room = 3 * matrix_bytes(survey.scene, int(survey.table.visible[0].sum()), 3, survey.inspection)
+    monkeypatch.setattr("lightopt.plan._survey.MOST_BYTES", room)
+    monkeypatch.setitem(luminance_matrices.__kwdefaults__, "most_bytes", room)
+    with pytest.raises(InputError, match="there is room for"):
+        survey.matrices(POSTURES[0], candidates.panels, exposures=survey.exposures)
+    for one, other in zip(free, looks(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("move", [False, True])
+def test_a_target_that_drawn_patches_fall_short_of_is_counted_on_all(world, move):
+    rig, survey = world
+    lights = build_lights(rig)
+    candidates = find_candidates(rig, step_deg=10.0) if move else None
+    # drawn ones that one posture shows all of that any shows, and that is little
+    weights = survey.table.patches.areas
+    shown = np.array([pairs_of(survey, posture, lights).any(axis=0).sum(axis=1) for posture in POSTURES])
+    seen = survey.table.visible.any(axis=0)
+    poor = np.flatnonzero(seen & (shown.max(axis=0) == shown[0]))
+    poor = poor[np.argsort(shown[0][poor], kind="stable")][:3]
+    visible = np.zeros_like(survey.table.visible)
+    visible[:, poor] = survey.table.visible[:, poor]
+    few = replace(survey, table=replace(survey.table, visible=visible))
+    assert weights[poor].sum() > 0.0
+    by_number = [
+        choose_postures(survey, survey, POSTURES, lights, candidates, Wanted(count=n)) for n in (1, 2, 3)
+    ]
+    target = by_number[1].cover.share
+    assert by_number[0].cover.share < target
+    alone = choose_postures(few, few, POSTURES, lights, candidates, Wanted(target=target))
+    assert alone.cover.share < target, "the drawn ones fall short"
+    found = choose_postures(survey, few, POSTURES, lights, candidates, Wanted(target=target))
+    assert found.cover.share >= target
+    assert len(found.postures) <= 3
 
 
 @pytest.mark.parametrize("least", [1, 2])
@@ -300,7 +415,10 @@ def test_exposures_are_planned_where_they_add_enough(world, least):
     for shot in found.shots:
         gain = plain([*shots, (shot.posture, shot.exposure)]) - plain(shots)
         assert shot.gain == pytest.approx(gain)
-        assert shot.planned == (gain > 0.0 and gain >= 0.01 * points)
+        enough = gain > 0.0 and gain >= 0.01 * points
+        assert (shot.why == "gain") == enough
+        # where two images must agree, two may show together what neither shows alone
+        assert shot.planned == enough or (least == 2 and shot.why == "pair")
         if shot.planned:
             shots.append((shot.posture, shot.exposure))
     assert found.after == pytest.approx(plain(shots))
@@ -330,3 +448,103 @@ def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_the
     assert found.after >= target
     planned = [shot for shot in found.shots if shot.planned]
     assert found.after - planned[-1].gain < target
+    assert {shot.why for shot in planned} == {"target"}
+    assert {shot.why for shot in found.shots if not shot.planned} <= {None}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_offering_exposures_never_makes_a_plan_worse(world, seed):
+    rig, survey = world
+    rng = np.random.default_rng(seed)
+    survey = replace(survey, table=drawn_patches(survey.table, int(rng.integers(40, 300))))
+    drawn = replace(survey, table=drawn_patches(survey.table, 30))
+    least, count = int(rng.integers(1, 3)), int(rng.integers(1, 4))
+    offered = (1.0, *rng.choice([4.0, 0.5, 0.25, 0.0625, 0.02], int(rng.integers(1, 4)), replace=False))
+    points = float(rng.choice([0.0, 0.5, 1.0, 5.0]))
+    lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
+    ask = (survey, drawn, POSTURES, lights, candidates)
+    plain = choose_postures(*ask, Wanted(least=least, count=count))
+    choice, brackets = choose_with_exposures(
+        *ask, Wanted(least=least, count=count), offered=offered, gain_points=points
+    )
+    assert choice.cover.share >= plain.cover.share
+    assert len(choice.postures) <= count
+    # the share is what exactly the planned images show, and the lights serve these best where that is said
+    weights = heavy(survey)
+
+    def plain_share(places):
+        panels = [candidates.panels[i][k] for i, k in enumerate(places)]
+        shots = [(posture, exposure) for posture in choice.postures for exposure in brackets.of(posture)]
+        return int(weights[confirming(survey, shots, panels) >= least].sum())
+
+    assert choice.cover.reached == plain_share(choice.lights)
+    assert choice.cover.share == pytest.approx(brackets.after)
+    if choice.settled:
+        assert choice.cover.reached == max(plain_share(places) for places in product(range(3), range(3)))
+    assert choice.cover.reached <= choice.cover.bound_share * choice.cover.total + 0.5
+    none, nothing = choose_with_exposures(
+        *ask, Wanted(least=least, count=count), offered=(1.0,), gain_points=points
+    )
+    assert nothing is None
+    assert none == plain
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
+    rig, survey = world
+    rng = np.random.default_rng(seed)
+    survey = replace(survey, table=drawn_patches(survey.table, int(rng.integers(60, 300))))
+    lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
+    ask = (survey, survey, POSTURES, lights, candidates)
+    target = 0.9 * choose_postures(*ask, Wanted(count=3)).cover.share
+    plain = choose_postures(*ask, Wanted(target=target))
+    choice, brackets = choose_with_exposures(
+        *ask, Wanted(target=target), offered=(1.0, 0.25, 0.0625), gain_points=1.0
+    )
+    assert choice.cover.share == pytest.approx(brackets.after)
+    assert choice.cover.share >= target
+    assert (-len(choice.postures), choice.cover.share) >= (-len(plain.postures), plain.cover.share)
+
+
+def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
+    rig, survey = world
+    ask = (survey, survey, POSTURES, build_lights(rig), None, Wanted(target=1.0))
+    choice, brackets = choose_with_exposures(*ask, offered=(1.0, 0.25), gain_points=1.0)
+    assert brackets is None
+    assert choice.cover.share < 1.0
+
+
+@pytest.mark.parametrize("least", [1, 2])
+@pytest.mark.parametrize("drawn", [40, 300])
+def test_a_number_and_a_target_that_takes_as_many_give_the_same_plan(world, least, drawn):
+    rig, survey = world
+    few = replace(survey, table=drawn_patches(survey.table, drawn))
+    ask = (survey, few, POSTURES, build_lights(rig), find_candidates(rig, step_deg=10.0))
+    by_number = {n: choose_postures(*ask, Wanted(least=least, count=n)) for n in (1, 2, 3, 4)}
+    for n, choice in by_number.items():
+        found = choose_postures(*ask, Wanted(least=least, target=choice.cover.share))
+        assert len(found.postures) <= n
+        same = by_number[len(found.postures)]
+        assert (found.postures, found.lights) == (same.postures, same.lights)
+        assert found.cover.share == same.cover.share >= choice.cover.share
+        capped = choose_postures(*ask, Wanted(least=least, count=n, target=choice.cover.share))
+        assert (capped.postures, capped.lights) == (found.postures, found.lights)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_more_starts_are_never_worse_than_the_lights_as_they_stand_alone(world, count):
+    rig, survey = world
+    wanted = Wanted(count=count)
+    candidates = find_candidates(rig, step_deg=5.0)
+    turns = turning.Turns(survey, POSTURES, candidates, least=1, where="all patches", tell=None)
+    alone = turns.settled(turns.begin(build_lights(rig), None, wanted), 6, wanted)
+    found = choose_postures(survey, survey, POSTURES, build_lights(rig), candidates, wanted)
+    assert found.starts > 1
+    assert found.cover.reached >= alone.cover.reached
+    # nor does any single other posture better it
+    weights = heavy(survey)
+    flags = [pairs_of(survey, posture, found.panels).any(axis=0) for posture in POSTURES]
+    for out, other in product(found.postures, set(POSTURES) - set(found.postures)):
+        some = [*(set(found.postures) - {out}), other]
+        shown = np.any([flags[POSTURES.index(posture)] for posture in some], axis=0)
+        assert int(weights[shown].sum()) <= found.cover.reached

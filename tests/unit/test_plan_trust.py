@@ -77,7 +77,7 @@ def test_widest_tolerances_are_those_of_a_fine_scan():
             ]
             if widest.what == "part":
                 scores = [smooth(pose, exact) for pose in either]
-            elif widest.angle == "both":
+            elif widest.angle == "both angles at once":
                 offsets = list(product((-degrees, degrees), repeat=2))
                 scores = [smooth((0.0, 0.0), lights) for lights in product(offsets, repeat=3)]
             else:
@@ -90,6 +90,7 @@ def test_widest_tolerances_are_those_of_a_fine_scan():
             continue
         assert not widest.open_ended
         assert widest.degrees < degrees <= widest.degrees + 0.05 + 0.01
+        assert widest.degrees == round(widest.degrees * 20) / 20
     assert {w.what for w in trust.widest} == {*NAMES, "all lights", "part"}
     assert any(w.open_ended for w in trust.widest)  # azimuth of the first light costs nothing
 

@@ -347,6 +347,24 @@ def test_levels(check, reflectance, source, level):
     assert only(check(BLOCK, rig=rig, reflectance=reflectance), "levels").level == level
 
 
+@pytest.mark.parametrize(
+    ("sensor", "full_scale", "says"),
+    [
+        ({"bit_depth": 8}, 255, "saturation is at 255"),
+        ({"bit_depth": 8, "black_level": 4}, 255, "is at 251 (the sensor's 255 less its black level of 4)"),
+        (
+            {"bit_depth": 12, "saturation_level": 4080, "black_level": 64},
+            255,
+            "is at 250.1 (the sensor's 4080 less its black level of 64, in levels of full_scale 255)",
+        ),
+    ],
+)
+def test_the_level_of_saturation_is_explained(check, sensor, full_scale, says):
+    rig = make_rig(sensor=sensor)
+    text = only(check(BLOCK, rig=rig, reflectance={"full_scale": full_scale}), "levels").text
+    assert text.endswith(says)
+
+
 # ---- facets
 
 

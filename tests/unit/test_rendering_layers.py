@@ -78,3 +78,25 @@ def test_the_deflection_is_never_more_than_that_of_a_point_of_the_panel(shared_b
     sigma = 0.05
     bound = np.exp(-0.5 * (layer.deflection / sigma) ** 2) / 0.1
     assert np.all(layer.specular(sigma) <= 1.05 * bound + 1e-12)
+
+
+def test_pixels_near_flagged_ones_are_those_within_two_rows_and_columns():
+    from lightopt.rendering._pixels import _spread
+
+    rng = np.random.default_rng(2)
+    shown = rng.random((23, 31)) < 0.7
+    row, column = (a.astype(np.int32) + 40 for a in np.nonzero(shown))
+    flags = rng.random(len(row)) < 0.02
+    assert 3 < flags.sum() < 30
+    apart = np.maximum(abs(row[:, None] - row[flags]), abs(column[:, None] - column[flags])).min(axis=1)
+    assert np.array_equal(_spread(flags, row, column), apart <= 2)
+    assert _spread(flags[:0], row[:0], column[:0]).shape == (0,)
+
+
+def test_quadrature_rules_are_worked_out_once():
+    from lightopt.rendering._lobe import gauss_legendre_table
+
+    nodes, weights = gauss_legendre_table()
+    assert gauss_legendre_table()[0] is nodes
+    assert not nodes.flags.writeable
+    assert np.allclose(weights.sum(axis=1)[1:], 1.0)

@@ -75,6 +75,41 @@ def test_a_mesh_finer_than_the_budget_is_not_coarsened(scene):
     assert np.array_equal(table.patches.face, np.arange(len(scene.mesh.faces)))
 
 
+def test_large_flat_faces_are_cut_however_fine_the_rest_is(shared_bench, tmp_path):
+    # a plate of a few triangles, of whose top a fine ball hides the middle
+    plate, ball = trimesh.creation.box((40.0, 30.0, 4.0)), trimesh.creation.icosphere(4, 6.0)
+    ball.apply_translation((0.0, 0.0, 9.0))
+    trimesh.util.concatenate([plate, ball]).export(tmp_path / "knob.stl")
+    (tmp_path / "part.yaml").write_bytes(shared_bench.part.read_bytes())
+    scene = build_scene(shared_bench.rig, tmp_path / "part.yaml")
+    caster = cast_rays_at(scene)
+    tables = {budget: build_patches(scene, caster=caster, budget=budget) for budget in (400, 30_000)}
+    coarse = tables[400]
+    assert coarse.seen_faces > 1_000
+    assert f"{coarse.seen_faces:,} of the mesh's own triangles may show" in coarse.message
+    cut = len(coarse.patches) - len(scene.mesh.faces)
+    assert 100 < cut <= 200
+    corners = coarse.patches.corners
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    assert edges[coarse.visible.any(axis=0)].max() <= coarse.max_edge < 10.0
+    seen = [t.patches.areas[t.visible.any(axis=0)].sum() / t.patches.areas.sum() for t in tables.values()]
+    assert seen[0] == pytest.approx(seen[1], abs=2.0 * coarse.grain)
+    assert tables[30_000].grain < 0.2 * coarse.grain < 0.01
+    # as many where the fine ones are nearly the budget, which is exceeded then, and said to be
+    near = build_patches(scene, caster=caster, budget=coarse.seen_faces + 10)
+    visible = int(near.visible.any(axis=0).sum())
+    assert near.exceeded == coarse.seen_faces + 10 < visible <= 1.5 * near.exceeded
+    assert f"more than --patches {near.exceeded:,}: half of these are for cutting" in near.message
+    assert (coarse.exceeded, tables[30_000].exceeded, near.seen_faces) == (0, 0, 0)
+
+
+def test_the_grain_is_the_scatter_of_shares_by_chance(scene):
+    table = build_patches(scene, caster=cast_rays_at(scene), budget=3_000)
+    areas = table.patches.areas[table.visible.any(axis=0)]
+    shares = np.random.default_rng(1).integers(0, 2, (4_000, len(areas))) @ areas / areas.sum()
+    assert table.grain == pytest.approx(float(shares.std()), rel=0.05)
+
+
 def test_the_message_says_what_was_reached(scene):
     table = build_patches(scene, caster=cast_rays_at(scene), budget=4_000)
     visible = int(table.visible.any(axis=0).sum())

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.optimize import Blind, Curve, OptimizeOptions, Thresholds, area_units, optimize
+from lightopt.optimize import BLIND_CLASSES, Blind, Curve, OptimizeOptions, Thresholds, area_units, optimize
 from lightopt.report import (
     Answer,
     Facts,
@@ -24,6 +24,8 @@ from lightopt.report import (
     optimum_report,
     page_html,
 )
+from lightopt.report._optimum_answer import answer_blocks
+from lightopt.report._optimum_plan import posture_blocks
 from lightopt.report._optimum_surface import SHOWN, shown_by_images
 
 LIGHTS = """\
@@ -86,14 +88,14 @@ def test_figures_are_those_of_the_result(done, blocks):
         score = f"{best['score'] / 1e6:,.2f} mm²"
         assert answer.figure == share
         assert score in answer.text
-        expected = [f"{one['elevation_deg']:g}°, {one['azimuth_deg']:g}°" for one in best["lights"]]
+        expected = [f"{one['elevation_deg']:g}°,\u00a0{one['azimuth_deg']:g}°" for one in best["lights"]]
         assert list(angles.rows[row][1:4]) == expected
         assert angles.rows[row][4] == f"{score} ({share})"
         # the patches that coverage counts are those that are painted usable in two images
         assert areas.rows[row][1] == f"{score} ({share})"
         assert list(scores.rows[2 * row][2:5]) == expected
         assert scores.rows[2 * row][6] == f"{best['scores_under']['paper']:,}"
-        assert scores.rows[2 * row][7] == f"−{best['gap'] / 1e6:,.2f} mm²"
+        assert scores.rows[2 * row][7] == f"−{best['gap'] / 1e6:,.2f}\u00a0mm²"
     text = (bench.out / "report.html").read_text(encoding="utf-8")
     for row in angles.rows:
         assert all(f"<td class=number>{cell}</td>" in text for cell in row[1:])
@@ -246,6 +248,9 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     bench, draft = inspected
     spots = result_of(bench.out)["blind_spots"]
     page = optimum_page(draft)
+    first = next(block for block in answer_blocks(draft) if isinstance(block, Answer))
+    assert first.text.startswith("of the surface × defects (by weight) that the camera sees in posture (")
+    assert first.text.endswith(" mm² by detectability")
     (table,) = next(s for s in page.sections if s.heading == "Blind spots").blocks
     # the part stands in the page once, with all that it can be coloured by, defects first
     (view,) = (b for s in page.sections for b in s.blocks if isinstance(b, SurfaceView))
@@ -253,7 +258,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     groups = [layer.group for layer in view.surface.layers]
     assert groups == ["Defects"] * 5 + ["Levels of the images"] * 3
     assert page_html(page).count('<figure class="surface">') == 1
-    assert list(table.rows[0][:3]) == ["all postures", "as found", f"{100 * spots['chosen']['seen']:.1f} %"]
+    assert list(table.rows[0][:3]) == ["all postures", "chosen", f"{100 * spots['chosen']['seen']:.1f} %"]
     assert list(table.header[3:]) == list(
         dict.fromkeys(
             one["reason"]
@@ -269,15 +274,28 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     assert len(single) == 2
     labels = [kind.label for kind in reasons.classes]
     names = {
-        Blind.SEEN: "all defects seen",
+        Blind.SEEN: "seen",
         Blind.CAMERA: "never seen by the camera",
-        Blind.GRAZING: "seen at a grazing angle",
+        Blind.GRAZING: "seen by the camera at a grazing angle",
         Blind.SHADOWED: "shadowed",
         Blind.CONTRAST: "contrast under noise",
     }
     for layer, found in ((reasons, draft.blind.chosen), (reachable, draft.blind.possible)):
-        expected = [names.get(code, "saturated by a light") for code in found.codes.tolist()]
+        expected = [
+            names.get(code, "saturated by a light")
+            + (", other defects seen" if code != Blind.SEEN and share > 0.0 else "")
+            for code, share in zip(found.codes.tolist(), found.share, strict=True)
+        ]
         assert [labels[k] for k in layer.of_face] == expected
+    # the legend has the table's shares
+    told = {kind.label: kind.amount for kind in reasons.classes if kind.amount}
+    assert told["seen"] == f"{100 * spots['chosen']['seen']:.1f} %"
+    for one in spots["chosen"]["blind"]:
+        if not one["reason"].startswith("saturated"):
+            assert told[one["reason"]] == f"{100 * one['share']:.1f} %"
+    # and the surface the colours of blind.ply
+    colours = {one.label: "#{:02x}{:02x}{:02x}".format(*one.colour) for one in BLIND_CLASSES}
+    assert {kind.label: kind.colour for kind in reasons.classes}.items() <= colours.items()
     for k, share in zip(shares.of_face, draft.blind.chosen.share, strict=True):
         label = shares.classes[k].label
         low, high = {
@@ -301,8 +319,8 @@ def test_defects_seen_are_those_of_the_result(inspected):
         shown = dict(zip(table.header, row, strict=True))
         for name, share in answer["defects"].items():
             assert shown[name] == f"{100 * share:.1f} %"
-        assert shown["seen worst"] == answer["worst_defect"]
-        assert shown["walls that lean to"] == f"{answer['worst_direction_deg']:g}°"
+        assert shown["kind seen worst"] == answer["worst_defect"]
+        assert shown["walls seen worst lean to"] == f"{answer['worst_direction_deg']:g}°"
 
 
 def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done):
@@ -338,26 +356,38 @@ def place(elevation: float, rotation: float) -> dict[str, float]:
 PLANNED = {
     "chosen_postures": {
         "seen_in": 2,
+        "asked": 3,
         "target": 0.9,
         "share": 0.905,
         "bound": 0.931,
         "greedy_guarantee": 0.75,
         "fewest_possible": 2,
         "all_candidates": 0.97,
-        "lights_as_they_stand": 0.85,
+        "lights_as_they_stand": {"share": 0.85, "postures": 3, "share_of": "some patches, at exposure 1"},
+        "postures_to_a_tenth_of_a_point": 1,
         "postures": [
-            {**place(0, 0), "gain": 0.7, "share": 0.7},
-            {**place(20, 90), "gain": 0.205, "share": 0.905},
+            {**place(0, 0), "exposures": [1.0, 0.25], "gain": 0.7, "share": 0.7},
+            {**place(20, 90), "exposures": [1.0], "gain": 0.205, "share": 0.905},
         ],
         "order_of_travel": [place(20, 90), place(0, 0)],
         "travel_s": 110.0,
+        "travel_pace": "at 1°/s, as the stage says",
         "candidates": 12,
         "left_out": [{**place(45, 0), "kind": "view", "reason": "the part leaves the image"}],
+        "shares_of": "all that is seen",
+        "optimum": "local",
+        "starts": 4,
         "turns": 2,
         "every_combination_tried": True,
         "turns_on_all_patches": True,
         "lights_best_for_postures": True,
-        "patches": {"drawn": 100, "all": 800},
+        "patches": {
+            "drawn": 100,
+            "all": 800,
+            "max_edge_mm": 1.25,
+            "footprint_mm": 0.05,
+            "grain": 0.0177,
+        },
         "visible_share_of_surface": 0.61,
     },
     "exposures": {
@@ -365,8 +395,14 @@ PLANNED = {
         "share": 0.94,
         "least_gain": 0.01,
         "shots": [
-            {"posture": place(0, 0), "exposure": 0.25, "gain": 0.035, "planned": True},
-            {"posture": place(20, 90), "exposure": 0.25, "gain": 0.002, "planned": False},
+            {"posture": place(0, 0), "exposure": 0.25, "gain": 0.035, "planned": True, "planned_for": "gain"},
+            {
+                "posture": place(20, 90),
+                "exposure": 0.25,
+                "gain": 0.002,
+                "planned": False,
+                "planned_for": None,
+            },
         ],
     },
     "trust": [
@@ -394,27 +430,48 @@ PLANNED = {
 
 
 def test_a_plan_is_shown_as_the_result_has_it(done):
-    draft = replace(done[1], document={**done[1].document, **PLANNED})
+    tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
+    options = {**done[1].document["options"], "tolerances": tolerances}
+    draft = replace(done[1], document={**done[1].document, "options": options, **PLANNED})
     sections = {section.heading: section.blocks for section in optimum_page(draft).sections}
-    table, facts, left, command = sections["Postures"]
-    assert table.rows == [["(0°, 0°)", "70.0 %", "70.0 %"], ["(20°, 90°)", "20.5 %", "90.5 %"]]
+    table, facts, left, lead, command = sections["Postures"]
+    assert "in the folder of this report" in lead.text
+    # as they are captured
+    assert table.rows == [
+        ["(20°, 90°)", "2", "1", "20.50 %", "90.5 %"],
+        ["(0°, 0°)", "1", "1, 0.25", "70.00 %", "70.0 %"],
+    ]
+    assert "Shares are of all that is seen." in table.caption
     told = dict(facts.rows)
     assert told["the same number of others shows at most"] == "93.1 %"
-    assert told["order of least travel"] == "(20°, 90°) → (0°, 0°), 110.0 s"
-    assert told["90.0 % takes at least"] == "2 postures"
+    assert told["travel from (0°, 0°)"] == "110.0 s at 1°/s, as the stage says"
+    assert told["90 % takes at least"] == "2 postures"
+    assert told["with the lights as they stood"] == "85.0 % in 3 postures, of some patches, at exposure 1"
+    assert told["the first 1 chosen show"] == "70.0 %"
+    # the target was met by fewer than might be
+    assert "postures that were asked for" not in told
+    untargeted = {**PLANNED["chosen_postures"], "target": None}
+    facts = posture_blocks(replace(draft, document={**draft.document, "chosen_postures": untargeted}))[1]
+    assert dict(facts.rows)["postures that were asked for"] == "3"
+    assert told["each patch counts as its middle does"] == (
+        "800 patches with edges up to 1.25 mm, where a pixel has 0.05 mm: shares may be off by some 2 points"
+    )
     assert left.rows == [["(45°, 0°)", "the part leaves the image"]]
     assert command.text == PLANNED["commands"][0]
-    assert "a greedy choice has at least" not in told  # its bound is not one of pairs seen in two images
+    assert told["these postures have at least"] == "75.0 % of the best with these lights"
     assert "up to 2 of each; together, what is seen in 2 images" in table.caption
     lead = optimum_page(draft).lead
     (answer,) = (block for block in lead if isinstance(block, Answer))
     assert answer.figure == "94.0 %"
-    assert "in 2 images or more, all postures together: (0°, 0°), (20°, 90°);" in answer.text
+    assert "in 2 images or more, by all planned images together, in (20°, 90°), (0°, 0°);" in answer.text
     assert answer.text.endswith("With exposure 1 alone 90.5 %")
     (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
     assert "with these lights no 2 postures of the 12 show more than 93.1 %" in proof
     assert "in these postures no other positions of the lights show more" in proof
-    assert "in 2 turns (every combination) on 100 patches, then on all 800 patches." in proof
+    assert (
+        "in 2 turns, the best of 4 starts (every combination) on 100 patches, then on all 800 patches."
+        in proof
+    )
     note, shots = sections["Exposures"]
     assert "94.0 % of the surface × defects is seen, with exposure 1 alone 90.5 %" in note.text
     assert [list(row) for row in shots.rows] == [
@@ -423,11 +480,47 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
     ]
     (trust,) = sections["How exact the angles must be"]
     assert list(trust.header[1:]) == ["posture (0°, 0°)", "all 2 postures"]
+    assert "lights are off by 2° and the part by 1°" in trust.caption
+    assert "before less than 95 % are kept" in trust.caption
     assert trust.rows == [
         ["worst corner keeps", "91.0 %", "93.0 %"],
         ["95 % of draws keep", "95.3 %", "96.0 %"],
-        ["widest: left elevation", "3.25°", "≥ 10.00°"],
+        ["widest: left, elevation", "3.25°", "≥ 10.00°"],
     ]
+
+
+def test_the_way_of_several_commands_is_told_command_by_command(done):
+    rounds = [
+        {"command": "one", "order_of_travel": [place(20, 90)], "travel_s": 90.0},
+        {"command": "two", "order_of_travel": [place(0, 0)], "travel_s": 40.25},
+    ]
+    document = {**done[1].document, "chosen_postures": PLANNED["chosen_postures"], "rounds": rounds}
+    _, facts, *_ = next(
+        section
+        for section in optimum_page(replace(done[1], document=document)).sections
+        if section.heading == "Postures"
+    ).blocks
+    assert dict(facts.rows)["travel from (0°, 0°)"] == (
+        "110.0 s at 1°/s, as the stage says, were all captured in one round; the 2 capture commands below take "
+        "90.0 + 40.2 = 130.2 s, each from (0°, 0°) on: (20°, 90°); (0°, 0°)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("why", "expected"),
+    [
+        ("gain", "adds 1.00 % or more."),
+        ("pair", "adds 1.00 % or more, or with another twice that."),
+        ("target", "adds 1.00 % or more, or where the target takes it."),
+    ],
+)
+def test_exposures_that_the_target_takes_are_told(done, why, expected):
+    planned = PLANNED["exposures"]
+    first, other = planned["shots"]
+    planned = {**planned, "shots": [first, {**other, "planned": True, "planned_for": why}]}
+    draft = replace(done[1], document={**done[1].document, "exposures": planned})
+    note = next(s for s in optimum_page(draft).sections if s.heading == "Exposures").blocks[0]
+    assert note.text.endswith(expected)
 
 
 def test_where_one_image_is_enough_the_greedy_bound_is_told(done):
@@ -436,8 +529,8 @@ def test_where_one_image_is_enough_the_greedy_bound_is_told(done):
     draft = replace(done[1], document={**done[1].document, "chosen_postures": one})
     page = optimum_page(draft)
     table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
-    assert dict(facts.rows)["a greedy choice has at least"] == "75.0 % of the best"
-    assert "what each posture shows that those before it do not" in table.caption
+    assert dict(facts.rows)["these postures have at least"] == "75.0 % of the best with these lights"
+    assert "what each posture shows that those chosen before it do not" in table.caption
     (proof,) = (block.text for block in page.lead if isinstance(block, Note) and "roven" in block.text)
     assert "(one light moved at a time) on 100 of 800 patches." in proof
     assert "no other positions of the lights" not in proof

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from lightopt.errors import InputError
+from lightopt.optimize import LegendRow
+from lightopt.report import with_legend
 from lightopt.report._canvas import Canvas, check_png_path, write_picture
 from lightopt.report._labels import Label, ink_of, place_labels
 from lightopt.report._thumbnail import SATURATED_COLOUR, thumbnail, thumbnail_size
@@ -249,3 +251,26 @@ def test_ink_ignores_pale_areas() -> None:
     image = Image.new("RGB", (3, 1), "#f7f8fa")
     image.putpixel((1, 0), (20, 20, 20))
     assert ink_of(image).tolist() == [[0.0, 1.0, 0.0]]
+
+
+# ---- legends
+
+
+@pytest.mark.parametrize(("height", "width"), [(30, 40), (600, 1600)])
+def test_a_legend_stands_below_the_picture_which_stays(height: int, width: int) -> None:
+    picture = np.random.default_rng(1).integers(0, 255, (height, width, 3), dtype=np.uint8)
+    rows = (
+        LegendRow(label="seen", share=0.25, colours=((86, 180, 233),)),
+        LegendRow(label="contrast under noise", share=0.75, colours=((240, 228, 66), (247, 241, 160))),
+    )
+    found = with_legend(picture, "a title that is wider than a small picture", rows)
+    np.testing.assert_array_equal(found[:height, :width], picture)
+    assert (found[:height, width:] == 255).all()
+    below = found[height:]
+    for row in rows:
+        for colour in row.colours:
+            assert (below == colour).all(axis=2).sum() > 100
+    # nothing is cut off
+    margin = np.concatenate([below[:, -4:].reshape(-1, 3), below[-4:].reshape(-1, 3)])
+    assert (margin == 255).all()
+    assert (below < 128).all(axis=2).any()

@@ -63,11 +63,11 @@
     const material = new THREE.MeshLambertMaterial({ vertexColors: true, flatShading: true, side: THREE.DoubleSide });
     const scene = new THREE.Scene();
     const camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 3 / 2, 0.01 * head.distance_mm, 4 * head.distance_mm);
-    const lamp = new THREE.DirectionalLight(0xffffff, 0.55 * Math.PI);
+    const lamp = new THREE.DirectionalLight(0xffffff, 0.3 * Math.PI);
     lamp.position.set(0, 0, 0); // at the eye
     lamp.target.position.set(0, 0, -1);
     camera.add(lamp, lamp.target);
-    scene.add(camera, new THREE.AmbientLight(0xffffff, 0.5 * Math.PI), new THREE.Mesh(geometry, material));
+    scene.add(camera, new THREE.AmbientLight(0xffffff, 0.7 * Math.PI), new THREE.Mesh(geometry, material));
     camera.up.set(...head.up);
     const controls = new THREE.OrbitControls(camera, canvas);
     controls.enablePan = true;

@@ -1,0 +1,99 @@
+"""Plans with and without further exposures: the part's own postures, and as many that are chosen."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from benchmarks._worth_looked import Looked, Row, finished, look_at, places_text
+from benchmarks._worth_sets import DEFECTS, STEP
+from benchmarks.truth import SEEN_IN
+from lightopt import build_scene
+from lightopt.config import PartConfig, RigConfig
+from lightopt.errors import counted as counted_text
+from lightopt.optimize import Candidates, find_candidates
+from lightopt.plan import (
+    DEFAULT_EXPOSURE_GAIN,
+    DRAWN_PATCHES,
+    Wanted,
+    choose_with_exposures,
+    drawn_patches,
+    posture_grid,
+    usable_postures,
+)
+from lightopt.rendering import cast_rays_at
+from lightopt.scene import PanelLight, build_lights
+from lightopt.transforms import Posture
+
+__all__ = ["plans"]
+
+POSTURES, POSTURE_STEP = 4, 90.0
+
+OFFERED = {1.0 / 16.0: "1/16", 1.0 / 4.0: "1/4", 1.0: "1", 4.0: "4", 16.0: "16"}
+"""Exposures, and how they are written: shorter ones for highlights, longer ones for what is dark."""
+
+
+def plans(
+    rig: RigConfig, part: PartConfig, *, finish: str, patches: int, defects: int = DEFECTS
+) -> Iterator[Row]:
+    """Plan a part's own postures and chosen ones, at exposure 1 and with all that are offered, as the command does."""
+    candidates = find_candidates(rig, step_deg=STEP, alone=True)
+    scene = build_scene(rig, part, defects=False)
+    grid = replace(scene, postures=posture_grid(rig, part, step_deg=POSTURE_STEP))
+    places = tuple(panel for some in candidates.panels for panel in some)
+    usable, _ = usable_postures(grid, places, cast_rays_at(scene))
+    looked = look_at(rig, part, replace(scene, postures=usable), patches=patches, defects=defects)
+    looked = finished(looked, finish)
+    own = tuple(posture for posture in scene.postures if posture in usable)[:POSTURES]
+    lights = build_lights(rig)
+    for seen_in in SEEN_IN:
+        for what, among in ((f"the part's own {len(own)}", own), (f"{POSTURES} chosen", usable)):
+            for offered in ((1.0,), tuple(OFFERED)):
+                yield _plan(looked, among, lights, candidates, offered, part.name, finish, seen_in, what)
+
+
+def _plan(
+    looked: Looked,
+    among: Sequence[Posture],
+    lights: Sequence[PanelLight],
+    candidates: Candidates,
+    offered: Sequence[float],
+    part: str,
+    finish: str,
+    seen_in: int,
+    what: str,
+) -> Row:
+    survey = looked.survey
+    choice, brackets = choose_with_exposures(
+        survey,
+        replace(survey, table=drawn_patches(survey.table, DRAWN_PATCHES)),
+        among,
+        lights,
+        candidates,
+        Wanted(least=seen_in, count=POSTURES),
+        offered=offered,
+        gain_points=DEFAULT_EXPOSURE_GAIN,
+    )
+    exposures = [(1.0,) if brackets is None else brackets.of(posture) for posture in choice.postures]
+    said, found = looked.seen(choice.postures, choice.panels, exposures)
+    return Row(
+        part=part,
+        finish=finish,
+        seen_in=seen_in,
+        what=what if len(offered) == 1 else f"{what}, {_further(exposures)}",
+        lights=places_text(choice.panels),
+        share=choice.cover.share,
+        defects=len(looked.defects),
+        predicted=int((said >= seen_in).sum()),
+        counted=int((found >= seen_in).sum()),
+    )
+
+
+def _further(exposures: Sequence[Sequence[float]]) -> str:
+    # how many further exposures are planned, and of each length
+    planned = Counter(level for levels in exposures for level in levels if level != 1.0)
+    if not planned:
+        return "no further exposure pays"
+    each = ", ".join(f"{planned[level]} × {text}" for level, text in OFFERED.items() if planned[level])
+    return f"{counted_text(planned.total(), 'further exposure')} ({each})"

@@ -1,0 +1,49 @@
+"""Ctrl-C that does not raise inside LLVM's Python binding.
+
+llvmlite releases what numba compiled in finalisers that hold a lock. Python swallows what is raised in a finaliser, the
+interrupt is lost, the lock stays taken, and the next kernel waits for ever.
+"""
+
+from __future__ import annotations
+
+import _thread
+import signal
+import threading
+import time
+from types import FrameType
+
+__all__ = ["interrupt", "put_off"]
+
+_AGAIN_AFTER_S = 0.005
+
+
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """Handler of SIGINT that raises :class:`KeyboardInterrupt`, but not inside llvmlite."""
+    if not put_off(number, frame):
+        raise KeyboardInterrupt
+
+
+def put_off(number: int, frame: FrameType | None) -> bool:
+    """Whether a signal came inside llvmlite. It is then sent to the main thread again, some milliseconds later.
+
+    Parameters
+    ----------
+    number, frame
+        What Python gives to the handler.
+    """
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).partition(".")[0] == "llvmlite":
+            # not a threading.Thread, whose start takes a lock that the main thread may be holding
+            _thread.start_new_thread(_send_again, (number,))
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _send_again(number: int) -> None:
+    time.sleep(_AGAIN_AFTER_S)
+    if hasattr(signal, "pthread_kill"):
+        # unlike the other, it wakes a main thread that waits
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        _thread.interrupt_main(signal.Signals(number))

@@ -1,0 +1,111 @@
+"""What an inspection found and what it could see, as tables: the same cells on the terminal and in the report."""
+
+from __future__ import annotations
+
+from lightopt.align import Placement
+from lightopt.errors import percent
+from lightopt.inspection import CONTRASTS, Coverage, Inspection, SurfaceCoverage, Verdict
+from lightopt.report._page import Table
+
+__all__ = ["dark_told", "defect_table", "placement_told", "surface_table", "surface_told"]
+
+
+def defect_table(result: Inspection, verdict: Verdict) -> Table:
+    """A row for each defect, the highest score first.
+
+    Parameters
+    ----------
+    result
+        Of a set of images.
+    verdict
+        On it: which defects count.
+    """
+    rows = [
+        [
+            str(defect.number),
+            defect.best.kind,
+            " ".join(defect.lights) or "-",
+            "yes" if defect.number in verdict.counting else "no",
+            ", ".join(f"{x:.2f}" for x in defect.best.position),
+            f"{defect.size[0]:.2f} × {defect.size[1]:.2f}",
+            f"{defect.area:.3g}",
+            percent(defect.greatest_contrast, 0),
+            f"{defect.best.score:.1f}",
+            str(len(defect.sightings)),
+        ]
+        for defect in result.defects
+    ]
+    header = ["", "kind", "lights", "counts", "place [mm]", "size [mm]", "area [mm²]", "contrast", "score"]
+    return Table(
+        header=[*header, "postures"],
+        rows=rows,
+        numbers_from=4,
+        caption="Places are in the coordinates of the mesh file. The score is −log₁₀ of the probability that noise "
+        "alone looks as much like a defect; lights are those that show it by themselves, by four standard "
+        "deviations or more. Where these are fewer than asked for, several together stand out of the noise.",
+    )
+
+
+def surface_table(result: Inspection) -> Table:
+    """A row for each posture, and one for all: the surface by what each place can show, and by why it shows nothing.
+
+    Columns from the fourth on are classes: each place is in one of them.
+
+    Parameters
+    ----------
+    result
+        Of a set of images.
+    """
+    every = result.surface
+    gap = every.missing > 0.0
+
+    def row(name: str, cover: Coverage | SurfaceCoverage, missing: float) -> list[str]:
+        areas = [cover.inspected, *cover.classes, cover.edge, cover.saturated, cover.shadow]
+        areas += [missing] if gap else []
+        return [name, f"{cover.seen:.0f}", *(percent(area / max(cover.seen, 1e-9)) for area in areas)]
+
+    rows = [row(str(p.view.posture), p.coverage, 0.0) for p in result.postures]
+    if len(rows) > 1 or gap:
+        rows.append(row("all postures", every, every.missing))
+    header = ["posture", "seen [mm²]", "inspected", *(f"from {100.0 * c:g} %" for c in CONTRASTS)]
+    header += ["stronger", "glints", "edges", "saturated", "in shadow", *(["no images"] if gap else [])]
+    return Table(header=header, rows=rows, caption=" ".join(surface_told(result)))
+
+
+def surface_told(result: Inspection) -> list[str]:
+    """What the columns of :func:`surface_table` stand for, and what else there is to say of the surface; sentences."""
+    every = result.surface
+    seen = max(every.seen, 1e-9)
+    legend = (
+        "Shares of the surface that the camera sees. What was inspected, by what it shows: an even disc of 5 px, half "
+        "of the time, from such a change of the light on; only stronger ones; where it is dark, only glints. The rest, "
+        "by why not. These classes add up to the whole."
+    )
+    told = [legend]
+    if every.fewer > 0.0:
+        told.append(
+            f"{percent(every.fewer / seen)} is lit in fewer images than a defect must show in: it has to show in these "
+            "alone."
+        )
+    if len(result.postures) > 1 or every.missing > 0.0:
+        never = percent(1.0 - every.seen / max(every.area, 1e-9))
+        told.append(
+            "All postures: each place once, by the posture that shows it best; the verdict is of this. "
+            f"{never} of the part's {every.area:.0f} mm² is never seen."
+        )
+    if every.missing > 0.0:
+        told.append("No images: what postures of the part's file show of which the set has none.")
+    return told
+
+
+def dark_told(verdict: Verdict) -> str:
+    """The share of the visible surface that shows only glints, as the end of a sentence; empty where none does."""
+    return f"; {percent(verdict.glints)} is dark and shows only glints" if verdict.glints > 0.0 else ""
+
+
+def placement_told(placement: Placement) -> tuple[str, str, str]:
+    """How far a part lies off its place in x, in y [mm] and turned [°], with signs."""
+    told = placement.as_dict()
+    # adding 0 makes a nought of what is rounded to minus nought
+    x, y, turn = (f"{round(told[key], 3) + 0.0:+.3f}" for key in ("x_mm", "y_mm", "turn_deg"))
+    return f"{x} mm", f"{y} mm", f"{turn}°"

@@ -1,0 +1,85 @@
+"""Work in blocks of rows and tiles gives what the whole image gives, whatever the number of threads."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from lightopt import build_scene, load_part, load_rig
+from lightopt.align import read_observations
+from lightopt.images import read_image_set
+from lightopt.inspection import (
+    deviations,
+    measure_coverage,
+    posture_view,
+    predict,
+    score_deviations,
+)
+from lightopt.inspection._coverage_blocks import coverage_in_blocks
+from lightopt.inspection._filter import filter_tile, gaussian_taps
+from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
+from lightopt.transforms import Posture
+
+FLAT = Posture(0.0, 0.0)
+LIGHTS = ("light1", "light3")
+
+
+@pytest.fixture(scope="module")
+def shown(shared_bench, tmp_path_factory):
+    """Scene, images and prediction of a good part, and the rig and part."""
+    rig, part = load_rig(shared_bench.rig), load_part(shared_bench.part)
+    folder = tmp_path_factory.mktemp("blocks") / "set"
+    options = RenderOptions(noise=1, patch_budget=500, postures=(FLAT,), lights=LIGHTS)
+    render_image_set(rig, part, folder, options=options)
+    scene = build_scene(rig, part, postures=(FLAT,), lights=LIGHTS, defects=False)
+    images = read_observations(read_image_set(folder), rig, part)
+    return scene, images, predict(scene, FLAT, cast_rays_at(scene), lights=LIGHTS)
+
+
+def seen(shown, threads):
+    scene, images, prediction = shown
+    view = posture_view(scene, images, prediction, where="test", threads=threads)
+    found = deviations(view, threads=threads)
+    return view, found, score_deviations(found, seen_by=2, threads=threads)
+
+
+def test_the_number_of_threads_changes_nothing(shown):
+    (view, found, score), (view_3, found_3, score_3) = seen(shown, 1), seen(shown, 3)
+    assert view.level.max() > 100
+    for name in ("level", "predicted", "specular", "deviation", "rounding", "limit", "saturated"):
+        assert np.array_equal(getattr(view, name), getattr(view_3, name)), name
+    for name in ("z", "scale", "usable", "lit"):
+        assert np.array_equal(getattr(found, name), getattr(found_3, name)), name
+    assert np.array_equal(score, score_3)
+    assert score.max() > 1
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_coverage_in_blocks_is_that_of_the_whole_image(shown, threads):
+    view, found, _ = seen(shown, 2)
+    whole = measure_coverage(view, found, seen_by=2, high=6.0)
+    blocks = coverage_in_blocks(view, found, seen_by=2, high=6.0, threads=threads)
+    assert whole.inspected > 0.1 * whole.seen > 0.0
+    for field in fields(whole):
+        mine, theirs = getattr(blocks, field.name), getattr(whole, field.name)
+        if isinstance(mine, np.ndarray):
+            assert np.array_equal(mine, theirs), field.name
+        else:
+            assert mine == pytest.approx(theirs, rel=1e-12), field.name
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.bool_])
+@pytest.mark.parametrize("box", [(0, 0, 64, 50), (10, 7, 5, 40), (50, 30, 14, 20)])
+def test_a_tile_is_that_part_of_the_filtered_image(kind, box):
+    top, left, rows, columns = box
+    image = (np.random.default_rng(3).random((64, 50)) * 4 - 1).astype(kind)
+    taps = gaussian_taps(2.0)
+    result = np.full((rows, columns), np.nan, np.float32)
+    filter_tile(image, taps, top, left, result)
+    expected = image.astype(np.float64)
+    for axis in (0, 1):
+        expected = ndimage.correlate1d(expected, taps.astype(np.float64), axis=axis, mode="constant")
+    assert np.abs(result - expected[top : top + rows, left : left + columns]).max() < 1e-5

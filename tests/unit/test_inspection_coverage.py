@@ -1,0 +1,118 @@
+"""What a place can show: the contrast that is told is found there, and each pixel is in one class."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lightopt.inspection import (
+    CONTRASTS,
+    Deviations,
+    Reached,
+    SurfaceCoverage,
+    measure_coverage,
+    score_deviations,
+)
+from lightopt.inspection._coverage import least_contrast
+from lightopt.inspection._deviation import DARK
+
+SIDE, STEP = 360, 24
+LEVEL, SCALE, HIGH = 100.0, 2.0, 6.5
+
+
+def discs(rng):
+    """A disc of 5 px in each square of the image, its middle anywhere within a pixel."""
+    places = SIDE // STEP
+    y, x = np.mgrid[:STEP, :STEP] + 0.5 - STEP / 2
+    shifts = rng.uniform(-0.5, 0.5, (places, places, 2))
+    return np.block([[np.hypot(y - a, x - b) < 2.5 for a, b in row] for row in shifts])
+
+
+def share_found(z, usable, lit, seen_by):
+    score = score_deviations(Deviations(z, np.full_like(z, SCALE), usable, lit), seen_by=seen_by)
+    peaks = score.reshape(SIDE // STEP, STEP, SIDE // STEP, STEP).max(axis=(1, 3))
+    return float(np.mean(peaks >= HIGH))
+
+
+def seen(noise, lit):
+    """What counts of deviations where only the first images are lit."""
+    return np.where(lit | (np.abs(noise) > DARK), noise, np.float32(0.0))
+
+
+@pytest.mark.parametrize(("seen_by", "lights"), [(1, 4), (2, 4), (2, 1), (3, 2)])
+def test_a_disc_of_the_contrast_that_is_told_is_found_half_of_the_time(seen_by, lights):
+    rng = np.random.default_rng(5)
+    noise = rng.standard_normal((4, SIDE, SIDE), dtype=np.float32)
+    usable, lit = np.ones_like(noise, bool), np.zeros_like(noise, bool)
+    lit[:lights] = True
+    predicted = np.where(lit, np.float32(LEVEL), np.float32(0.5))
+    even = Deviations(seen(noise, lit), np.full_like(noise, SCALE), usable, lit)
+    told = least_contrast(even, predicted, seen_by=seen_by, high=HIGH)
+    assert np.ptp(told) == 0.0
+    inside = discs(rng)
+    found = {}
+    for share in (0.6, 1.0, 1.5):
+        z = noise.copy()
+        z[: min(seen_by, lights)] -= inside * np.float32(share * told[0, 0] * LEVEL / SCALE)
+        found[share] = share_found(seen(z, lit), usable, lit, seen_by)
+    assert 0.35 < found[1.0] < 0.75
+    assert found[0.6] < 0.15
+    assert found[1.5] > 0.95
+
+
+@pytest.mark.parametrize("seen_by", [1, 2])
+def test_a_dark_place_tells_no_contrast_and_shows_glints_of_three_deviations(seen_by):
+    rng = np.random.default_rng(6)
+    noise = rng.standard_normal((4, SIDE, SIDE), dtype=np.float32)
+    usable, lit = np.ones_like(noise, bool), np.zeros_like(noise, bool)
+    dark = Deviations(seen(noise, lit), np.full_like(noise, SCALE), usable, lit)
+    assert np.all(np.isinf(least_contrast(dark, np.full_like(noise, 0.5), seen_by=seen_by, high=HIGH)))
+    inside = discs(rng)
+    found = {}
+    for glint in (1.0, DARK):
+        z = noise.copy()
+        z[0] += inside * np.float32(glint)
+        found[glint] = share_found(seen(z, lit), usable, lit, seen_by)
+    assert found[1.0] < 0.1
+    assert found[DARK] > 0.9
+
+
+def test_each_pixel_is_in_the_class_of_what_it_can_show():
+    # columns: off the part, an edge, shadow, saturated, dark, lit by one, lit by two, lit brightly by two
+    expected = [
+        *(Reached.NO_PART, Reached.EDGE, Reached.SHADOW, Reached.SATURATED),
+        *(Reached.GLINTS, Reached.FEWER, Reached.INSPECTED, Reached.INSPECTED),
+    ]
+    predicted = np.array([[0, 9, 0, 300, 0.1, 40, 2, 400], [0, 9, 0, 0, 0.1, 0.1, 2, 400]], np.float32)
+    saturated = np.array([[0, 0, 0, 1, 0, 0, 0, 0]] * 2, bool)
+    clean = np.array([0, 0, 1, 1, 1, 1, 1, 1], bool)
+    lit = np.array([[0, 0, 0, 0, 0, 1, 1, 1], [0, 0, 0, 0, 0, 0, 1, 1]], bool)
+    usable = np.array([[0, 0, 0, 0, 1, 1, 1, 1], [0, 0, 0, 0, 1, 1, 1, 1]], bool)
+    area = np.array([0, 1, 2, 4, 8, 16, 32, 64], np.float32)
+    predicted, saturated, lit, usable = (a[:, None, :] for a in (predicted, saturated, lit, usable))
+    view = SimpleNamespace(
+        part=(area > 0)[None], clean=clean[None], lights=("a", "b"), predicted=predicted, saturated=saturated,
+        limit=np.full_like(predicted, 255.0), prediction=SimpleNamespace(area=area[None]),
+    )  # fmt: skip
+    ones = np.ones_like(predicted)
+    found = measure_coverage(view, Deviations(0.0 * ones, ones, usable, lit), seen_by=2, high=HIGH)
+    assert found.reached[0].tolist() == expected
+    assert (found.seen, found.inspected) == (127.0, 120.0)
+    assert (found.edge, found.shadow, found.saturated, found.glints, found.fewer) == (1, 2, 4, 8, 16)
+    assert np.isinf(found.least_contrast[0, :5]).all()
+    assert found.classes == (80.0, 0.0, 0.0, 0.0, 32.0, 8.0)
+    assert sum(found.classes) == found.inspected
+    assert found.share == pytest.approx(120 / 127)
+    told = found.as_dict()
+    assert told["only_glints"] == pytest.approx(8 / 127, abs=1e-5)
+    assert told["only_stronger"] == pytest.approx(32 / 127, abs=1e-5)
+    assert told["finds_contrast"] == {f"{c:g}": pytest.approx(80 / 127, abs=1e-5) for c in CONTRASTS}
+
+
+def test_nothing_seen_has_no_share():
+    none = SurfaceCoverage(
+        area=1.0, seen=0.0, inspected=0.0, saturated=0.0, shadow=0.0, edge=0.0, sensitivity={}
+    )
+    assert (none.share, none.finds, sum(none.classes)) == (0.0, 0.0, 0.0)

@@ -1,0 +1,68 @@
+"""Ctrl-C inside llvmlite's finalisers, where Python would swallow it: held back, and not lost."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+SCRIPT = """
+import signal, sys, time
+from lightopt.{module} import {name}
+
+{install}
+
+# a finaliser as llvmlite's: what is raised in it is swallowed, and its lock stays taken
+module = {{"__name__": "llvmlite.binding.ffi", "signal": signal, "steps": []}}
+exec('''
+class Owned:
+    def __del__(self):
+        steps.append("lock taken")
+        signal.raise_signal(signal.SIGINT)
+        steps.append("lock released")
+''', module)
+try:
+    owned = module["Owned"]()
+    del owned
+    print(*module["steps"], sep=", ", flush=True)
+    {wait}
+    print("lost")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+HANDLERS = {
+    "command line": ("interrupts", "interrupt", "signal.signal(signal.SIGINT, interrupt)"),
+    "capture": ("capture._signals", "EndSignals", "EndSignals().install()"),
+}
+
+
+@pytest.mark.parametrize("handler", HANDLERS)
+@pytest.mark.parametrize(
+    "wait",
+    [
+        "for _ in range(1000): time.sleep(0.01)",
+        pytest.param(
+            "import threading; threading.Event().wait(10)",
+            marks=pytest.mark.skipif(
+                not hasattr(signal, "pthread_kill"),
+                reason="Windows cannot wake a thread that waits for a lock",
+            ),
+        ),
+    ],
+    ids=["working", "waiting"],
+)
+def test_raised_after_llvmlite_has_released_its_lock(handler, wait):
+    module, name, install = HANDLERS[handler]
+    script = SCRIPT.format(module=module, name=name, install=install, wait=wait)
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (ran.stdout.splitlines(), ran.stderr) == (["lock taken, lock released", "interrupted"], "")
+
+
+def test_pythons_own_handler_would_lose_it():
+    script = SCRIPT.format(module="interrupts", name="interrupt", install="", wait="time.sleep(0.1)")
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert ran.stdout.splitlines() == ["lock taken", "lost"]
+    assert "ignored" in ran.stderr

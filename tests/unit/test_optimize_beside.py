@@ -1,0 +1,80 @@
+"""Objectives that are searched beside one whose light positions were chosen before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from lightopt.optimize import OptimizeOptions, optimize
+from lightopt.optimize import _matrices as matrices
+
+LIGHTS = """\
+lights:
+  - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [30, 60]}
+  - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 165, elevation_range_deg: [40, 50]}
+  - {name: light3, distance_mm: 330, elevation_deg: 50, azimuth_deg: 285}
+"""
+PLACES = ((40.0, 45.0), (50.0, 165.0), (50.0, 285.0))
+OPTIONS = OptimizeOptions(
+    step_deg=10.0,
+    common_lights=True,
+    patch_budget=400,
+    images=False,
+    threads=2,
+    objectives=("coverage", "paper"),
+)
+
+
+@pytest.fixture
+def three(bench):
+    head, rest = bench.rig.read_text(encoding="utf-8").split("lights:\n", 1)
+    bench.rig.write_text(head + LIGHTS + rest[rest.index("stage:") :], encoding="utf-8", newline="\n")
+    return bench
+
+
+def test_the_others_are_found_as_without_it(three):
+    alone = optimize(three.rig, three.part, three.folder / "alone", options=OPTIONS).results[0]
+    chosen = replace(OPTIONS, objectives=("detectability", "coverage", "paper"), places=PLACES)
+    beside = optimize(three.rig, three.part, three.folder / "beside", options=chosen)
+    first, *others = beside.results[0].answers
+    assert [answer.found for answer in others] == [answer.found for answer in alone.answers]
+    for answer, before in zip(others, alone.answers, strict=True):
+        assert {name: answer.scores[name] for name in before.scores} == before.scores
+        assert "detectability" in answer.scores
+    # the first stands where it was put, and has the scores of that combination
+    best = first.found.best
+    angles = tuple(some[k] for some, k in zip(beside.candidates.angles, best.candidates, strict=True))
+    assert (angles, first.found.scored) == (PLACES, 1)
+    assert first.scores["coverage"] <= others[0].found.best.score
+    assert first.scores["paper"] <= others[1].found.best.score
+    lone = optimize(
+        three.rig, three.part, three.folder / "lone", options=replace(chosen, objectives=("detectability",))
+    )
+    assert lone.results[0].answers[0].found.best.score == best.score == first.scores["detectability"]
+    assert not beside.warnings
+
+
+@pytest.mark.parametrize(
+    ("places", "room", "why"),
+    [
+        (((41.0, 45.0), *PLACES[1:]), True, "the chosen ones are not among them"),
+        (PLACES, False, "they are too many for memory"),
+    ],
+)
+def test_where_they_cannot_be_searched_it_is_said_that_they_are_only_scored(
+    three, places, room, why, monkeypatch
+):
+    real = matrices.Matrices.holds
+
+    def holds(self, candidates):
+        with monkeypatch.context() as small:
+            if not room:
+                small.setattr(matrices, "MOST_BYTES", 1000)
+            return real(self, candidates)
+
+    monkeypatch.setattr(matrices.Matrices, "holds", holds)
+    chosen = replace(OPTIONS, objectives=("detectability", "paper"), places=places)
+    found = optimize(three.rig, three.part, three.out, options=chosen)
+    assert [answer.found.scored for answer in found.results[0].answers] == [1, 1]
+    assert any("their own best positions are not searched" in text and why in text for text in found.warnings)
