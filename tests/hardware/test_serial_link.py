@@ -279,9 +279,54 @@ def test_write_that_nobody_takes(monkeypatch: pytest.MonkeyPatch) -> None:
         raise serial.SerialTimeoutException("Write timeout")
 
     port.write = refuse  # type: ignore[method-assign]
-    with pytest.raises(LinkLostError, match=r"does not take what is sent within 0.02 s; check flow control"):
+    with pytest.raises(LinkLostError, match=r"does not take what is sent within 1 s; check flow control"):
         link.send(b"x")
-    assert port.opened_with["write_timeout"] == 0.02
+    assert port.opened_with["write_timeout"] == 1.0
+    assert scripted_link(monkeypatch, [], timeout_s=2.5)[1].opened_with["write_timeout"] == 2.5
+
+
+@needs_pty
+def test_a_busy_computer_is_no_dead_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that is held up while it writes or before it reads: the bytes were taken, and the reply is there."""
+    far = Far("pty")
+    link = far.link(timeout_s=0.1)
+    taken = os.write
+
+    def held_up(descriptor: int, data: bytes) -> int:
+        count = taken(descriptor, data)
+        time.sleep(0.2)
+        return count
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "write", held_up)
+        link.send(b"Q:")
+    far.say(b"ready\n")
+    reading = link._serial.read
+    pauses = iter([0.2])
+
+    def read_late(size: int) -> bytes:
+        data = reading(size)
+        time.sleep(next(pauses, 0.0))
+        return data
+
+    monkeypatch.setattr(link._serial, "read", read_late)
+    assert link.read(end=b"\n") == b"ready\n"
+    assert link.events == []
+    link.close()
+    far.vanish()
+
+
+@needs_pty
+def test_babble_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What always has something more in the input is late all the same."""
+    far = Far("pty")
+    link = far.link(timeout_s=0.05)
+    monkeypatch.setattr(link._serial, "read", lambda _: b"x")
+    monkeypatch.setattr(type(link._serial), "in_waiting", property(lambda _: 1))
+    with pytest.raises(ReplyError, match="the reply is incomplete after 0.05 s"):
+        link.read(end=b"\n")
+    link.close()
+    far.vanish()
 
 
 @pytest.mark.parametrize("failure", [OSError(5, "EIO"), ValueError])
