@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -39,7 +40,7 @@ from lightopt.inspection import (
     sets_needed,
     threshold,
 )
-from lightopt.inspection._inspect import score_posture
+from lightopt.inspection._scored import score_posture, synthetic_image
 from lightopt.inspection._systematic import nominal_pixels, without_systematic
 from lightopt.rendering import PostureImages, cast_rays_at, render_posture
 from lightopt.scene import Scene, build_scene
@@ -163,10 +164,10 @@ def regions_of(
     found: Deviations = deviations(view)
     if taught is not None and taught.systematic is not None:
         found = without_systematic(found, taught.systematic, nominal_pixels(view, model, told))
-    scored = score_posture(view, found, options, probes=0)
-    noise = threshold(options.false_alarms, int(view.clean.sum()), scored.tests)
+    score, tests = score_posture(found, options, partial(synthetic_image, view, options, probes=0))
+    noise = threshold(options.false_alarms, int(view.clean.sum()), tests)
     high = noise if taught is None else taught.threshold(options.false_alarms)
-    return find_regions(scored.score, high)[0]
+    return find_regions(score, high)[0]
 
 
 def len_of(labels: np.ndarray) -> int:

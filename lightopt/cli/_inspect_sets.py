@@ -201,10 +201,15 @@ def _write(
 
     summary = None if known is None else summarise([known])
     verdict = judge(result, wanted.part.inspection)
-    for posture in result.postures:
-        folder.write_posture(posture)
-        path = folder.place(f"{posture_folder(posture.view.posture)}/defects.png")
-        defect_overlay(path, posture, result.defects)
+    if not wanted.quiet:  # before the pictures, which take longer than it did
+        show_inspection(result, verdict)
+    with show_share(quiet=wanted.quiet) as progress:
+        for number, posture in enumerate(result.postures):
+            if progress is not None:
+                progress(f"pictures of posture {posture.view.posture}", number / len(result.postures))
+            folder.write_posture(posture)
+            path = folder.place(f"{posture_folder(posture.view.posture)}/defects.png")
+            defect_overlay(path, posture, result.defects)
     more: list[Path] = []
     if summary is not None:
         more.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
@@ -220,7 +225,6 @@ def _write(
         more.append(folder.write_text(REPORT_NAME, page))
     written = [*folder.write(result, verdict), *more]
     if not wanted.quiet:
-        show_inspection(result, verdict)
         if summary is not None:
             show_truth(summary)
         for path in written:

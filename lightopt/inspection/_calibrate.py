@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +21,13 @@ from lightopt.inspection._calibration import (
     too_few,
 )
 from lightopt.inspection._deviation import deviations
-from lightopt.inspection._inspect import LaidSet, lay_set, score_posture
+from lightopt.inspection._inspect import LaidSet, lay_set
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._predictions import Predictions
 from lightopt.inspection._rates import least_rate
 from lightopt.inspection._register import Progress
 from lightopt.inspection._score import score_deviations
+from lightopt.inspection._scored import score_posture, synthetic_image
 from lightopt.inspection._systematic import (
     Residuals,
     Systematic,
@@ -125,7 +127,9 @@ def calibrate_laid(
                 seen.append(view.posture)
                 found = deviations(view, threads=options.threads)
                 if options.detector == "template":
-                    score = score_posture(view, found, options, probes=0).score
+                    score, _ = score_posture(
+                        found, options, partial(synthetic_image, view, options, probes=0)
+                    )
                     learning.peaks.append(float(score.max(initial=0.0)))
                     continue
                 one = Residuals.of(found, nominal_pixels(view, laid.nominal, laid.placement))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -17,25 +18,25 @@ from lightopt.images import ImageSet
 from lightopt.inspection._calibration import CalibratedPosture, Calibration, Shots, shots_of
 from lightopt.inspection._coverage import Coverage
 from lightopt.inspection._coverage_blocks import coverage_in_blocks
-from lightopt.inspection._deviation import Deviations, deviations
+from lightopt.inspection._deviation import deviations
 from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._pieces import separate_pieces
 from lightopt.inspection._predictions import Predictions, lights_of
 from lightopt.inspection._regions import find_regions
 from lightopt.inspection._register import DARK_SPREAD, Progress, good_part, lay_over
-from lightopt.inspection._score import SCALES_PX, score_deviations, threshold
+from lightopt.inspection._score import SCALES_PX, threshold
+from lightopt.inspection._scored import score_posture, synthetic_image
 from lightopt.inspection._sightings import FoundDefect, Sighting, gather
 from lightopt.inspection._slopes import node_steps
 from lightopt.inspection._surface import SurfaceCoverage, surface_coverage
-from lightopt.inspection._synthetic import PROBES, SyntheticImage, fuse_images, trust_weights
+from lightopt.inspection._synthetic import SyntheticImage
 from lightopt.inspection._systematic import nominal_pixels, without_systematic
-from lightopt.inspection._template import TEMPLATES, score_templates
 from lightopt.inspection._view import PostureView, posture_view
 from lightopt.scene import Scene
 from lightopt.transforms import Posture
 
-__all__ = ["InspectedPosture", "Inspection", "LaidSet", "inspect_set", "lay_set", "score_posture"]
+__all__ = ["InspectedPosture", "Inspection", "LaidSet", "inspect_set", "lay_set"]
 
 Float32 = NDArray[np.float32]
 
@@ -57,8 +58,8 @@ class InspectedPosture:
     ----------
     view
         Images and prediction.
-    synthetic
-        The image without highlights; None where none was asked for.
+    make_synthetic
+        Makes the image without highlights; None where none was asked for.
     score
         −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
     labels
@@ -72,12 +73,21 @@ class InspectedPosture:
     """
 
     view: PostureView
-    synthetic: SyntheticImage | None
+    make_synthetic: Callable[[], SyntheticImage] | None
     score: Float32
     labels: NDArray[np.int32]
     threshold: float
     sightings: tuple[Sighting, ...]
     coverage: Coverage
+
+    @cached_property
+    def synthetic(self) -> SyntheticImage | None:
+        """The image without highlights; None where none was asked for.
+
+        It is made when it is first asked for: it takes several times as long as the verdict, which the residual
+        detector reaches without it.
+        """
+        return None if self.make_synthetic is None else self.make_synthetic()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -263,60 +273,6 @@ def _find(
     return scene, replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn), off
 
 
-@dataclass(frozen=True)
-class Scored:
-    """The scores of a posture, and what they were made from.
-
-    Attributes
-    ----------
-    found
-        Deviations from the good part.
-    synthetic
-        The image without highlights; None where none was asked for.
-    score
-        Shape (H, W).
-    tests
-        Scores that each pixel's is the greatest of.
-    """
-
-    found: Deviations
-    synthetic: SyntheticImage | None
-    score: Float32
-    tests: int
-
-
-def score_posture(
-    view: PostureView, found: Deviations, options: InspectOptions, *, probes: int = PROBES
-) -> Scored:
-    """The scores of a posture by the detector that was chosen; `probes` as :func:`fuse_images` takes it."""
-    synthetic = None
-    if options.fusion is not None:
-        weights = trust_weights(
-            view.saturated,
-            view.predicted,
-            view.specular,
-            view.deviation,
-            view.limit,
-            threads=options.threads,
-        )
-        synthetic = fuse_images(
-            view.level,
-            view.deviation,
-            weights,
-            view.clean,
-            fusion=options.fusion,
-            predicted=view.predicted,
-            specular=view.specular,
-            probes=probes,
-            threads=options.threads,
-        )
-    if options.detector == "template":
-        assert synthetic is not None
-        return Scored(found, synthetic, score_templates(synthetic), TEMPLATES)
-    score = score_deviations(found, seen_by=options.seen_by, threads=options.threads)
-    return Scored(found, synthetic, score, len(SCALES_PX))
-
-
 def _inspect_posture(
     view: PostureView,
     options: InspectOptions,
@@ -329,10 +285,10 @@ def _inspect_posture(
     if learned is not None and learned.systematic is not None:
         nominal = nominal_pixels(view, laid.nominal, laid.placement)
         found = without_systematic(found, learned.systematic, nominal)
-    scored = score_posture(view, found, options)
-    score = scored.score
+    make_synthetic = None if options.fusion is None else cache(partial(synthetic_image, view, options))
+    score, tests = score_posture(found, options, make_synthetic)
     if learned is None:
-        high = threshold(options.false_alarms, int(view.clean.sum()), scored.tests)
+        high = threshold(options.false_alarms, int(view.clean.sum()), tests)
     else:
         high = learned.threshold(options.false_alarms)
     labels, count = find_regions(score, high)
@@ -345,7 +301,7 @@ def _inspect_posture(
     labels, count = separate_pieces(labels, count, score, found, high)
     return InspectedPosture(
         view=view,
-        synthetic=scored.synthetic,
+        make_synthetic=make_synthetic,
         score=score,
         labels=labels,
         threshold=high,

@@ -323,7 +323,7 @@ def test_babble_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     link = far.link(timeout_s=0.05)
     monkeypatch.setattr(link._serial, "read", lambda _: b"x")
     monkeypatch.setattr(type(link._serial), "in_waiting", property(lambda _: 1))
-    with pytest.raises(ReplyError, match="the reply is incomplete after 0.05 s"):
+    with pytest.raises(ReplyError, match=r"the reply is incomplete after 0.05 s"):
         link.read(end=b"\n")
     link.close()
     far.vanish()

@@ -14,6 +14,7 @@ from PIL import Image
 
 from lightopt import load_part, load_rig
 from lightopt.cli._main import run
+from lightopt.errors import InputError
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata, write_png
 from lightopt.inspection import InspectOptions, manifest_sha256, provenance
 
@@ -108,6 +109,20 @@ def test_defects_are_found_where_they_are_and_told_in_every_file(cli, bench, par
     assert set(result["files"]) | {"defects.json"} == {
         p.relative_to(bench.out).as_posix() for p in bench.out.rglob("*") if p.is_file()
     }
+
+
+def test_the_verdict_is_reached_and_told_before_the_images_without_highlights(cli, bench, parts, monkeypatch):
+    """They take several times as long, and the residual detector does not look at them."""
+
+    def refuse(*_, **__):
+        raise InputError("no image without highlights")
+
+    monkeypatch.setattr("lightopt.inspection._scored.fuse_images", refuse)
+    ran = inspect(cli, bench, parts["bad"])
+    assert "NG: " in ran.out
+    assert "no image without highlights" in ran.err
+    ran = inspect(cli, bench, parts["bad"], "--detector", "template", "--force")
+    assert "NG: " not in ran.out
 
 
 def test_a_good_part_is_ok_and_the_surface_is_accounted_for(cli, bench, parts):
