@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +20,7 @@ from lightopt.cli._options import (
     Threads,
     parse_points,
     parse_posture,
+    parse_share,
 )
 from lightopt.cli._plan_options import plan_options
 from lightopt.cli._plan_tables import show_plan
@@ -103,8 +103,8 @@ def optimize(
         typer.Option(metavar="N", help="Choose the N postures that show most of the surface together."),
     ] = None,
     target: Annotated[
-        float | None,
-        typer.Option(metavar="SHARE", help="Choose as few postures as show this share, such as 0.95."),
+        str | None,
+        typer.Option(metavar="SHARE", help="Choose as few postures as show this share, such as 0.95 or 95%."),
     ] = None,
     posture_step: Annotated[
         float | None, typer.Option(metavar="DEG", help="Step of the postures to choose from. [22.5]")
@@ -128,7 +128,7 @@ def optimize(
         float | None, typer.Option(metavar="DEG", help="The same when the part is off in tilt and rotation.")
     ] = None,
     tolerance_target: Annotated[
-        float | None,
+        str | None,
         typer.Option(metavar="SHARE", help="Share of the score that the widest tolerances keep. [0.95]"),
     ] = None,
     threads: Threads = None,
@@ -153,7 +153,7 @@ def optimize(
     """
     chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
     chosen_points = None if points is None else parse_points(points)
-    share = _parse_share(shade_below)
+    share = _parse_shade(shade_below)
     of_defects = "detectability" in (objective or ()) or not (choose_postures is target is exposures is None)
     for option, given in (("--seen-in", seen_in), ("--threshold", threshold)):
         if given is not None and not of_defects:
@@ -225,15 +225,11 @@ def optimize(
     _refuse_nothing(planned.optimum, out)
 
 
-def _parse_share(text: str) -> float:
-    try:
-        value = float(Fraction(text))
-    except (ValueError, ZeroDivisionError, OverflowError):
-        value = -1.0
+def _parse_shade(text: str) -> float:
+    expected = "of full scale from 0 to 1, such as 10/255 or 0.04"
+    value = parse_share(text, option="--shade-below", expected=expected)
     if not 0.0 <= value <= 1.0:
-        raise InputError(
-            f'--shade-below: expected a share of full scale from 0 to 1, such as 10/255 or 0.04, found "{text}"'
-        )
+        raise InputError(f'--shade-below: expected a share {expected}, found "{text}"')
     return value
 
 

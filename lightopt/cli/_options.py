@@ -31,6 +31,7 @@ __all__ = [
     "parse_exposure",
     "parse_points",
     "parse_posture",
+    "parse_share",
 ]
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
@@ -104,6 +105,26 @@ def parse_exposure(text: str, *, option: str = "--exposure") -> float:
             f"{option}: expected a number from {LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g} or a fraction such as 1/16, "
             f'found "{text}"'
         )
+    return value
+
+
+def parse_share(text: str, *, option: str, expected: str) -> float:
+    """Read a number, a fraction such as 10/255, or per cent such as 95%; whether it is in its range is not looked at.
+
+    Parameters
+    ----------
+    text, option
+        As given, and with which option.
+    expected
+        What it is a share of and an example, for the message.
+    """
+    number, percents, rest = text.partition("%")
+    try:
+        value = float(Fraction(number)) / (100.0 if percents else 1.0)
+    except (ValueError, ZeroDivisionError, OverflowError):
+        value = math.nan
+    if rest or not math.isfinite(value):
+        raise InputError(f'{option}: expected a share {expected}, found "{text}"')
     return value
 
 

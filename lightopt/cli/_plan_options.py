@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lightopt.cli._options import parse_exposure
+from lightopt.cli._options import parse_exposure, parse_share
 from lightopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,13 +16,13 @@ __all__ = ["plan_options"]
 def plan_options(
     *,
     choose_postures: int | None,
-    target: float | None,
+    target: str | None,
     posture_step: float | None,
     exposures: str | None,
     exposure_gain: float | None,
     tolerance_deg: float | None,
     pose_tolerance_deg: float | None,
-    tolerance_target: float | None,
+    tolerance_target: str | None,
 ) -> PlanOptions:
     """What is asked of the plan; an option that does nothing without another is refused alone."""
     no_tolerance = tolerance_deg is None and pose_tolerance_deg is None
@@ -45,6 +45,13 @@ def plan_options(
         raise InputError(*problems)
     texts = [] if exposures is None else exposures.split(",")
     offered = tuple(parse_exposure(text, option="--exposures") for text in texts)
+    reach, kept = (
+        None if text is None else parse_share(text, option=option, expected=f"{of}, such as 0.95")
+        for text, option, of in (
+            (target, "--target", "of the surface above 0 and up to 1"),
+            (tolerance_target, "--tolerance-target", "of the score between 0 and 1"),
+        )
+    )
 
     from lightopt.plan import (
         DEFAULT_EXPOSURE_GAIN,
@@ -56,7 +63,7 @@ def plan_options(
 
     return PlanOptions(
         postures=choose_postures,
-        target=target,
+        target=reach,
         posture_step_deg=DEFAULT_POSTURE_STEP if posture_step is None else posture_step,
         exposures=offered,
         exposure_gain=DEFAULT_EXPOSURE_GAIN if exposure_gain is None else exposure_gain,
@@ -65,6 +72,6 @@ def plan_options(
         else Tolerances(
             light_deg=tolerance_deg or 0.0,
             pose_deg=pose_tolerance_deg or 0.0,
-            target=DEFAULT_TOLERANCE_TARGET if tolerance_target is None else tolerance_target,
+            target=DEFAULT_TOLERANCE_TARGET if kept is None else kept,
         ),
     )

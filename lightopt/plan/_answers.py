@@ -31,6 +31,10 @@ PROVEN_OF = (
 """Among what the lights of a plan are the best, or not known to be."""
 
 
+PROVEN_OF_ONE = "the positions that the first objective chose, the only ones that were scored"
+"""Among what another objective's lights are the best where its own positions could not be searched."""
+
+
 @dataclass(frozen=True)
 class PlannedDetectability(Detectability):
     """Detectability of all planned images together, as a share of what the camera sees in any posture to choose from.
@@ -79,7 +83,7 @@ def planned_answers(
     first = result.answers[0].objective
     assert isinstance(first, Detectability)
     goal = PlannedDetectability(first.trials, first.seen_in, area=int(survey.weights.areas.sum()))
-    answers = tuple(_planned(answer, goal, chosen, survey, candidates) for answer in result.answers)
+    answers = tuple(_planned(answer, goal, chosen, survey, candidates, free) for answer in result.answers)
     best = answers[0].found.best
     at = angles_of(candidates, best)
     curves: tuple[Curve, ...] = ()
@@ -113,7 +117,12 @@ def _curves(
 
 
 def _planned(
-    answer: Answer, goal: PlannedDetectability, chosen: ChosenPostures, survey: Survey, candidates: Candidates
+    answer: Answer,
+    goal: PlannedDetectability,
+    chosen: ChosenPostures,
+    survey: Survey,
+    candidates: Candidates,
+    free: Candidates | None,
 ) -> Answer:
     best = answer.found.best
     panels = [some[k] for some, k in zip(candidates.panels, best.candidates, strict=True)]
@@ -121,7 +130,8 @@ def _planned(
     score = reached(counts, survey.weights)
     scores = {**answer.scores, goal.name: score}
     if answer.objective.name != goal.name:
-        return replace(answer, scores=scores)
+        searched = free is None or any(len(some) > 1 for some in candidates.angles)
+        return replace(answer, scores=scores, proven_of=None if searched else PROVEN_OF_ONE)
     # where no other positions show more in these postures; else no bound is known but all there is to see
     best_there = chosen.choice.exact and chosen.choice.settled
     bound = score if best_there else survey.weights.total

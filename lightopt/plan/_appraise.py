@@ -9,6 +9,7 @@ from functools import partial
 from lightopt.config import PartConfig, RigConfig
 from lightopt.images import posture_folder
 from lightopt.optimize import RIG_NAME, Looked, OptimizeOptions, Outcome, angles_of
+from lightopt.plan._asked import rendered_words
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.plan._commands import commands
 from lightopt.plan._exposures import Brackets, plan_exposures
@@ -81,7 +82,7 @@ def appraised(
         chosen=chosen,
         brackets=brackets,
         trust=trust,
-        commands=commands(rig, files, PLANNED_PART_NAME, brackets),
+        commands=commands(rig, files, PLANNED_PART_NAME, brackets, rendered_words(options)),
     )
     if OBJECTIVE not in (answer.objective.name for found in outcome.results for answer in found.answers):
         return result, ()

@@ -9,7 +9,7 @@ from lightopt.optimize import OptimizeOptions, degrees_text
 from lightopt.plan._options import PlanOptions
 from lightopt.plan._trust import Tolerances
 
-__all__ = ["command_text"]
+__all__ = ["command_text", "rendered_words"]
 
 
 def command_text(rig: Path, part: Path, options: OptimizeOptions, wanted: PlanOptions) -> str:
@@ -26,6 +26,16 @@ def command_text(rig: Path, part: Path, options: OptimizeOptions, wanted: PlanOp
     return " ".join(shlex.quote(word) for word in words)
 
 
+def rendered_words(options: OptimizeOptions) -> list[str]:
+    """The options of ``lightopt render`` that make it see what the plan saw, where they differ from its defaults."""
+    plain = OptimizeOptions()
+    words = _differing(
+        ("--points", options.points, plain.points),
+        ("--patches", options.patch_budget, plain.patch_budget),
+    )
+    return [*words, *(() if options.shadows else ("--no-shadows",))]
+
+
 def _searched(options: OptimizeOptions) -> list[str]:
     plain = OptimizeOptions()
     words = [word for name in options.objectives for word in ("--objective", name)]
@@ -34,8 +44,6 @@ def _searched(options: OptimizeOptions) -> list[str]:
         ("--seen-in", options.seen_in, plain.seen_in),
         ("--threshold", options.contrast, plain.contrast),
         ("--shade-below", options.shade_below, plain.shade_below),
-        ("--points", options.points, plain.points),
-        ("--patches", options.patch_budget, plain.patch_budget),
         ("--rows", options.rows, plain.rows),
         ("--max-combinations", options.limit, plain.limit),
     )
@@ -46,10 +54,9 @@ def _searched(options: OptimizeOptions) -> list[str]:
     flags = (
         ("--common-elevation", options.common_elevation),
         ("--common-lights", options.common_lights),
-        ("--no-shadows", not options.shadows),
         ("--no-images", not options.images),
     )
-    return [*words, *(flag for flag, given in flags if given)]
+    return [*words, *rendered_words(options), *(flag for flag, given in flags if given)]
 
 
 def _planned(wanted: PlanOptions) -> list[str]:

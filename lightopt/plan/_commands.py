@@ -70,7 +70,11 @@ def way_through(rig: RigConfig, postures: Sequence[Posture]) -> Way:
 
 
 def commands(
-    rig: RigConfig, files: Mapping[Posture, str], part: str, brackets: Brackets | None
+    rig: RigConfig,
+    files: Mapping[Posture, str],
+    part: str,
+    brackets: Brackets | None,
+    rendered: Sequence[str] = (),
 ) -> tuple[Command, ...]:
     """Commands that carry a plan out, in the folder of its files: those that capture it, then those that render it.
 
@@ -86,6 +90,8 @@ def commands(
         Part file.
     brackets
         Further exposures; None for exposure 1 alone.
+    rendered
+        Options of the commands that render.
     """
     groups: dict[tuple[str, tuple[float, ...]], list[Posture]] = {}
     for posture, file in files.items():
@@ -110,7 +116,6 @@ def commands(
         ]
         captures.append(Command(text=" ".join(taken), way=way_through(rig, some)))
         each = (f"--exposure {level}" for level in levels)
-        renders.append(
-            Command(text=" ".join(["lightopt render", file, part, *chosen, *each, f"-o rendered{end}"]))
-        )
+        words = ["lightopt render", file, part, *chosen, *each, *rendered, f"-o rendered{end}"]
+        renders.append(Command(text=" ".join(words)))
     return (*captures, *renders)

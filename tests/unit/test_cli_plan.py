@@ -212,7 +212,8 @@ def test_the_commands_run_as_they_are(planned, monkeypatch):
     captures = [shlex.split(command)[1:] for command in commands if command.startswith("lightopt capture")]
     assert len(renders) == len(captures) >= 1
     for arguments in renders:
-        assert run([*arguments, "--patches", "400", "--quiet"]) == 0
+        assert arguments[arguments.index("--patches") + 1] == "400"  # the patches of the plan
+        assert run([*arguments, "--quiet"]) == 0
     for arguments in captures:
         assert run([*arguments, "--dry-run"]) == 0
 
@@ -412,8 +413,21 @@ def test_nothing_to_see_is_said(two, cli):
 
 
 @pytest.mark.slow
+def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two, cli, monkeypatch):
+    monkeypatch.setattr("lightopt.optimize._matrices.Matrices.holds", lambda *_: False)
+    asked = ("--choose-postures", "1", "--posture-step", "90", "--objective", "detectability")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, *asked, "--objective", "coverage")
+    assert ran.status == 0, ran.err
+    assert "not searched: they are too many for memory" in ran.err
+    first, second = result_of(two.out)["results"][0]["objectives"]
+    assert second["lights"] == first["lights"]
+    assert second["proven_of"].startswith("the positions that the first objective chose")
+    assert (second["ties"], second["combinations"]) == (None, None)
+
+
+@pytest.mark.slow
 def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--target", "0.3", "--posture-step", "90")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--target", "30%", "--posture-step", "90")
     assert ran.status == 0, ran.err
     chosen = result_of(two.out)["chosen_postures"]
     assert chosen["share"] >= 0.3
@@ -466,6 +480,10 @@ def test_tolerances_of_another_objective(two, cli):
         (
             ("--target", "0"),
             "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found 0",
+        ),
+        (
+            ("--target", "95 of"),
+            '--target: expected a share of the surface above 0 and up to 1, such as 0.95, found "95 of"',
         ),
         (("--target", "95"), "such as 0.95, found 95; 95 % is --target 0.95"),
         (("--target", "950"), "such as 0.95, found 950\n"),
