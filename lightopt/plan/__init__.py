@@ -5,6 +5,7 @@ detectability counts them. In how many images a pair is seen is counted over all
 """
 
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
+from lightopt.plan._brackets import Brackets, Shot
 from lightopt.plan._choose import Choice, Wanted, choose_postures
 from lightopt.plan._combinations import Places, combination_sums, place_lights
 from lightopt.plan._commands import Command, Way, way_through
@@ -21,7 +22,7 @@ from lightopt.plan._counts import (
 )
 from lightopt.plan._cover import Cover, Step, greedy_cover
 from lightopt.plan._exchange import exchanged
-from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, Brackets, Shot, plan_exposures
+from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, plan_exposures
 from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
 from lightopt.plan._offered import choose_with_exposures
 from lightopt.plan._options import PlanOptions

@@ -10,8 +10,9 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.images import posture_folder
 from lightopt.optimize import RIG_NAME, Looked, OptimizeOptions, Outcome, angles_of
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
+from lightopt.plan._brackets import Brackets
 from lightopt.plan._commands import commands
-from lightopt.plan._exposures import Brackets, plan_exposures
+from lightopt.plan._exposures import plan_exposures
 from lightopt.plan._looked import looked_at
 from lightopt.plan._options import OBJECTIVE, PlanOptions
 from lightopt.plan._postures import candidates_of, inspection_of

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from lightopt.optimize import Candidates
+from lightopt.plan._brackets import Brackets
 from lightopt.plan._choose import Choice, choose_postures
 from lightopt.plan._counts import Counts, counts_of_images
 from lightopt.plan._cover import Cover, greedy_cover, greedy_order, steps_of
-from lightopt.plan._exposures import Brackets, plan_exposures
+from lightopt.plan._exposures import plan_exposures
 from lightopt.plan._places import best_places, holds_places
 from lightopt.plan._survey import Survey
 from lightopt.plan._turns import Wanted

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lightopt.plan._brackets import Brackets
 from lightopt.plan._choose import Choice
 from lightopt.plan._commands import Command, Way
-from lightopt.plan._exposures import Brackets
 from lightopt.plan._grid import LeftOutPosture
 from lightopt.plan._trust import Offset, Trust
 from lightopt.transforms import Posture
