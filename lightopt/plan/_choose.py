@@ -18,8 +18,9 @@ import numpy as np
 
 from lightopt.errors import InputError
 from lightopt.optimize import Candidates
-from lightopt.plan._combinations import PlaceCounts, first_allowed
+from lightopt.plan._combinations import PlaceCounts
 from lightopt.plan._cover import Cover
+from lightopt.plan._place_lights import first_allowed
 from lightopt.plan._places import MOST_COUNT_BYTES, holds_places
 from lightopt.plan._survey import Survey
 from lightopt.plan._turns import State, Turns, Wanted, merit

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from lightopt.optimize import DEFAULT_LIMIT, Candidates
-from lightopt.plan._combinations import PlaceCounts, Places, place_lights
+from lightopt.plan._combinations import PlaceCounts
 from lightopt.plan._counts import added, counts_of_images, no_counts
+from lightopt.plan._place_lights import Places, place_lights
 from lightopt.plan._survey import Survey
 from lightopt.transforms import Posture
 

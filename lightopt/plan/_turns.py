@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from lightopt.optimize import DEFAULT_LIMIT, Candidates
-from lightopt.plan._combinations import PlaceCounts, Places
+from lightopt.plan._combinations import PlaceCounts
 from lightopt.plan._counts import Counts, counts_of_images
 from lightopt.plan._cover import Cover, greedy_cover
 from lightopt.plan._exchange import exchanged
+from lightopt.plan._place_lights import Places
 from lightopt.plan._places import best_places
 from lightopt.plan._survey import Survey
 from lightopt.scene import PanelLight
