@@ -30,8 +30,10 @@ from lightopt.plan._place_lights import Places, place_lights
 from lightopt.plan._result import SHARES_OF, ChosenPostures, PlanResult, TrustOf
 from lightopt.plan._run import Planned, plan
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.plan._trust import DEFAULT_TOLERANCE_TARGET, Assess, Offset, Tolerances, Trust, Widest, trust_of
+from lightopt.plan._tolerances import DEFAULT_TOLERANCE_TARGET, Assess, Offset, Tolerances
+from lightopt.plan._trust import Trust, trust_of
 from lightopt.plan._unreached import Reach, TargetUnreached
+from lightopt.plan._widest import Widest
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
 
 __all__ = [

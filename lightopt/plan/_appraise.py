@@ -18,7 +18,8 @@ from lightopt.plan._options import OBJECTIVE, PlanOptions
 from lightopt.plan._postures import candidates_of, inspection_of
 from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.plan._trust import Tolerances, trust_of
+from lightopt.plan._tolerances import Tolerances
+from lightopt.plan._trust import trust_of
 from lightopt.plan._write import PLANNED_PART_NAME
 from lightopt.transforms import Posture
 

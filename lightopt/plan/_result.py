@@ -10,7 +10,8 @@ from lightopt.plan._brackets import Brackets
 from lightopt.plan._choose import Choice
 from lightopt.plan._commands import Command, Way
 from lightopt.plan._grid import LeftOutPosture
-from lightopt.plan._trust import Offset, Trust
+from lightopt.plan._tolerances import Offset
+from lightopt.plan._trust import Trust
 from lightopt.transforms import Posture
 
 __all__ = ["SHARES_OF", "ChosenPostures", "PlanResult", "TrustOf", "plan_dict"]

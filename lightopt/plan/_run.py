@@ -32,7 +32,7 @@ from lightopt.plan._options import OBJECTIVE, PlanOptions, check_plan
 from lightopt.plan._postures import candidates_of, places_of, plan_postures
 from lightopt.plan._result import ChosenPostures, PlanResult, plan_dict
 from lightopt.plan._survey import Survey
-from lightopt.plan._trust import lights_problem
+from lightopt.plan._tolerances import lights_problem
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
 from lightopt.rendering import Report
 
