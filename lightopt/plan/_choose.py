@@ -11,7 +11,7 @@ as many give the same plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from lightopt.plan._combinations import PlaceCounts
 from lightopt.plan._cover import Cover
 from lightopt.plan._place_lights import first_allowed
 from lightopt.plan._places import MOST_COUNT_BYTES, holds_places
+from lightopt.plan._progress import Tell
 from lightopt.plan._survey import Survey
 from lightopt.plan._turns import State, Turns, Wanted, merit
 from lightopt.scene import PanelLight
@@ -34,8 +35,6 @@ MOST_TURNS, MOST_LAST_TURNS = 6, 3
 
 DRAWN_MARGIN = 0.01
 """Share by which what drawn patches show may fall short of a target and still be tried on all."""
-
-Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ are added up combination by combination, light after light; the last light's pla
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lightopt.kernels import kernel
 from lightopt.optimize import at_least, count_run_sums, up_to, word_weight
 from lightopt.plan._counts import Counts, PairWeights, Words, added, no_counts
+from lightopt.plan._progress import Share
 from lightopt.rendering import available_processors, run_all
 
 __all__ = ["PlaceCounts", "combination_sums"]
@@ -28,8 +29,6 @@ PlaceCounts = NDArray[np.uint64]
 
 TASK_WORDS = 100_000_000
 """Words that a task of plain additions looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
-
-Share = Callable[[float], None]
 
 
 def combination_sums(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from lightopt.errors import InputError
 from lightopt.plan._brackets import Brackets
 from lightopt.plan._counts import Words
 from lightopt.plan._pick_shots import Images, Offer, pick_shots
+from lightopt.plan._progress import Share
 from lightopt.plan._survey import Survey, scattered_flags
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
@@ -47,7 +48,7 @@ def plan_exposures(
     least: int,
     gain_points: float = DEFAULT_EXPOSURE_GAIN,
     target: float | None = None,
-    tell: Callable[[float], None] | None = None,
+    tell: Share | None = None,
 ) -> Brackets:
     """Plan a further exposure only where it shows more by at least a given gain, or where the target takes it.
 

@@ -9,9 +9,8 @@ shows no less than the plan without the offer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 from lightopt.optimize import Candidates
 from lightopt.plan._brackets import Brackets
@@ -20,6 +19,7 @@ from lightopt.plan._counts import Counts, counts_of_images
 from lightopt.plan._cover import Cover, greedy_cover, greedy_order, steps_of
 from lightopt.plan._exposures import plan_exposures
 from lightopt.plan._places import best_places, holds_places
+from lightopt.plan._progress import Tell, of_stage, prefixed
 from lightopt.plan._survey import Survey
 from lightopt.plan._turns import Wanted
 from lightopt.scene import PanelLight
@@ -29,8 +29,6 @@ __all__ = ["choose_with_exposures"]
 
 MOST_PLACINGS = 2
 """Of the lights for the images as they are planned, at the end."""
-
-Tell = Callable[[str, float], None]
 
 
 def choose_with_exposures(
@@ -72,9 +70,7 @@ def choose_with_exposures(
         return choose_postures(whole, drawn, postures, start, candidates, wanted, tell=tell), None
 
     def chosen_on(every: Survey, some: Survey, stage: str) -> Choice:
-        choice = choose_postures(
-            every, some, postures, start, candidates, wanted, tell=_prefixed(tell, stage)
-        )
+        choice = choose_postures(every, some, postures, start, candidates, wanted, tell=prefixed(tell, stage))
         # what the lights' positions show was counted for other images than those that will be planned
         return replace(choice, places=None)
 
@@ -121,7 +117,7 @@ class _Offer:
             least=self.wanted.least,
             gain_points=100.0 * self.least_gain,
             target=self.wanted.target,
-            tell=self._teller("exposures"),
+            tell=of_stage(self.tell, "exposures"),
         )
         return _Plan(choice=choice, brackets=brackets)
 
@@ -146,7 +142,7 @@ class _Offer:
                 self.candidates,
                 least=self.wanted.least,
                 limit=self.wanted.limit,
-                tell=self._teller("lights for the planned images"),
+                tell=of_stage(self.tell, "lights for the planned images"),
             )
             choice = replace(
                 choice, settled=places.reached <= self._reached(now), exact=choice.exact and places.exact
@@ -185,10 +181,3 @@ class _Offer:
 
     def _reached(self, plan: _Plan) -> int:
         return round(plan.brackets.after * max(1, self.whole.weights.total))
-
-    def _teller(self, stage: str) -> Callable[[float], None] | None:
-        return None if self.tell is None else partial(self.tell, stage)
-
-
-def _prefixed(tell: Tell | None, what: str) -> Tell | None:
-    return None if tell is None else lambda stage, share: tell(f"{what}, {stage}", share)

@@ -7,7 +7,7 @@ time until that gains nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +17,11 @@ from lightopt.errors import InputError
 from lightopt.optimize import DEFAULT_LIMIT, TABLE_CELLS, Space, allowed_mask, taken_rows
 from lightopt.plan._combinations import PlaceCounts, combination_sums
 from lightopt.plan._counts import PairWeights
+from lightopt.plan._progress import Share
 
 __all__ = ["Places", "first_allowed", "place_lights"]
 
 Rows = Sequence[NDArray[np.int64]]
-Share = Callable[[float], None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,12 +9,13 @@ tolerance; and angle by angle the widest tolerance that keeps the score.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lightopt.errors import InputError
+from lightopt.plan._progress import Share
 from lightopt.plan._tolerances import Assess, Offset, Tolerances, corners, draws, lights_problem
 from lightopt.plan._widest import Widest, angles, widest
 
@@ -57,7 +58,7 @@ def trust_of(
     names: Sequence[str],
     tolerances: Tolerances,
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Share | None = None,
 ) -> Trust:
     """Find out how far a score falls.
 

@@ -7,7 +7,7 @@ optimum, which depends on where it began.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,6 +18,7 @@ from lightopt.plan._cover import Cover, greedy_cover
 from lightopt.plan._exchange import exchanged
 from lightopt.plan._place_lights import Places
 from lightopt.plan._places import best_places
+from lightopt.plan._progress import Tell
 from lightopt.plan._survey import Survey
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
@@ -27,7 +28,6 @@ __all__ = ["State", "Turns", "Wanted", "merit"]
 KEPT_BYTES = 400_000_000
 """Of the counts that are kept for lights to which turns may come back, and of those of all places of the last turn."""
 
-Tell = Callable[[str, float], None]
 Lights = tuple[int, ...] | None
 """Candidate of each light; None where they stand as the rig has them."""
 
