@@ -6,7 +6,8 @@ detectability counts them. In how many images a pair is seen is counted over all
 
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.plan._brackets import Brackets, Shot
-from lightopt.plan._choose import Choice, Wanted, choose_postures
+from lightopt.plan._choice import Choice, Wanted
+from lightopt.plan._choose import choose_postures
 from lightopt.plan._combinations import combination_sums
 from lightopt.plan._commands import Command, Way, way_through
 from lightopt.plan._counts import (

@@ -16,7 +16,7 @@ from lightopt.optimize import (
     flags_of,
     score_curves,
 )
-from lightopt.plan._counts import Counts, added, counts_of_images, no_counts, reached
+from lightopt.plan._counts import Counts, added, no_counts, reached
 from lightopt.plan._places import holds_places, place_counts
 from lightopt.plan._progress import Share
 from lightopt.plan._result import SHARES_OF, ChosenPostures
@@ -141,6 +141,6 @@ def _planned(
 def _counts(chosen: ChosenPostures, survey: Survey, panels: Sequence[PanelLight]) -> Counts:
     total = no_counts(survey.weights, chosen.least)
     for posture in chosen.way.order:
-        images = replace(survey, exposures=chosen.exposures_of(posture)).flags(posture, [[p] for p in panels])
-        total = added(total, counts_of_images([layer[0] for layer in images], chosen.least))
+        there = replace(survey, exposures=chosen.exposures_of(posture))
+        total = added(total, there.counts(posture, panels, least=chosen.least))
     return total

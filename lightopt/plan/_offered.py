@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 
 from lightopt.optimize import Candidates
 from lightopt.plan._brackets import Brackets
-from lightopt.plan._choose import Choice, choose_postures
-from lightopt.plan._counts import Counts, counts_of_images
+from lightopt.plan._choice import Choice, Wanted
+from lightopt.plan._choose import choose_postures
+from lightopt.plan._counts import Counts
 from lightopt.plan._cover import Cover, greedy_cover, greedy_order, steps_of
 from lightopt.plan._exposures import plan_exposures
 from lightopt.plan._places import best_places, holds_places
 from lightopt.plan._progress import Tell, of_stage, prefixed
 from lightopt.plan._survey import Survey
-from lightopt.plan._turns import Wanted
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
 
@@ -176,8 +176,8 @@ class _Offer:
         return cover if target is None else replace(cover, least=cover.fewest(target))
 
     def _counts(self, choice: Choice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
-        images = replace(self.whole, exposures=exposures).flags(posture, [[panel] for panel in choice.panels])
-        return counts_of_images([layer[0] for layer in images], self.wanted.least)
+        survey = replace(self.whole, exposures=exposures)
+        return survey.counts(posture, choice.panels, least=self.wanted.least)
 
     def _reached(self, plan: _Plan) -> int:
         return round(plan.brackets.after * max(1, self.whole.weights.total))

@@ -17,7 +17,7 @@ from lightopt.optimize import (
     find_candidates,
     unroll,
 )
-from lightopt.plan._choose import Choice
+from lightopt.plan._choice import Choice, Wanted
 from lightopt.plan._commands import way_through
 from lightopt.plan._grid import posture_grid, usable_postures
 from lightopt.plan._offered import choose_with_exposures
@@ -25,7 +25,6 @@ from lightopt.plan._options import PlanOptions
 from lightopt.plan._progress import Tell
 from lightopt.plan._result import ChosenPostures
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.plan._turns import Wanted
 from lightopt.plan._unreached import unreached
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.plan._brackets import Brackets
-from lightopt.plan._choose import Choice
+from lightopt.plan._choice import Choice
 from lightopt.plan._commands import Command, Way
 from lightopt.plan._grid import LeftOutPosture
 from lightopt.plan._tolerances import Offset
