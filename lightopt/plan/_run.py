@@ -28,9 +28,10 @@ from lightopt.plan._asked import command_text
 from lightopt.plan._commands import HOME
 from lightopt.plan._grid import posture_grid
 from lightopt.plan._options import OBJECTIVE, PlanOptions, check_plan
+from lightopt.plan._plan_dict import plan_dict
 from lightopt.plan._postures import candidates_of, places_of, plan_postures
 from lightopt.plan._progress import Tell, of_stage
-from lightopt.plan._result import ChosenPostures, PlanResult, plan_dict
+from lightopt.plan._result import ChosenPostures, PlanResult
 from lightopt.plan._survey import Survey
 from lightopt.plan._tolerances import lights_problem
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
