@@ -21,9 +21,10 @@ from lightopt.plan._counts import (
     reached,
     worth,
 )
-from lightopt.plan._cover import Cover, Step, greedy_cover
+from lightopt.plan._cover import Cover, Step
 from lightopt.plan._exchange import exchanged
 from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, plan_exposures
+from lightopt.plan._greedy_cover import greedy_cover
 from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
 from lightopt.plan._offered import choose_with_exposures
 from lightopt.plan._options import PlanOptions

@@ -17,8 +17,9 @@ from lightopt.plan._brackets import Brackets
 from lightopt.plan._choice import Choice, Wanted
 from lightopt.plan._choose import choose_postures
 from lightopt.plan._counts import Counts
-from lightopt.plan._cover import Cover, greedy_cover, greedy_order, steps_of
+from lightopt.plan._cover import Cover, steps_of
 from lightopt.plan._exposures import plan_exposures
+from lightopt.plan._greedy_cover import greedy_cover, greedy_order
 from lightopt.plan._places import best_places, holds_places
 from lightopt.plan._progress import Tell, of_stage, prefixed
 from lightopt.plan._survey import Survey

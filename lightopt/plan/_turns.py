@@ -15,8 +15,9 @@ from lightopt.optimize import Candidates
 from lightopt.plan._choice import Wanted
 from lightopt.plan._combinations import PlaceCounts
 from lightopt.plan._counts import Counts
-from lightopt.plan._cover import Cover, greedy_cover
+from lightopt.plan._cover import Cover
 from lightopt.plan._exchange import exchanged
+from lightopt.plan._greedy_cover import greedy_cover
 from lightopt.plan._place_lights import Places
 from lightopt.plan._places import best_places
 from lightopt.plan._progress import Tell
