@@ -5,8 +5,10 @@ detectability counts them. In how many images a pair is seen is counted over all
 """
 
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
-from lightopt.plan._choose import Choice, Wanted, choose_postures
-from lightopt.plan._combinations import Places, combination_sums, place_lights
+from lightopt.plan._brackets import Brackets, Shot
+from lightopt.plan._choice import Choice, Wanted
+from lightopt.plan._choose import choose_postures
+from lightopt.plan._combinations import combination_sums
 from lightopt.plan._commands import Command, Way, way_through
 from lightopt.plan._counts import (
     Counts,
@@ -19,17 +21,21 @@ from lightopt.plan._counts import (
     reached,
     worth,
 )
-from lightopt.plan._cover import Cover, Step, greedy_cover
+from lightopt.plan._cover import Cover, Step
 from lightopt.plan._exchange import exchanged
-from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, Brackets, Shot, plan_exposures
+from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, plan_exposures
+from lightopt.plan._greedy_cover import greedy_cover
 from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
 from lightopt.plan._offered import choose_with_exposures
 from lightopt.plan._options import PlanOptions
+from lightopt.plan._place_lights import Places, place_lights
 from lightopt.plan._result import SHARES_OF, ChosenPostures, PlanResult, TrustOf
 from lightopt.plan._run import Planned, plan
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.plan._trust import DEFAULT_TOLERANCE_TARGET, Assess, Offset, Tolerances, Trust, Widest, trust_of
+from lightopt.plan._tolerances import DEFAULT_TOLERANCE_TARGET, Assess, Offset, Tolerances
+from lightopt.plan._trust import Trust, trust_of
 from lightopt.plan._unreached import Reach, TargetUnreached
+from lightopt.plan._widest import Widest
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
 
 __all__ = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lightopt.optimize import (
@@ -16,8 +16,9 @@ from lightopt.optimize import (
     flags_of,
     score_curves,
 )
-from lightopt.plan._counts import Counts, added, counts_of_images, no_counts, reached
+from lightopt.plan._counts import Counts, added, no_counts, reached
 from lightopt.plan._places import holds_places, place_counts
+from lightopt.plan._progress import Share
 from lightopt.plan._result import SHARES_OF, ChosenPostures
 from lightopt.plan._survey import Survey
 from lightopt.scene import PanelLight
@@ -60,7 +61,7 @@ def planned_answers(
     survey: Survey,
     candidates: Candidates,
     free: Candidates | None,
-    tell: Callable[[float], None] | None = None,
+    tell: Share | None = None,
 ) -> SetResult:
     """The best lights of each objective, scored for defects by what they show in the plan's postures and exposures.
 
@@ -102,7 +103,7 @@ def _curves(
     chosen: ChosenPostures,
     survey: Survey,
     free: Candidates,
-    tell: Callable[[float], None] | None,
+    tell: Share | None,
 ) -> tuple[Curve, ...]:
     postures = [(posture, chosen.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.places or place_counts(survey, postures, free, least=chosen.least, tell=tell)
@@ -150,6 +151,6 @@ def _planned(
 def _counts(chosen: ChosenPostures, survey: Survey, panels: Sequence[PanelLight]) -> Counts:
     total = no_counts(survey.weights, chosen.least)
     for posture in chosen.way.order:
-        images = replace(survey, exposures=chosen.exposures_of(posture)).flags(posture, [[p] for p in panels])
-        total = added(total, counts_of_images([layer[0] for layer in images], chosen.least))
+        there = replace(survey, exposures=chosen.exposures_of(posture))
+        total = added(total, there.counts(posture, panels, least=chosen.least))
     return total

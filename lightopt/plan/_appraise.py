@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.images import posture_folder
 from lightopt.optimize import RIG_NAME, Looked, OptimizeOptions, Outcome, angles_of
 from lightopt.plan._asked import rendered_words
 from lightopt.plan._assess import ObjectiveAssessment, PairAssessment, Setup
+from lightopt.plan._brackets import Brackets
 from lightopt.plan._commands import commands
-from lightopt.plan._exposures import Brackets, plan_exposures
+from lightopt.plan._exposures import plan_exposures
 from lightopt.plan._looked import looked_at
 from lightopt.plan._options import OBJECTIVE, PlanOptions
 from lightopt.plan._postures import candidates_of, inspection_of
+from lightopt.plan._progress import Tell, of_stage
 from lightopt.plan._result import ChosenPostures, PlanResult, TrustOf
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.plan._trust import Tolerances, trust_of
+from lightopt.plan._tolerances import Tolerances
+from lightopt.plan._trust import trust_of
 from lightopt.plan._write import PLANNED_PART_NAME
 from lightopt.transforms import Posture
 
 __all__ = ["appraised"]
-
-Tell = Callable[[str, float], None]
 
 Angles = tuple[tuple[float, float], ...]
 
@@ -96,7 +96,7 @@ def appraised(
         thresholds=outcome.thresholds,
         least=options.seen_in,
         points=options.points,
-        tell=None if searching is None else partial(searching, "blind spots"),
+        tell=of_stage(searching, "blind spots"),
     )
 
 
@@ -136,7 +136,7 @@ class _Asked:
             least=self.options.seen_in,
             gain_points=wanted.exposure_gain,
             target=wanted.target,
-            tell=self._teller("exposures"),
+            tell=of_stage(self.tell, "exposures"),
         )
 
     def trust(self, tolerances: Tolerances, brackets: Brackets | None) -> tuple[TrustOf, ...]:
@@ -153,7 +153,7 @@ class _Asked:
                     self._assessment(drawn, self._setup(group, brackets)),
                     [light.name for light in self.rig.lights],
                     tolerances,
-                    progress=self._teller(f"tolerances, {', '.join(map(str, group))}"),
+                    progress=of_stage(self.tell, f"tolerances, {', '.join(map(str, group))}"),
                 ),
                 unit=self.outcome.results[0].answers[0].objective.unit,
                 patches=len(drawn.patches),
@@ -181,10 +181,6 @@ class _Asked:
             exposures=tuple(brackets.of(posture) if brackets else (1.0,) for posture in postures),
             points=self.options.points,
         )
-
-    def _teller(self, stage: str) -> Callable[[float], None] | None:
-        tell = self.tell
-        return None if tell is None else lambda share: tell(stage, share)
 
 
 def _rig_file(posture: Posture, angles: Mapping[Posture, Angles]) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lightopt.optimize import OptimizeOptions, degrees_text
 from lightopt.plan._options import PlanOptions
-from lightopt.plan._trust import Tolerances
+from lightopt.plan._tolerances import Tolerances
 
 __all__ = ["command_text", "rendered_words"]
 

@@ -21,7 +21,7 @@ from lightopt.optimize import LuminanceMatrix, Objective, Thresholds
 from lightopt.plan._combinations import combination_sums
 from lightopt.plan._counts import added, counts_of_images, no_counts
 from lightopt.plan._survey import Survey, scattered_flags
-from lightopt.plan._trust import Offset
+from lightopt.plan._tolerances import Offset
 from lightopt.rendering import PatchTable, available_processors, visible_points
 from lightopt.scene import PanelLight, build_lights, view_from_part
 from lightopt.transforms import Posture

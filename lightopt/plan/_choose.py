@@ -11,102 +11,27 @@ as many give the same plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import replace
 
 from lightopt.errors import InputError
 from lightopt.optimize import Candidates
-from lightopt.plan._combinations import PlaceCounts, first_allowed
-from lightopt.plan._cover import Cover
+from lightopt.plan._choice import Choice, Stood, Wanted
+from lightopt.plan._place_lights import first_allowed
 from lightopt.plan._places import MOST_COUNT_BYTES, holds_places
+from lightopt.plan._progress import Tell
 from lightopt.plan._survey import Survey
-from lightopt.plan._turns import State, Turns, Wanted, merit
+from lightopt.plan._turns import State, Turns, merit
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
 
-__all__ = ["Choice", "Stood", "Wanted", "choose_postures"]
+__all__ = ["choose_postures"]
 
 MOST_TURNS, MOST_LAST_TURNS = 6, 3
 """On drawn patches and on all."""
 
 DRAWN_MARGIN = 0.01
 """Share by which what drawn patches show may fall short of a target and still be tried on all."""
-
-Tell = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stood:
-    """What the rig's lights show where they stood.
-
-    Attributes
-    ----------
-    share
-        Of the pairs of the drawn patches, at exposure 1.
-    postures
-        In how many postures, chosen for these lights; fewer than the plan's where no other adds anything.
-    panels
-        The lights there, world frame.
-    """
-
-    share: float
-    postures: int
-    panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Choice:
-    """The postures and lights that were chosen.
-
-    Attributes
-    ----------
-    postures
-        In the order in which they were chosen.
-    cover
-        Their gains and bound, over all patches and candidate postures, with these lights.
-    lights
-        Where the lights stand: candidate of each; None where they stay as the rig has them.
-    panels
-        The lights there, world frame.
-    exact
-        Whether every combination of the lights was tried for the postures of each turn.
-    turns
-        How often the lights were placed on the way to this choice.
-    starts
-        From how many places of the lights the turns began.
-    stood
-        What the rig's lights show where they stood.
-    on_all
-        Whether the last turns were taken on all patches; not where memory is not meant for so many positions.
-    settled
-        Whether no combination of the positions that were tried last shows more of all patches in these postures.
-    places
-        What each position of each light shows of all patches in these postures, each image with the survey's exposures;
-        None where that is not known any more.
-    """
-
-    postures: tuple[Posture, ...]
-    cover: Cover
-    lights: tuple[int, ...] | None
-    panels: tuple[PanelLight, ...]
-    exact: bool
-    turns: int
-    starts: int
-    stood: Stood
-    on_all: bool
-    settled: bool
-    places: tuple[PlaceCounts, ...] | None = field(default=None, compare=False, repr=False)
-
-    @property
-    def before(self) -> Stood | None:
-        """What the rig's lights show where they stood; None where they stay there, of which the cover says more."""
-        same = (
-            np.allclose(old.outward, new.outward, rtol=0.0, atol=1e-9)
-            for old, new in zip(self.stood.panels, self.panels, strict=True)
-        )
-        return None if all(same) else self.stood
 
 
 def choose_postures(

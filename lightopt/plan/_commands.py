@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from lightopt.config import RigConfig
 from lightopt.optimize import degrees_text
-from lightopt.plan._exposures import Brackets
+from lightopt.plan._brackets import Brackets
 from lightopt.scene import travel_order, travel_s
 from lightopt.transforms import Posture
 

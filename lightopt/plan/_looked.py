@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Literal
 
 from lightopt.config import RigConfig
 from lightopt.optimize import Candidates, Looked, Shown, Thresholds, shown_by, shown_together
 from lightopt.plan._assess import Setup
+from lightopt.plan._progress import Share
 from lightopt.plan._survey import Survey
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
@@ -27,7 +28,7 @@ def looked_at(
     thresholds: Thresholds,
     least: int,
     points: int | Literal["auto"] | None = None,
-    tell: Callable[[float], None] | None = None,
+    tell: Share | None = None,
 ) -> tuple[Looked, ...]:
     """Look at the images of a plan, and at those of all that there was to choose from in its postures.
 

@@ -9,18 +9,20 @@ shows no less than the plan without the offer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 from lightopt.optimize import Candidates
-from lightopt.plan._choose import Choice, choose_postures
-from lightopt.plan._counts import Counts, counts_of_images
-from lightopt.plan._cover import Cover, greedy_cover, greedy_order, steps_of
-from lightopt.plan._exposures import Brackets, plan_exposures
+from lightopt.plan._brackets import Brackets
+from lightopt.plan._choice import Choice, Wanted
+from lightopt.plan._choose import choose_postures
+from lightopt.plan._counts import Counts
+from lightopt.plan._cover import Cover, steps_of
+from lightopt.plan._exposures import plan_exposures
+from lightopt.plan._greedy_cover import greedy_cover, greedy_order
 from lightopt.plan._places import best_places, holds_places
+from lightopt.plan._progress import Tell, of_stage, prefixed
 from lightopt.plan._survey import Survey
-from lightopt.plan._turns import Wanted
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
 
@@ -28,8 +30,6 @@ __all__ = ["choose_with_exposures"]
 
 MOST_PLACINGS = 2
 """Of the lights for the images as they are planned, at the end."""
-
-Tell = Callable[[str, float], None]
 
 
 def choose_with_exposures(
@@ -71,9 +71,7 @@ def choose_with_exposures(
         return choose_postures(whole, drawn, postures, start, candidates, wanted, tell=tell), None
 
     def chosen_on(every: Survey, some: Survey, stage: str) -> Choice:
-        choice = choose_postures(
-            every, some, postures, start, candidates, wanted, tell=_prefixed(tell, stage)
-        )
+        choice = choose_postures(every, some, postures, start, candidates, wanted, tell=prefixed(tell, stage))
         # what the lights' positions show was counted for other images than those that will be planned
         return replace(choice, places=None)
 
@@ -120,7 +118,7 @@ class _Offer:
             least=self.wanted.least,
             gain_points=100.0 * self.least_gain,
             target=self.wanted.target,
-            tell=self._teller("exposures"),
+            tell=of_stage(self.tell, "exposures"),
         )
         return _Plan(choice=choice, brackets=brackets)
 
@@ -145,7 +143,7 @@ class _Offer:
                 self.candidates,
                 least=self.wanted.least,
                 limit=self.wanted.limit,
-                tell=self._teller("lights for the planned images"),
+                tell=of_stage(self.tell, "lights for the planned images"),
             )
             choice = replace(
                 choice, settled=places.reached <= self._reached(now), exact=choice.exact and places.exact
@@ -179,15 +177,8 @@ class _Offer:
         return cover if target is None else replace(cover, least=cover.fewest(target))
 
     def _counts(self, choice: Choice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
-        images = replace(self.whole, exposures=exposures).flags(posture, [[panel] for panel in choice.panels])
-        return counts_of_images([layer[0] for layer in images], self.wanted.least)
+        survey = replace(self.whole, exposures=exposures)
+        return survey.counts(posture, choice.panels, least=self.wanted.least)
 
     def _reached(self, plan: _Plan) -> int:
         return round(plan.brackets.after * max(1, self.whole.weights.total))
-
-    def _teller(self, stage: str) -> Callable[[float], None] | None:
-        return None if self.tell is None else partial(self.tell, stage)
-
-
-def _prefixed(tell: Tell | None, what: str) -> Tell | None:
-    return None if tell is None else lambda stage, share: tell(f"{what}, {stage}", share)

@@ -8,7 +8,7 @@ from typing import Any
 from lightopt.errors import InputError
 from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
 from lightopt.plan._grid import DEFAULT_POSTURE_STEP
-from lightopt.plan._trust import Tolerances
+from lightopt.plan._tolerances import Tolerances
 
 __all__ = ["OBJECTIVE", "PlanOptions", "check_plan"]
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from lightopt.optimize import DEFAULT_LIMIT, Candidates
-from lightopt.plan._combinations import PlaceCounts, Places, place_lights
+from lightopt.plan._combinations import PlaceCounts
 from lightopt.plan._counts import added, counts_of_images, no_counts
+from lightopt.plan._place_lights import Places, place_lights
+from lightopt.plan._progress import Share
 from lightopt.plan._survey import Survey
 from lightopt.transforms import Posture
 
@@ -33,7 +35,7 @@ def place_counts(
     candidates: Candidates,
     *,
     least: int,
-    tell: Callable[[float], None] | None = None,
+    tell: Share | None = None,
 ) -> list[PlaceCounts]:
     """What each position of each light shows in postures: counts, of each light of shape (positions, k, p, words).
 
@@ -69,7 +71,7 @@ def best_places(
     *,
     least: int,
     limit: int = DEFAULT_LIMIT,
-    tell: Callable[[float], None] | None = None,
+    tell: Share | None = None,
 ) -> tuple[Places, list[PlaceCounts]]:
     """The positions of the lights that show most in postures, and what each position shows.
 

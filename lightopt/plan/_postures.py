@@ -17,14 +17,14 @@ from lightopt.optimize import (
     find_candidates,
     unroll,
 )
-from lightopt.plan._choose import Choice
+from lightopt.plan._choice import Choice, Wanted
 from lightopt.plan._commands import way_through
 from lightopt.plan._grid import posture_grid, usable_postures
 from lightopt.plan._offered import choose_with_exposures
 from lightopt.plan._options import PlanOptions
+from lightopt.plan._progress import Tell
 from lightopt.plan._result import ChosenPostures
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.plan._turns import Wanted
 from lightopt.plan._unreached import unreached
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import (
@@ -44,7 +44,7 @@ def plan_postures(
     options: OptimizeOptions,
     wanted: PlanOptions,
     tell: Callable[[str], None] | None,
-    searching: Callable[[str, float], None] | None,
+    searching: Tell | None,
 ) -> tuple[ChosenPostures, Survey]:
     """Choose the postures, and the places of the lights that go with them; and the part that they were chosen on.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +28,16 @@ from lightopt.plan._asked import command_text
 from lightopt.plan._commands import HOME
 from lightopt.plan._grid import posture_grid
 from lightopt.plan._options import OBJECTIVE, PlanOptions, check_plan
+from lightopt.plan._plan_dict import plan_dict
 from lightopt.plan._postures import candidates_of, places_of, plan_postures
-from lightopt.plan._result import ChosenPostures, PlanResult, plan_dict
+from lightopt.plan._progress import Tell, of_stage
+from lightopt.plan._result import ChosenPostures, PlanResult
 from lightopt.plan._survey import Survey
-from lightopt.plan._trust import lights_problem
+from lightopt.plan._tolerances import lights_problem
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
 from lightopt.rendering import Report
 
 __all__ = ["Planned", "plan"]
-
-Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +125,7 @@ def plan(
                 survey,
                 outcome.candidates,
                 candidates_of(rig, options),
-                None if searching is None else partial(searching, "the score along each angle"),
+                of_stage(searching, "the score along each angle"),
             )
             outcome = replace(outcome, results=(answers,))
         result, looked = appraised(rig, part, outcome, options, wanted, chosen, survey, searching)

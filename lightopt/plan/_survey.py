@@ -17,7 +17,7 @@ from lightopt.optimize import (
     luminance_matrices,
     matrix_bytes,
 )
-from lightopt.plan._counts import PairWeights, Words
+from lightopt.plan._counts import Counts, PairWeights, Words, counts_of_images
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable
 from lightopt.scene import PanelLight, Scene
@@ -137,6 +137,11 @@ class Survey:
             )
             for some in panels
         )
+
+    def counts(self, posture: Posture, panels: Sequence[PanelLight], *, least: int) -> Counts:
+        """In how many images of a posture, one of each light where it stands, each pair is seen, up to `least`."""
+        images = self.flags(posture, [[panel] for panel in panels])
+        return counts_of_images([layer[0] for layer in images], least)
 
 
 def scattered_flags(

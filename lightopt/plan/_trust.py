@@ -9,132 +9,19 @@ tolerance; and angle by angle the widest tolerance that keeps the score.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.errors import InputError
+from lightopt.plan._progress import Share
+from lightopt.plan._tolerances import Assess, Offset, Tolerances, corners, draws, lights_problem
+from lightopt.plan._widest import Widest, angles, widest
 
-__all__ = [
-    "DEFAULT_TOLERANCE_TARGET",
-    "LARGEST_TOLERANCE",
-    "MOST_LIGHTS",
-    "RUNGS",
-    "Assess",
-    "Offset",
-    "Tolerances",
-    "Trust",
-    "Widest",
-    "lights_problem",
-    "trust_of",
-]
-
-Offset = tuple[float, float]
-"""Elevation and azimuth of a light, or tilt and rotation of the part, off by so much [°]."""
+__all__ = ["Trust", "trust_of"]
 
 QUANTILE = 0.05
-
-STEPS_PER_DEG = 20
-"""Steps of the widest tolerances: they are multiples of 0.05°, and a step more does not keep the score."""
-
-DEFAULT_TOLERANCE_TARGET = 0.95
-"""Share of the score that the widest tolerances keep, unless asked otherwise."""
-
-LARGEST_TOLERANCE = 16.0
-"""The widest tolerance that is looked for, and the largest that may be asked about [°]."""
-
-MOST_LIGHTS = 10
-"""Of which all corners are tried: 4 per light, some million in all. Two lights more would be sixteen times as many."""
-
-RUNGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Tolerances that are tried before the first that costs too much is bisected [°]."""
-
-
-class Assess(Protocol):
-    """Scores of lights and part that are off."""
-
-    def __call__(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> NDArray[np.int64]:
-        """Scores of all combinations of offsets, the last light's varying fastest.
-
-        Parameters
-        ----------
-        pose
-            Of the part, the same in all postures.
-        lights
-            Of each light, offsets to try.
-        """
-        ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tolerances:
-    """What may be off, and what is to be kept.
-
-    Attributes
-    ----------
-    light_deg
-        Elevation and azimuth of each light [°].
-    pose_deg
-        Tilt and rotation of the part [°].
-    target
-        Share of the score that the widest tolerances keep.
-    draws
-        Number of random draws.
-    seed
-        Of the random numbers.
-    """
-
-    light_deg: float = 0.0
-    pose_deg: float = 0.0
-    target: float = DEFAULT_TOLERANCE_TARGET
-    draws: int = 100
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        problems = [
-            f"{option}: expected degrees from 0 to {LARGEST_TOLERANCE:g}, found {value:g}"
-            for option, value in (
-                ("--tolerance-deg", self.light_deg),
-                ("--pose-tolerance-deg", self.pose_deg),
-            )
-            if not 0.0 <= value <= LARGEST_TOLERANCE
-        ]
-        if not 0.0 < self.target < 1.0:
-            problems.append(
-                "--tolerance-target: expected a share of the score between 0 and 1, such as 0.95, found "
-                f"{self.target:g}"
-            )
-        if self.draws < 1:
-            problems.append(f"draws: expected at least 1, found {self.draws}")
-        if problems:
-            raise InputError(*problems)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Widest:
-    """How far one angle, or all of the lights', may be off.
-
-    Attributes
-    ----------
-    what
-        Name of the light, ``all lights``, or ``part``.
-    angle
-        ``elevation``, ``azimuth``, ``both angles at once``, ``tilt`` or ``rotation``.
-    degrees
-        The widest tolerance that keeps the score, every angle but these being as it should [°]; of those that were
-        tried: the rungs, and multiples of 0.05° between the last that keeps it and the first that does not.
-    open_ended
-        Whether that is the widest that was looked for.
-    """
-
-    what: str
-    angle: str
-    degrees: float
-    open_ended: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +58,7 @@ def trust_of(
     names: Sequence[str],
     tolerances: Tolerances,
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Share | None = None,
 ) -> Trust:
     """Find out how far a score falls.
 
@@ -193,9 +80,9 @@ def trust_of(
     """
     if problem := lights_problem(len(names)):
         raise InputError(problem)
-    angles = list(_angles(names))
-    pose_corners = list(_corners(tolerances.pose_deg))
-    total, done = len(pose_corners) + tolerances.draws + len(angles), 0
+    singly = list(angles(names))
+    pose_corners = list(corners(tolerances.pose_deg))
+    total, done = len(pose_corners) + tolerances.draws + len(singly), 0
 
     def tell() -> None:
         nonlocal done
@@ -205,24 +92,23 @@ def trust_of(
 
     exact: list[Sequence[Offset]] = [[(0.0, 0.0)]] * len(names)
     score = int(assess((0.0, 0.0), exact)[0])
-    corners = list(_corners(tolerances.light_deg))
+    light_corners = list(corners(tolerances.light_deg))
     worst: tuple[int, Offset, tuple[Offset, ...]] | None = None
     for pose in pose_corners:
-        table = assess(pose, [corners] * len(names))
+        table = assess(pose, [light_corners] * len(names))
         least = int(table.argmin())
         if worst is None or table[least] < worst[0]:
-            at = np.unravel_index(least, [len(corners)] * len(names))
-            worst = int(table[least]), pose, tuple(corners[int(i)] for i in at)
+            at = np.unravel_index(least, [len(light_corners)] * len(names))
+            worst = int(table[least]), pose, tuple(light_corners[int(i)] for i in at)
         tell()
     assert worst is not None
     drawn: list[int] = []
-    for pose, lights in _draws(len(names), tolerances):
+    for pose, lights in draws(len(names), tolerances):
         drawn.append(int(assess(pose, [[offset] for offset in lights])[0]))
         tell()
-    widest: list[Widest] = []
-    for what, angle, light in angles:
-        degrees, open_ended = _widest(assess, exact, angle, light, tolerances.target * score)
-        widest.append(Widest(what=what, angle=angle, degrees=degrees, open_ended=open_ended))
+    found: list[Widest] = []
+    for which in singly:
+        found.append(widest(assess, exact, which, tolerances.target * score))
         tell()
     return Trust(
         score=score,
@@ -231,70 +117,5 @@ def trust_of(
         worst_lights=worst[2],
         quantile=sorted(drawn)[max(0, math.ceil(QUANTILE * len(drawn)) - 1)],
         least_drawn=min(drawn),
-        widest=tuple(widest),
+        widest=tuple(found),
     )
-
-
-def lights_problem(lights: int) -> str | None:
-    """What is wrong with a number of lights; None where nothing is."""
-    if lights <= MOST_LIGHTS:
-        return None
-    return (
-        f"--tolerance-deg, --pose-tolerance-deg: all corners of the lights' angles are tried, 4 per light: expected at "
-        f"most {MOST_LIGHTS} lights ({4**MOST_LIGHTS:,} corners), found {lights}; leave the tolerances out, or some "
-        "lights out of the rig"
-    )
-
-
-def _corners(tolerance: float) -> Iterator[Offset]:
-    signs = (-tolerance, tolerance) if tolerance > 0.0 else (0.0,)
-    yield from product(signs, signs)
-
-
-def _draws(lights: int, tolerances: Tolerances) -> Iterator[tuple[Offset, list[Offset]]]:
-    numbers = np.random.default_rng(tolerances.seed).uniform(-1.0, 1.0, (tolerances.draws, lights + 1, 2))
-    for draw in numbers:
-        pose, *rest = draw
-        yield (
-            (float(pose[0]) * tolerances.pose_deg, float(pose[1]) * tolerances.pose_deg),
-            [(float(e) * tolerances.light_deg, float(a) * tolerances.light_deg) for e, a in rest],
-        )
-
-
-def _angles(names: Sequence[str]) -> Iterator[tuple[str, str, int | None]]:
-    # what, angle, and which light it is
-    for light, name in enumerate(names):
-        yield name, "elevation", light
-        yield name, "azimuth", light
-    yield "all lights", "both angles at once", None
-    yield "part", "tilt", None
-    yield "part", "rotation", None
-
-
-def _widest(
-    assess: Assess, exact: Sequence[Sequence[Offset]], angle: str, light: int | None, least: float
-) -> tuple[float, bool]:
-    def keeps(degrees: float) -> bool:
-        either: list[Offset] = [
-            (sign * degrees, 0.0) if angle in ("elevation", "tilt") else (0.0, sign * degrees)
-            for sign in (-1.0, 1.0)
-        ]
-        if angle == "both angles at once":
-            return assess((0.0, 0.0), [list(_corners(degrees))] * len(exact)).min() >= least
-        if light is None:
-            return all(assess(pose, exact)[0] >= least for pose in either)
-        return assess((0.0, 0.0), [either if i == light else o for i, o in enumerate(exact)]).min() >= least
-
-    kept = 0.0
-    for rung in RUNGS:
-        if not keeps(rung):
-            break
-        kept = rung
-    else:
-        return kept, True
-    # rungs are multiples of a step
-    low, high = round(kept * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if keeps(middle / STEPS_PER_DEG) else (low, middle)
-    return low / STEPS_PER_DEG, False

@@ -7,50 +7,31 @@ optimum, which depends on where it began.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from lightopt.optimize import DEFAULT_LIMIT, Candidates
-from lightopt.plan._combinations import PlaceCounts, Places
-from lightopt.plan._counts import Counts, counts_of_images
-from lightopt.plan._cover import Cover, greedy_cover
+from lightopt.optimize import Candidates
+from lightopt.plan._choice import Wanted
+from lightopt.plan._combinations import PlaceCounts
+from lightopt.plan._counts import Counts
+from lightopt.plan._cover import Cover
 from lightopt.plan._exchange import exchanged
+from lightopt.plan._greedy_cover import greedy_cover
+from lightopt.plan._place_lights import Places
 from lightopt.plan._places import best_places
+from lightopt.plan._progress import Tell
 from lightopt.plan._survey import Survey
 from lightopt.scene import PanelLight
 from lightopt.transforms import Posture
 
-__all__ = ["State", "Turns", "Wanted", "merit"]
+__all__ = ["State", "Turns", "merit"]
 
 KEPT_BYTES = 400_000_000
 """Of the counts that are kept for lights to which turns may come back, and of those of all places of the last turn."""
 
-Tell = Callable[[str, float], None]
 Lights = tuple[int, ...] | None
 """Candidate of each light; None where they stand as the rig has them."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Wanted:
-    """What is asked of the postures.
-
-    Attributes
-    ----------
-    least
-        Images that must show a pair, of all postures together.
-    count
-        Most postures; as many as the target takes where None.
-    target
-        Share of the pairs to be shown.
-    limit
-        Most combinations of the lights' positions that are tried; with more, lights are moved one at a time.
-    """
-
-    least: int = 1
-    count: int | None = None
-    target: float | None = None
-    limit: int = DEFAULT_LIMIT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,8 +182,7 @@ class Turns:
             counts: list[Counts] = []
             self._passes += 1
             for i, posture in enumerate(self.postures):
-                images = self.survey.flags(posture, [[panel] for panel in panels])
-                counts.append(counts_of_images([layer[0] for layer in images], self.least))
+                counts.append(self.survey.counts(posture, panels, least=self.least))
                 self._say("postures for lights", (i + 1) / len(self.postures))
             size = sum(some.nbytes for some in counts)
             while self._counts and (len(self._counts) + 1) * size > KEPT_BYTES:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lightopt.errors import CheckFailed, counted, percent
 from lightopt.optimize import Blind, Shown, Thresholds, blind_spots, blind_text, shown_by
-from lightopt.plan._choose import Choice
+from lightopt.plan._choice import Choice
 from lightopt.plan._survey import Survey
 from lightopt.transforms import Posture
 

@@ -3,8 +3,9 @@
 from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
 from lightopt.report._fit_pictures import fit_chart, residual_picture
 from lightopt.report._frames_drawing import frames_drawing
+from lightopt.report._inspection_batch import BatchRow, batch_report
 from lightopt.report._inspection_pictures import defect_overlay
-from lightopt.report._inspection_report import BatchRow, batch_report, inspection_page, inspection_report
+from lightopt.report._inspection_report import inspection_page, inspection_report
 from lightopt.report._inspection_tables import (
     dark_told,
     defect_table,

@@ -23,7 +23,7 @@ from lightopt.plan import (
     reached,
     worth,
 )
-from lightopt.plan._exposures import Offer, pick_shots
+from lightopt.plan._pick_shots import Offer, pick_shots
 from lightopt.transforms import Posture
 
 

@@ -1,0 +1,120 @@
+"""The report of a batch of ``lightopt inspect``: how many parts are OK, and a row for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lightopt.errors import counted, percent
+from lightopt.inspection import TOLD_CONTRAST, TOLD_DISC, Verdict
+from lightopt.report._page import Answer, Page, Section, Table
+from lightopt.report._page_html import page_html
+from lightopt.report._truth_blocks import truth_blocks
+
+__all__ = ["BatchRow", "batch_report"]
+
+NOT_INSPECTED = "not inspected"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchRow:
+    """One part of a batch.
+
+    Attributes
+    ----------
+    name
+        Of its folder.
+    report
+        Its own report, relative to the batch's; empty where it has none.
+    defects
+        That were found, whether they count or not.
+    verdict
+        On it; None where it was refused.
+    refused
+        Why it was not inspected.
+    """
+
+    name: str
+    report: str = ""
+    defects: int = 0
+    verdict: Verdict | None = None
+    refused: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        if self.verdict is None:
+            return {"folder": self.name, "verdict": NOT_INSPECTED, "reasons": list(self.refused)}
+        return {"folder": self.name, "defects": self.defects, **self.verdict.as_dict()}
+
+    def cells(self) -> list[str]:
+        """Of the batch's table."""
+        verdict = self.verdict
+        if verdict is None:
+            return [self.name, NOT_INSPECTED, "; ".join(self.refused), *"-----"]
+        return [
+            self.name,
+            verdict.word,
+            verdict.told,
+            str(self.defects),
+            str(len(verdict.counting)),
+            percent(verdict.inspected),
+            percent(verdict.finds),
+            percent(verdict.glints),
+        ]
+
+
+def batch_report(
+    rows: Sequence[BatchRow],
+    *,
+    part: str,
+    rig: str,
+    version: str,
+    truth: Mapping[str, Any] | None = None,
+) -> str:
+    """The report of several parts as HTML: a row each, whose own report is in its folder.
+
+    Parameters
+    ----------
+    rows
+        In the order of the sets.
+    part, rig
+        Their names.
+    version
+        Of lightopt.
+    truth
+        As :func:`lightopt.report.inspection_page` takes it, over all sets.
+    """
+    good = sum(row.verdict is not None and row.verdict.good for row in rows)
+    refused = sum(row.verdict is None for row in rows)
+    table = Table(
+        header=[
+            "set",
+            "verdict",
+            "reasons",
+            "defects",
+            "that count",
+            "inspected",
+            f"finds {100 * TOLD_CONTRAST:g} %",
+            "only glints",
+        ],
+        rows=[row.cells() for row in rows],
+        numbers_from=3,
+        caption="A set's name leads to its own report. Inspected: share of the surface that the part's postures show. "
+        f"Finds: share of it where {TOLD_DISC} is found half of the time. Only glints: share of it that was inspected, "
+        "but is dark.",
+        links=[row.report for row in rows],
+    )
+    told = f"; {counted(refused, 'set')} not inspected" if refused else ""
+    sections = [
+        Section(heading="Parts", blocks=[table]),
+        Section(heading="Against the truth", blocks=[] if truth is None else truth_blocks(truth)),
+    ]
+    return page_html(
+        Page(
+            title=f"{counted(len(rows), 'part')}: {part}",
+            subtitle=f"{part} on {rig}, lightopt {version}",
+            lead=[Answer(figure=f"{good} of {len(rows)}", text=f"parts are OK{told}")],
+            sections=[section for section in sections if section.blocks],
+        )
+    )
