@@ -40,8 +40,9 @@ from lightopt.inspection._surface import (
     map_surface,
     surface_coverage,
 )
-from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
+from lightopt.inspection._synthetic import SyntheticImage, fuse_images
 from lightopt.inspection._template import score_templates, templates
+from lightopt.inspection._trust import trust_weights
 from lightopt.inspection._truth import (
     KnownDefect,
     TrueSet,
