@@ -9,7 +9,7 @@ from lightopt.inspection._calibration import (
     made_for,
     read_calibration,
 )
-from lightopt.inspection._coverage import CONTRASTS, Coverage, Reached, measure_coverage
+from lightopt.inspection._coverage import Coverage, measure_coverage
 from lightopt.inspection._deviation import Deviations, deviations
 from lightopt.inspection._fusion import FUSIONS, Fusion
 from lightopt.inspection._grey import GreyPicture, grey_picture
@@ -30,6 +30,7 @@ from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, s
 from lightopt.inspection._regions import find_regions
 from lightopt.inspection._register import Photometry, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, rank_probability, score_deviations, threshold
+from lightopt.inspection._shares import CONTRASTS, Reached
 from lightopt.inspection._sightings import KIND_COLOURS, FoundDefect, Kind, Sighting, gather
 from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, shifted
 from lightopt.inspection._surface import (
