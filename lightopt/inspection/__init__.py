@@ -22,13 +22,15 @@ from lightopt.inspection._inspect import (
 )
 from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import DETECTORS, Detector, InspectOptions
+from lightopt.inspection._photometry import Photometry
 from lightopt.inspection._pieces import separate_pieces
 from lightopt.inspection._pod import DetectionCurve, fit_detection
 from lightopt.inspection._poisson import PoissonGrid, poisson_grid
+from lightopt.inspection._predict import Prediction, predict
 from lightopt.inspection._predictions import Predictions
 from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, sets_needed
 from lightopt.inspection._regions import find_regions
-from lightopt.inspection._register import Photometry, good_part, lay_over
+from lightopt.inspection._register import good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, rank_probability, score_deviations, threshold
 from lightopt.inspection._shares import CONTRASTS, Reached
 from lightopt.inspection._sightings import KIND_COLOURS, FoundDefect, Kind, Sighting, gather
@@ -55,7 +57,7 @@ from lightopt.inspection._truth import (
 )
 from lightopt.inspection._truth_source import TruthSource, truth_source
 from lightopt.inspection._verdict import Verdict, judge
-from lightopt.inspection._view import PostureView, Prediction, posture_view, predict
+from lightopt.inspection._view import PostureView, posture_view
 from lightopt.inspection._write import (
     BATCH_NAME,
     DEFECTS_NAME,

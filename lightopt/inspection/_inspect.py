@@ -21,10 +21,11 @@ from lightopt.inspection._coverage_blocks import coverage_in_blocks
 from lightopt.inspection._deviation import deviations
 from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._photometry import DARK_SPREAD
 from lightopt.inspection._pieces import separate_pieces
 from lightopt.inspection._predictions import Predictions, lights_of
 from lightopt.inspection._regions import find_regions
-from lightopt.inspection._register import DARK_SPREAD, Progress, good_part, lay_over
+from lightopt.inspection._register import Progress, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, threshold
 from lightopt.inspection._scored import score_posture, synthetic_image
 from lightopt.inspection._sightings import FoundDefect, Sighting, gather

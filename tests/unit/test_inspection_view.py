@@ -15,8 +15,8 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.align import Observation, Placement
 from lightopt.errors import InputError
 from lightopt.inspection import InspectOptions, deviations, posture_view, predict
+from lightopt.inspection._another_part import refuse_another_part
 from lightopt.inspection._inspect import _words
-from lightopt.inspection._register import refuse_another_part
 from lightopt.rendering import cast_rays_at
 from lightopt.transforms import Posture
 
