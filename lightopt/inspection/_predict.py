@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.raycast import RayCaster
-from lightopt.rendering import PostureImages, render_posture, trace_pixels
+from lightopt.rendering import Geometry, LightImage, PostureImages, render_posture, trace_pixels
 from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
 from lightopt.transforms import Posture
 
@@ -18,6 +19,7 @@ __all__ = ["Prediction", "predict"]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+Images = TypeVar("Images", LightImage, Geometry)
 
 TRACE = 1e-6
 """Of R_d: far below anything that a camera tells."""
@@ -40,6 +42,21 @@ class Prediction:
     images: PostureImages
     clean: Bool
     area: Float32
+
+    def in_rows(self, rows: slice) -> Prediction:
+        """Some rows of the images, and of what their pixels look at; counts stay those of the whole."""
+        images = replace(
+            self.images,
+            lights=tuple(_in_rows(light, rows) for light in self.images.lights),
+            geometry=_in_rows(self.images.geometry, rows),
+        )
+        return Prediction(images=images, clean=self.clean[rows], area=self.area[rows])
+
+
+def _in_rows(one: Images, rows: slice) -> Images:
+    # every array of an image's or a geometry's, none left whole
+    values = {field.name: getattr(one, field.name) for field in fields(one)}
+    return replace(one, **{name: v[rows] for name, v in values.items() if isinstance(v, np.ndarray)})
 
 
 def predict(

@@ -84,10 +84,7 @@ class PostureView:
         return self.prediction.clean
 
     def in_rows(self, rows: slice) -> PostureView:
-        """Some rows of the images, and of what is known of their pixels; predicted images stay whole."""
-        geometry = self.prediction.images.geometry
-        images = replace(self.prediction.images, geometry=replace(geometry, hit=geometry.hit[rows]))
-        own = self.prediction
+        """Some rows of the images, and of what is known of their pixels; views of the arrays, which cost nothing."""
         return replace(
             self,
             level=self.level[:, rows],
@@ -96,7 +93,7 @@ class PostureView:
             rounding=self.rounding[:, rows],
             limit=self.limit[:, rows],
             saturated=self.saturated[:, rows],
-            prediction=replace(own, images=images, clean=own.clean[rows], area=own.area[rows]),
+            prediction=self.prediction.in_rows(rows),
         )
 
 
