@@ -1,14 +1,8 @@
 """Inspecting a part: its images fused into one without highlights, its defects found, measured and judged."""
 
 from lightopt.inspection._calibrate import calibrate, calibrate_laid, refuse_too_few
-from lightopt.inspection._calibration import (
-    CALIBRATION_NAME,
-    CalibratedPosture,
-    Calibration,
-    CalibrationFolder,
-    made_for,
-    read_calibration,
-)
+from lightopt.inspection._calibration import CALIBRATION_NAME, CalibratedPosture, Calibration
+from lightopt.inspection._calibration_file import CalibrationFolder, read_calibration
 from lightopt.inspection._coverage import Coverage, measure_coverage
 from lightopt.inspection._deviation import Deviations, deviations
 from lightopt.inspection._fusion import FUSIONS, Fusion
@@ -20,6 +14,7 @@ from lightopt.inspection._inspect import (
     inspect_set,
     lay_set,
 )
+from lightopt.inspection._made_for import made_for
 from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import DETECTORS, Detector, InspectOptions
 from lightopt.inspection._photometry import Photometry

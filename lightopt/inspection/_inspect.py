@@ -15,7 +15,7 @@ from lightopt.align import Observation, Placement
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.images import ImageSet
-from lightopt.inspection._calibration import CalibratedPosture, Calibration, Shots, shots_of
+from lightopt.inspection._calibration import CalibratedPosture, Calibration
 from lightopt.inspection._coverage import Coverage
 from lightopt.inspection._coverage_blocks import coverage_in_blocks
 from lightopt.inspection._deviation import deviations
@@ -28,6 +28,7 @@ from lightopt.inspection._regions import find_regions
 from lightopt.inspection._register import Progress, good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, threshold
 from lightopt.inspection._scored import score_posture, synthetic_image
+from lightopt.inspection._shots import Shots, shots_of
 from lightopt.inspection._sightings import FoundDefect, Sighting, gather
 from lightopt.inspection._slopes import node_steps
 from lightopt.inspection._surface import SurfaceCoverage, surface_coverage
