@@ -7,13 +7,9 @@ from lightopt.inspection._coverage import Coverage, measure_coverage
 from lightopt.inspection._deviation import Deviations, deviations
 from lightopt.inspection._fusion import FUSIONS, Fusion
 from lightopt.inspection._grey import GreyPicture, grey_picture
-from lightopt.inspection._inspect import (
-    InspectedPosture,
-    Inspection,
-    LaidSet,
-    inspect_set,
-    lay_set,
-)
+from lightopt.inspection._inspect import inspect_set
+from lightopt.inspection._inspection import InspectedPosture, Inspection
+from lightopt.inspection._laid_set import LaidSet, lay_set
 from lightopt.inspection._made_for import made_for
 from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import DETECTORS, Detector, InspectOptions

@@ -15,7 +15,7 @@ from lightopt.errors import InputError
 from lightopt.images import ImageSet, posture_folder
 from lightopt.inspection._calibration import CalibratedPosture, Calibration
 from lightopt.inspection._deviation import deviations
-from lightopt.inspection._inspect import LaidSet, lay_set
+from lightopt.inspection._laid_set import LaidSet, lay_set
 from lightopt.inspection._made_for import made_for
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._predictions import Predictions
