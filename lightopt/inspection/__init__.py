@@ -1,35 +1,29 @@
 """Inspecting a part: its images fused into one without highlights, its defects found, measured and judged."""
 
 from lightopt.inspection._calibrate import calibrate, calibrate_laid, refuse_too_few
-from lightopt.inspection._calibration import (
-    CALIBRATION_NAME,
-    CalibratedPosture,
-    Calibration,
-    CalibrationFolder,
-    made_for,
-    read_calibration,
-)
-from lightopt.inspection._coverage import CONTRASTS, Coverage, Reached, measure_coverage
+from lightopt.inspection._calibration import CALIBRATION_NAME, CalibratedPosture, Calibration
+from lightopt.inspection._calibration_file import CalibrationFolder, read_calibration
+from lightopt.inspection._coverage import Coverage, measure_coverage
 from lightopt.inspection._deviation import Deviations, deviations
 from lightopt.inspection._fusion import FUSIONS, Fusion
 from lightopt.inspection._grey import GreyPicture, grey_picture
-from lightopt.inspection._inspect import (
-    InspectedPosture,
-    Inspection,
-    LaidSet,
-    inspect_set,
-    lay_set,
-)
+from lightopt.inspection._inspect import inspect_set
+from lightopt.inspection._inspection import InspectedPosture, Inspection
+from lightopt.inspection._laid_set import LaidSet, lay_set
+from lightopt.inspection._made_for import made_for
 from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import DETECTORS, Detector, InspectOptions
+from lightopt.inspection._photometry import Photometry
 from lightopt.inspection._pieces import separate_pieces
 from lightopt.inspection._pod import DetectionCurve, fit_detection
 from lightopt.inspection._poisson import PoissonGrid, poisson_grid
+from lightopt.inspection._predict import Prediction, predict
 from lightopt.inspection._predictions import Predictions
 from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, sets_needed
 from lightopt.inspection._regions import find_regions
-from lightopt.inspection._register import Photometry, good_part, lay_over
+from lightopt.inspection._register import good_part, lay_over
 from lightopt.inspection._score import SCALES_PX, rank_probability, score_deviations, threshold
+from lightopt.inspection._shares import CONTRASTS, Reached
 from lightopt.inspection._sightings import KIND_COLOURS, FoundDefect, Kind, Sighting, gather
 from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, shifted
 from lightopt.inspection._surface import (
@@ -40,8 +34,9 @@ from lightopt.inspection._surface import (
     map_surface,
     surface_coverage,
 )
-from lightopt.inspection._synthetic import SyntheticImage, fuse_images, trust_weights
+from lightopt.inspection._synthetic import SyntheticImage, fuse_images
 from lightopt.inspection._template import score_templates, templates
+from lightopt.inspection._trust import trust_weights
 from lightopt.inspection._truth import (
     KnownDefect,
     TrueSet,
@@ -53,7 +48,7 @@ from lightopt.inspection._truth import (
 )
 from lightopt.inspection._truth_source import TruthSource, truth_source
 from lightopt.inspection._verdict import Verdict, judge
-from lightopt.inspection._view import PostureView, Prediction, posture_view, predict
+from lightopt.inspection._view import PostureView, posture_view
 from lightopt.inspection._write import (
     BATCH_NAME,
     DEFECTS_NAME,

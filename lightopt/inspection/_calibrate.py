@@ -13,21 +13,17 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.images import ImageSet, posture_folder
-from lightopt.inspection._calibration import (
-    CalibratedPosture,
-    Calibration,
-    Shots,
-    made_for,
-    too_few,
-)
+from lightopt.inspection._calibration import CalibratedPosture, Calibration
 from lightopt.inspection._deviation import deviations
-from lightopt.inspection._inspect import LaidSet, lay_set
+from lightopt.inspection._laid_set import LaidSet, lay_set
+from lightopt.inspection._made_for import made_for
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._predictions import Predictions
-from lightopt.inspection._rates import least_rate
+from lightopt.inspection._rates import least_rate, too_few
 from lightopt.inspection._register import Progress
 from lightopt.inspection._score import score_deviations
 from lightopt.inspection._scored import score_posture, synthetic_image
+from lightopt.inspection._shots import Shots
 from lightopt.inspection._systematic import (
     Residuals,
     Systematic,
@@ -113,7 +109,7 @@ def calibrate_laid(
     options
         As :func:`calibrate` takes them.
     made
-        From :func:`lightopt.inspection._calibration.made_for`.
+        From :func:`lightopt.inspection.made_for`.
     """
     refuse_too_few(len(names), options)
     postures: dict[Posture, _Learning] = {}

@@ -1,42 +1,27 @@
-"""What good parts taught: the scores that they reach, and what they have in common; as a file for later inspections."""
+"""What good parts taught: the scores that they reach, and what they have in common."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from lightopt.align import Observation
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError, counted
-from lightopt.images import ResultFolder, file_sha256, posture_folder, read_exr, write_exr
+from lightopt.errors import InputError
+from lightopt.inspection._made_for import made_for
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, sets_needed
+from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, too_few
+from lightopt.inspection._shots import Shots, shots_text
 from lightopt.inspection._systematic import Systematic
 from lightopt.transforms import Posture
 
-__all__ = [
-    "CALIBRATION_NAME",
-    "CalibratedPosture",
-    "Calibration",
-    "CalibrationFolder",
-    "made_for",
-    "read_calibration",
-    "shots_of",
-]
+__all__ = ["CALIBRATION_NAME", "CalibratedPosture", "Calibration"]
 
 CALIBRATION_NAME: Final = "calibration.json"
-FORMAT: Final = "lightopt-calibration/1"
 LEAST: Final = 3.0
 """No threshold is below this: of so many pixels, some have a chance of one in a thousand."""
-
-Shots = dict[str, tuple[tuple[float, int], ...]]
-"""By light the exposures and the numbers of frames of its images."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +136,7 @@ class Calibration:
         if found.shots != shots:
             raise InputError(
                 f"{where}, posture {posture}: expected the images that {self.name} was made for, "
-                f"{_images(found.shots)}, found {_images(shots)}; take them as the good sets were taken, "
+                f"{shots_text(found.shots)}, found {shots_text(shots)}; take them as the good sets were taken, "
                 "or make the calibration anew"
             )
         return found
@@ -167,185 +152,5 @@ class Calibration:
         }
 
 
-class CalibrationFolder(ResultFolder):
-    """A folder that a calibration is written to; takes what :class:`lightopt.images.ResultFolder` takes."""
-
-    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-        super().__init__(
-            folder, made_from, name=CALIBRATION_NAME, format=FORMAT, what="a calibration", force=force
-        )
-
-    def write(self, calibration: Calibration) -> Path:
-        """Write the maps of each posture, and at last ``calibration.json``."""
-        postures = [
-            {
-                "posture": one.posture.as_dict(),
-                "shots": {light: [list(shot) for shot in shots] for light, shots in one.shots.items()},
-                "threshold": round(one.threshold(calibration.rate), 4),
-                "peaks": list(one.peaks),
-                **self._maps(one),
-            }
-            for one in calibration.postures
-        ]
-        return self.finish({**calibration.as_dict(), "postures": postures})
-
-    def _maps(self, one: CalibratedPosture) -> dict[str, Any]:
-        if one.systematic is None:
-            return {}
-        name = f"{posture_folder(one.posture)}/calibration.exr"
-        channels = {
-            f"{kind}.{light}": image
-            for kind, images in (("mean", one.systematic.mean), ("spread", one.systematic.spread))
-            for light, image in zip(one.shots, images, strict=True)
-        }
-        path = self.place(name)
-        sha256 = write_exr(path, channels, metadata={"posture": one.posture.as_dict()})
-        return {"maps": {"exr": name, "sha256": sha256}}
-
-
-def made_for(rig: RigConfig, part: PartConfig, options: InspectOptions) -> dict[str, Any]:
-    """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
-    of_part = {
-        "name": True,
-        "postures": True,
-        "mesh": {"file"},
-        "inspection": True,
-        "defects": True,
-        "defect_catalogue": True,
-    }
-    ranges = {"elevation_range_deg", "azimuth_range_deg"}
-    chosen: dict[str, Any] = {
-        "detector": options.detector,
-        "no_shift": not options.shift,
-    }
-    chosen |= {"fusion": options.fusion} if options.detector == "template" else {"seen_by": options.seen_by}
-    return {
-        "rig": _hash(
-            {
-                "camera": rig.camera.model_dump(mode="json"),
-                "light_source": rig.light_source.model_dump(mode="json"),
-                "lights": [light.model_dump(mode="json", exclude=ranges) for light in rig.lights],
-                "pivot_mm": list(rig.stage.pivot_mm),
-            }
-        ),
-        "part": _hash(part.model_dump(mode="json", exclude=of_part)),
-        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
-        "options": chosen,
-    }
-
-
-def shots_of(observations: Sequence[Observation], lights: Sequence[str]) -> Shots:
-    """Exposures and numbers of frames of the images of a posture, by light in the order given."""
-    return {
-        light: tuple(sorted((o.exposure, o.frames) for o in observations if o.light == light))
-        for light in lights
-    }
-
-
-def too_few(sets: int, rate: float, where: str) -> str:
-    """What to say of a rate that so many good sets do not bear."""
-    return (
-        f"{where}: {counted(sets, 'good set')} bear a rate of false alarms of {least_rate(sets):.3g} per posture or "
-        f"more with {100.0 * CONFIDENCE:.0f} % confidence; {rate:g} takes {sets_needed(rate)}: give more good sets, "
-        f"or ask for --false-alarms {_rounded_up(least_rate(sets)):g}"
-    )
-
-
-def read_calibration(path: Path) -> Calibration:
-    """Read a calibration.
-
-    Parameters
-    ----------
-    path
-        ``calibration.json``, or its folder.
-
-    Raises
-    ------
-    InputError
-        No such file, no calibration, or maps that are not those it names.
-    """
-    if path.is_dir():
-        path = path / CALIBRATION_NAME
-    try:
-        data = path.read_bytes()
-        content = json.loads(data)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read: {error.strerror or error}; give the calibration.json that --calibrate wrote"
-        ) from error
-    except ValueError as error:
-        raise InputError(f"{path}: expected the JSON that --calibrate wrote: {error}") from error
-    found = content.get("format") if isinstance(content, dict) else None
-    if found != FORMAT:
-        raise InputError(
-            f'{path}: expected a file of format {FORMAT}, found "{found}"; make one with --calibrate'
-        )
-    try:
-        sets = tuple(str(name) for name in content["good_sets"])
-        calibration = Calibration(
-            rate=float(content["false_alarms"]),
-            sets=sets,
-            postures=tuple(_posture(path, one, len(sets)) for one in content["postures"]),
-            made_for=dict(content["made_for"]),
-            name=path.name,
-            sha256=hashlib.sha256(data).hexdigest(),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(
-            f"{path}: not as --calibrate wrote it: {type(error).__name__} at {error}; make it anew"
-        ) from error
-    return calibration
-
-
-def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture:
-    shots = {
-        str(light): tuple((float(exposure), int(frames)) for exposure, frames in own)
-        for light, own in one["shots"].items()
-    }
-    systematic = None
-    if "maps" in one:
-        maps = path.parent / str(one["maps"]["exr"])
-        try:
-            sha256 = file_sha256(maps)
-        except OSError as error:
-            raise InputError(
-                f"{maps}: cannot be read: {error.strerror or error}; {path.name} needs the maps beside it"
-            ) from error
-        if sha256 != one["maps"]["sha256"]:
-            raise InputError(f"{maps}: not the maps that {path} was written with; make the calibration anew")
-        channels = read_exr(maps)
-        mean, spread = (
-            np.stack([channels[f"{kind}.{light}"] for light in shots]) for kind in ("mean", "spread")
-        )
-        systematic = Systematic(mean=mean, spread=spread)
-    peaks = tuple(float(peak) for peak in one["peaks"])
-    if len(peaks) != sets:
-        raise ValueError(f"peaks: {len(peaks)} of {sets} good sets")
-    return CalibratedPosture(
-        posture=Posture(
-            elevation_deg=float(one["posture"]["elevation_deg"]),
-            rotation_deg=float(one["posture"]["rotation_deg"]),
-        ),
-        shots=shots,
-        peaks=peaks,
-        systematic=systematic,
-    )
-
-
-def _hash(values: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
-
-
 def _shown(value: object) -> str:
     return "none" if value is None else str(value)
-
-
-def _images(shots: Shots) -> str:
-    def one(exposure: float, frames: int) -> str:
-        return f"×{exposure:g}" + (f" of {frames} frames" if frames > 1 else "")
-
-    return "; ".join(f"{light} {', '.join(one(*shot) for shot in own)}" for light, own in shots.items())
-
-
-def _rounded_up(rate: float) -> float:
-    return float(np.ceil(rate * 1000.0) / 1000.0)

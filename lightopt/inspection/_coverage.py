@@ -1,10 +1,9 @@
-"""Which share of the surface was inspected, how sensitively, and why the rest was not."""
+"""Which share of the surface that a posture shows was inspected, how sensitively, and why the rest was not."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,101 +11,12 @@ from scipy import special
 
 from lightopt.inspection._deviation import Deviations
 from lightopt.inspection._score import disc_gain
+from lightopt.inspection._shares import TOLD_SIZE_PX, Reached, Shares, class_areas
 from lightopt.inspection._view import PostureView
 
-__all__ = ["CONTRASTS", "Coverage", "Reached", "least_contrast", "measure_coverage"]
+__all__ = ["Coverage", "least_contrast", "measure_coverage"]
 
 Float32 = NDArray[np.float32]
-Bool = NDArray[np.bool_]
-
-CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
-"""Shares of the light that a defect takes away, for which the sensitivity is told."""
-
-TOLD_SIZE_PX = 5.0
-"""Diameter of the even disc that it is told for."""
-
-
-class Reached(IntEnum):
-    """How far the inspection of a pixel got, the least first; with several postures the furthest counts.
-
-    What is lit in fewer images than must show a defect, or is only reached by light and stays dark, is judged by these,
-    as :func:`lightopt.inspection.score_deviations` does it.
-    """
-
-    NO_PART = 0
-    EDGE = 1
-    SHADOW = 2
-    SATURATED = 3
-    GLINTS = 4
-    FEWER = 5
-    INSPECTED = 6
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shares:
-    """A surface by what each place of it can show, and why nothing where it can show nothing.
-
-    Attributes
-    ----------
-    seen
-        By the camera [mm²].
-    inspected
-        Of it, judged [mm²]: the areas of :attr:`classes`.
-    glints
-        Of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes it
-        darker does not.
-    fewer
-        Of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
-        show in these alone.
-    saturated, shadow, edge
-        Of what is seen, not judged: image and prediction are saturated under each light that reaches it; no light
-        does; next to silhouettes and creases, or seen at a grazing angle [mm²].
-    sensitivity
-        By contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that share is found
-        half of the time [mm²]. The rest is dark, or shows stronger ones.
-    """
-
-    seen: float
-    inspected: float
-    glints: float = 0.0
-    fewer: float = 0.0
-    saturated: float
-    shadow: float
-    edge: float
-    sensitivity: dict[float, float]
-
-    @property
-    def share(self) -> float:
-        """Of what the camera sees, the share that was inspected."""
-        return self.inspected / self.seen if self.seen > 0.0 else 0.0
-
-    @property
-    def classes(self) -> tuple[float, ...]:
-        """Areas [mm²], of what was inspected.
-
-        Where a disc is found from each of :data:`CONTRASTS` on, the least first; where only stronger ones are; where
-        only glints show.
-        """
-        found = [self.sensitivity.get(contrast, 0.0) for contrast in CONTRASTS]
-        each = [more - less for less, more in zip([0.0, *found], found, strict=False)]
-        return (*each, self.inspected - self.glints - found[-1], self.glints)
-
-    def shares(self) -> dict[str, Any]:
-        """JSON form: shares of what the camera sees."""
-
-        def share(area: float) -> float:
-            return round(area / max(self.seen, 1e-9), 5)
-
-        return {
-            "inspected": share(self.inspected),
-            "finds_contrast": {f"{c:g}": share(a) for c, a in self.sensitivity.items()},
-            "only_stronger": share(self.classes[-2]),
-            "only_glints": share(self.glints),
-            "fewer_lights": share(self.fewer),
-            "saturated": share(self.saturated),
-            "shadow": share(self.shadow),
-            "edge": share(self.edge),
-        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,21 +65,8 @@ def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high
     reached[part & (lit >= seen_by)] = Reached.INSPECTED
     least = least_contrast(found, view.predicted, seen_by=seen_by, high=high)
     least[reached < Reached.FEWER] = np.inf
-
-    def of(which: NDArray[np.bool_]) -> float:
-        return float(area[which].sum())
-
     return Coverage(
-        seen=of(part),
-        inspected=of(reached >= Reached.GLINTS),
-        glints=of(reached == Reached.GLINTS),
-        fewer=of(reached == Reached.FEWER),
-        saturated=of(reached == Reached.SATURATED),
-        shadow=of(reached == Reached.SHADOW),
-        edge=of(reached == Reached.EDGE),
-        sensitivity={c: of(least <= c) for c in CONTRASTS},
-        reached=reached,
-        least_contrast=least.astype(np.float32),
+        **class_areas(area, reached, least), reached=reached, least_contrast=least.astype(np.float32)
     )
 
 

@@ -13,7 +13,7 @@ from lightopt.align import Placement
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.errors import InputError
 from lightopt.images import ImageSet
-from lightopt.inspection._inspect import InspectedPosture, Inspection
+from lightopt.inspection._inspection import InspectedPosture, Inspection
 from lightopt.inspection._measure import to_file
 from lightopt.scene import defect_facts
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation, Placement
-from lightopt.inspection._register import DARK_SPREAD, GAIN_SPREAD
+from lightopt.inspection._photometry import DARK_SPREAD, GAIN_SPREAD
+from lightopt.inspection._predict import Prediction
 from lightopt.inspection._slopes import Slopes, node_steps
-from lightopt.inspection._view import Prediction
 from lightopt.scene import Scene, project, view_from_part
 from lightopt.transforms import rotation_z
 

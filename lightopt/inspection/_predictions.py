@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from lightopt.align import Observation, Placement
 from lightopt.inspection._nearby import FURTHEST, LOOSE, TIGHT, Known, Sample, fit_place, sample_of
+from lightopt.inspection._predict import Prediction, predict
 from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, shifted
 from lightopt.inspection._surface import SurfaceMap, map_surface
-from lightopt.inspection._view import Prediction, predict
 from lightopt.raycast import RayCaster
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene

@@ -13,7 +13,9 @@ from typing import Final
 
 from scipy import special
 
-__all__ = ["CONFIDENCE", "held_threshold", "least_rate", "sets_needed"]
+from lightopt.errors import counted
+
+__all__ = ["CONFIDENCE", "held_threshold", "least_rate", "sets_needed", "too_few"]
 
 CONFIDENCE: Final = 0.95
 """That a threshold holds its rate."""
@@ -46,3 +48,13 @@ def held_threshold(peaks: Sequence[float], rate: float) -> float | None:
             break
         kept = peak
     return kept
+
+
+def too_few(sets: int, rate: float, where: str) -> str:
+    """What to say of a rate that so many good sets do not bear; `where` names the sets."""
+    least = least_rate(sets)
+    return (
+        f"{where}: {counted(sets, 'good set')} bear a rate of false alarms of {least:.3g} per posture or "
+        f"more with {100.0 * CONFIDENCE:.0f} % confidence; {rate:g} takes {sets_needed(rate)}: give more good sets, "
+        f"or ask for --false-alarms {math.ceil(least * 1000.0) / 1000.0:g}"
+    )

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from lightopt.inspection._deviation import Deviations
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._score import SCALES_PX, score_deviations
-from lightopt.inspection._synthetic import PROBES, SyntheticImage, fuse_images, trust_weights
+from lightopt.inspection._synthetic import PROBES, SyntheticImage, fuse_images
 from lightopt.inspection._template import TEMPLATES, score_templates
+from lightopt.inspection._trust import trust_weights
 from lightopt.inspection._view import PostureView
 
 __all__ = ["score_posture", "synthetic_image"]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lightopt.align import Placement, view_of_placed
 from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
-from lightopt.inspection._view import Prediction
+from lightopt.inspection._predict import Prediction
 from lightopt.kernels import kernel
 from lightopt.raycast import RayCaster
 from lightopt.rendering import in_threads, render_posture

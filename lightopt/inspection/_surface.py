@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.inspection._coverage import CONTRASTS, TOLD_SIZE_PX, Coverage, Reached, Shares
+from lightopt.inspection._coverage import Coverage
+from lightopt.inspection._shares import TOLD_SIZE_PX, Reached, Shares, class_areas
 from lightopt.mesh import face_areas
 from lightopt.raycast import RayCaster
 from lightopt.rendering import LEAST_COS_VIEW, build_patches, patch_positions
@@ -115,34 +116,21 @@ def surface_coverage(
     if surface is None:
         ((_, only),) = coverages
         return SurfaceCoverage(area=area, **{each.name: getattr(only, each.name) for each in fields(Shares)})
-    reached = np.full(len(surface.areas), -1, np.int8)
+    reached = np.full(len(surface.areas), Reached.NO_PART, np.uint8)
     least = np.full(len(surface.areas), np.inf, np.float32)
     for posture, coverage in coverages:
         patch, pixel = surface.seen[posture]
         # a patch beside the last pixel that shows the part is at its edge
         here = np.maximum(np.where(pixel < 0, Reached.EDGE, coverage.reached.ravel()[pixel]), Reached.EDGE)
-        reached[patch] = np.maximum(reached[patch], here.astype(np.int8))
+        reached[patch] = np.maximum(reached[patch], here.astype(np.uint8))
         found = np.where(pixel < 0, np.inf, coverage.least_contrast.ravel()[pixel])
         least[patch] = np.minimum(least[patch], found.astype(np.float32))
-    missing = np.zeros(len(surface.areas), np.bool_)
     for posture in surface.seen.keys() - {posture for posture, _ in coverages}:
         patch, pixel = surface.seen[posture]
-        missing[patch[pixel >= 0]] = True
-        reached[patch] = np.maximum(reached[patch], np.int8(Reached.EDGE))
-    missing &= reached == Reached.EDGE
-
-    def of(which: NDArray[np.bool_]) -> float:
-        return float(surface.areas[which].sum())
-
+        here = np.where(pixel < 0, Reached.EDGE, Reached.MISSING)
+        reached[patch] = np.maximum(reached[patch], here.astype(np.uint8))
     return SurfaceCoverage(
         area=area,
-        seen=of(reached >= 0),
-        inspected=of(reached >= Reached.GLINTS),
-        glints=of(reached == Reached.GLINTS),
-        fewer=of(reached == Reached.FEWER),
-        saturated=of(reached == Reached.SATURATED),
-        shadow=of(reached == Reached.SHADOW),
-        edge=of((reached == Reached.EDGE) & ~missing),
-        missing=of(missing),
-        sensitivity={c: of(least <= c) for c in CONTRASTS},
+        missing=float(surface.areas[reached == Reached.MISSING].sum()),
+        **class_areas(surface.areas, reached, least),
     )

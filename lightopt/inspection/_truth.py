@@ -12,7 +12,7 @@ from scipy import ndimage, stats
 
 from lightopt.defects import PlacedDefect
 from lightopt.images import ImageSet
-from lightopt.inspection._inspect import Inspection
+from lightopt.inspection._inspection import Inspection
 from lightopt.inspection._labels import true_labels
 from lightopt.inspection._pod import fit_detection
 from lightopt.transforms import Posture

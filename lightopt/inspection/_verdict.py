@@ -7,7 +7,7 @@ from typing import Any
 
 from lightopt.config import InspectionConfig
 from lightopt.errors import counted
-from lightopt.inspection._inspect import Inspection
+from lightopt.inspection._inspection import Inspection
 from lightopt.inspection._surface import TOLD_CONTRAST
 
 __all__ = ["Verdict", "judge"]

@@ -2,55 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation
 from lightopt.errors import InputError, counted
+from lightopt.inspection._another_part import refuse_another_part
+from lightopt.inspection._exposures import merge_exposures
 from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
-from lightopt.inspection._register import Photometry, fit_photometry, refuse_another_part
-from lightopt.kernels import kernel
-from lightopt.raycast import RayCaster
-from lightopt.rendering import PostureImages, in_threads, render_posture, trace_pixels
-from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
+from lightopt.inspection._photometry import Photometry, fit_photometry
+from lightopt.inspection._predict import Prediction
+from lightopt.rendering import in_threads
+from lightopt.scene import Scene
 from lightopt.transforms import Posture
 
-__all__ = ["PostureView", "Prediction", "posture_view", "predict"]
+__all__ = ["PostureView", "posture_view"]
 
 Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-
-TRACE = 1e-6
-"""Of R_d: far below anything that a camera tells."""
-
-EVEN_VARIANCE = 0.3
-"""Noise of this variance [sensor level²] before rounding makes the mean of rounded levels the light's, to 0.002."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prediction:
-    """The good part in a posture: its images, and which pixels can be judged.
-
-    Attributes
-    ----------
-    images
-        Under each light, with the specular component apart.
-    clean
-        Pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
-    area
-        Of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
-    """
-
-    images: PostureImages
-    clean: Bool
-    area: Float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,10 +84,7 @@ class PostureView:
         return self.prediction.clean
 
     def in_rows(self, rows: slice) -> PostureView:
-        """Some rows of the images, and of what is known of their pixels; predicted images stay whole."""
-        geometry = self.prediction.images.geometry
-        images = replace(self.prediction.images, geometry=replace(geometry, hit=geometry.hit[rows]))
-        own = self.prediction
+        """Some rows of the images, and of what is known of their pixels; views of the arrays, which cost nothing."""
         return replace(
             self,
             level=self.level[:, rows],
@@ -123,51 +93,8 @@ class PostureView:
             rounding=self.rounding[:, rows],
             limit=self.limit[:, rows],
             saturated=self.saturated[:, rows],
-            prediction=replace(own, images=images, clean=own.clean[rows], area=own.area[rows]),
+            prediction=self.prediction.in_rows(rows),
         )
-
-
-def predict(
-    scene: Scene, posture: Posture, caster: RayCaster, *, lights: Sequence[str], threads: int | None = None
-) -> Prediction:
-    """Render the good part in a posture.
-
-    Parameters
-    ----------
-    scene
-        With the part where it lies.
-    posture
-        Of the part.
-    caster
-        Of the scene's part.
-    lights
-        Names of those to render.
-    threads
-        Number of threads; the result does not depend on it.
-    """
-    chosen = tuple(light for light in scene.lights if light.name in lights)
-    # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
-    reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))
-    lit = replace(scene, lights=chosen, reflectance=reflectance)
-    images = render_posture(lit, posture, caster=caster, layers=True, threads=threads)
-    pixels = trace_pixels(scene, posture, caster, threads=threads)
-    clean = np.zeros(pixels.shape, np.bool_)
-    clean[pixels.row, pixels.column] = pixels.clean
-    cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
-    area = np.zeros(pixels.shape, np.float32)
-    view = view_from_part(scene, posture).camera
-    distance = np.linalg.norm(pixels.surface.points - view.position, axis=1)
-    angle = _solid_angle(view, pixels.column, pixels.row)
-    area[pixels.row, pixels.column] = angle * distance**2 / np.maximum(np.abs(cosine), 0.02)
-    return Prediction(images=images, clean=clean & images.geometry.hit, area=area)
-
-
-def _solid_angle(camera: PinholeCamera, column: NDArray[np.int32], row: NDArray[np.int32]) -> Float64:
-    # of pixels [sr]: (side / image distance)² · cos³ of the angle to the optical axis
-    x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
-    directions = pixel_directions(camera, x, y)
-    cosine = 1.0 / np.linalg.norm(directions, axis=1)
-    return (camera.pixel_size / camera.image_distance) ** 2 * cosine**3
 
 
 def posture_view(
@@ -218,11 +145,19 @@ def posture_view(
     def merge(piece: int) -> None:
         number, top = pieces[piece]
         light, rows = lights[number], slice(top, top + BLOCK_ROWS)
-        exposures = sorted((o for o in observations if o.light == light), key=lambda o: -o.exposure)
-        predicted[number, rows] = images[light][rows]
-        merged = (array[number, rows] for array in (level, deviation, rounding, limit))
-        _merge(
-            scene, exposures, predicted[number, rows], photometry, rows, (*merged, saturated[number, rows])
+        here = number, rows
+        predicted[here] = images[light][rows]
+        merge_exposures(
+            scene,
+            [o for o in observations if o.light == light],
+            predicted[here],
+            photometry,
+            rows,
+            level=level[here],
+            deviation=deviation[here],
+            rounding=rounding[here],
+            limit=limit[here],
+            saturated=saturated[here],
         )
 
     in_threads(merge, range(len(pieces)), threads)
@@ -245,81 +180,3 @@ def posture_view(
 def _specular(image: Float32 | None) -> Float32:
     assert image is not None
     return image
-
-
-def _merge(
-    scene: Scene,
-    exposures: Sequence[Observation],
-    predicted: Float32,
-    photometry: Photometry,
-    rows: slice,
-    merged: tuple[NDArray[Any], ...],
-) -> None:
-    # writes level, deviation, rounding, limit and saturation of rows of one light from its exposures, the longest first
-    sensor = scene.sensor
-    gain = photometry.gains[exposures[0].light]
-    open_ = np.ones(predicted.shape, np.bool_)
-    for number, o in enumerate(exposures):
-        scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
-        still = sensor.noise_variance(0.0, frames=o.frames)
-        subtracted = np.broadcast_to(np.float32(o.subtracted), o.levels.shape)[rows]
-        _take(
-            np.ascontiguousarray(o.levels[rows]),
-            o.saturated[rows],
-            np.ascontiguousarray(subtracted),
-            predicted,
-            open_,
-            number + 1 == len(exposures),
-            scale,
-            sensor.black_level + photometry.dark,
-            photometry.dark,
-            sensor.saturated_from - sensor.black_level,
-            still,
-            sensor.noise_variance(1.0, frames=o.frames) - still,  # the variance is linear in the signal
-            *merged,
-        )
-
-
-@kernel
-def _take(
-    levels: Float32,
-    full: Bool,
-    subtracted: Float32,
-    predicted: Float32,
-    open_: Bool,
-    last: bool,
-    scale: float,
-    black: float,
-    dark: float,
-    saturation: float,
-    still: float,
-    shot: float,
-    level: Float32,
-    deviation: Float32,
-    rounding: Float32,
-    limit: Float32,
-    saturated: Bool,
-) -> None:
-    # what one exposure says of the pixels that no longer one could tell of: where it is not full, or is the last
-    height, width = levels.shape
-    for y in range(height):
-        for x in range(width):
-            if not open_[y, x]:
-                continue
-            top = saturation - subtracted[y, x]
-            signal = min(predicted[y, x] * scale, top)
-            if not last and (full[y, x] or signal >= top):
-                continue
-            open_[y, x] = False
-            level[y, x] = (levels[y, x] - black) / scale
-            variance = still + shot * signal
-            deviation[y, x] = math.sqrt(variance) / scale
-            before = variance - 1.0 / 12.0
-            rounding[y, x] = 0.0
-            if before < EVEN_VARIANCE:
-                # the first harmonic of what rounding does to the mean of a normal deviate, or half a level without any
-                rounding[y, x] = 0.5 * math.exp(-2.0 * math.pi**2 * before) / scale
-            limit[y, x] = (top - 0.5 - dark) / scale
-            saturated[y, x] = full[y, x]
-            if full[y, x]:
-                limit[y, x] = min(limit[y, x], level[y, x])

@@ -27,7 +27,7 @@ from lightopt.images import (
 )
 from lightopt.inspection._calibration import Calibration
 from lightopt.inspection._grey import grey_picture
-from lightopt.inspection._inspect import InspectedPosture, Inspection
+from lightopt.inspection._inspection import InspectedPosture, Inspection
 from lightopt.inspection._measure import to_file
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._regions import pixels_of

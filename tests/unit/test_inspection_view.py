@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy import ndimage, special
 
-from lightopt import build_scene, load_part, load_rig
+from lightopt import build_scene, load_rig
 from lightopt.align import Observation, Placement
 from lightopt.errors import InputError
 from lightopt.inspection import InspectOptions, deviations, posture_view, predict
-from lightopt.inspection._inspect import _words
-from lightopt.inspection._register import refuse_another_part
+from lightopt.inspection._another_part import refuse_another_part
+from lightopt.inspection._words import inspection_words
 from lightopt.rendering import cast_rays_at
 from lightopt.transforms import Posture
 
@@ -136,15 +136,15 @@ def test_images_that_are_not_of_this_part_are_refused_with_what_they_show(spoilt
 )
 def test_a_sensor_without_noise_is_warned_of(bench, noise, told):
     bench.edit("rig.yaml", "read_noise_levels: 0.8, electrons_per_level: 60", noise)
-    words = _words(load_rig(bench.rig), load_part(bench.part), [], InspectOptions())
+    words = inspection_words(load_rig(bench.rig), [], InspectOptions())
     assert any("read_noise_levels" in word for word in words) == told
 
 
 def test_a_turn_that_the_images_do_not_tell_is_said(bench):
-    rig, part = load_rig(bench.rig), load_part(bench.part)
+    rig = load_rig(bench.rig)
     for error, said in ((0.05, False), (30.0, True)):
         placement = Placement(errors=(0.001, 0.001, np.radians(error)))
-        words = _words(rig, part, [], InspectOptions(), placement=placement)
+        words = inspection_words(rig, [], InspectOptions(), placement=placement)
         assert any("do not tell how the part is turned" in text and "± 30°" in text for text in words) is said
 
 

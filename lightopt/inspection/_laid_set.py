@@ -1,0 +1,96 @@
+"""A set of images with the model laid over it: of each posture the images beside what the good part would look like."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.align import Observation, Placement
+from lightopt.config import PartConfig, RigConfig
+from lightopt.images import ImageSet
+from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._predictions import Predictions, lights_of
+from lightopt.inspection._register import Progress, good_part, lay_over
+from lightopt.inspection._shots import Shots, shots_of
+from lightopt.inspection._slopes import node_steps
+from lightopt.inspection._view import PostureView, posture_view
+from lightopt.scene import Scene
+
+__all__ = ["LaidSet", "lay_set"]
+
+
+@dataclass(frozen=True)
+class LaidSet:
+    """A set of images over which the model was laid.
+
+    Attributes
+    ----------
+    nominal
+        The scene with the part where its file has it.
+    placement
+        Where it lies from there.
+    scene
+        That the model is predicted from: the part lies where it was found, or nearly there.
+    views
+        Of each posture, in the set's order, made one at a time; with the exposures of its images.
+    """
+
+    nominal: Scene
+    placement: Placement
+    scene: Scene
+    views: Iterator[tuple[PostureView, Shots]]
+
+
+def lay_set(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    *,
+    options: InspectOptions,
+    predictions: Predictions,
+    progress: Progress | None = None,
+) -> LaidSet:
+    """Look for the part of a set, and lay the good part over its images; takes what :func:`inspect_set` takes."""
+    nominal, observations = good_part(
+        rig, part, image_set, known=predictions.nominal, threads=options.threads
+    )
+    scene, placement, off = _find(nominal, observations, predictions, options, progress)
+
+    def views() -> Iterator[tuple[PostureView, Shots]]:
+        for number, posture in enumerate(scene.postures):
+            if progress is not None:
+                progress(f"posture {posture}", number / len(scene.postures))
+            mine = [o for o in observations if o.posture == posture]
+            lights = lights_of(scene, mine)
+            prediction = predictions.of(scene, posture, lights, threads=options.threads)
+            if off is not None:
+                prediction = predictions.shifted(scene, posture, lights, off, threads=options.threads)
+            where = str(image_set.folder)
+            view = posture_view(scene, mine, prediction, where=where, threads=options.threads)
+            yield view, shots_of(mine, view.lights)
+        if options.shift and off is None:
+            predictions.measure_misfit(scene, observations)
+
+    return LaidSet(nominal, placement, scene, views())
+
+
+def _find(
+    nominal: Scene,
+    observations: Sequence[Observation],
+    predictions: Predictions,
+    options: InspectOptions,
+    progress: Progress | None,
+) -> tuple[Scene, Placement, NDArray[np.float64] | None]:
+    # the scene to predict with, where the part lies, and how many node steps off that scene
+    if not options.shift:
+        return *predictions.moved_to(nominal, Placement()), None
+    near = predictions.nearby(nominal, observations, threads=options.threads)
+    if near is None:
+        scene, placement = lay_over(nominal, observations, threads=options.threads, progress=progress)
+        return *predictions.moved_to(scene, placement), None
+    scene, before, off = near
+    x, y, turn = off * node_steps(scene)
+    return scene, replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn), off

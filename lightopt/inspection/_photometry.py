@@ -1,0 +1,148 @@
+"""How bright lights are and how black is black, as the images of a posture have them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.align import Observation
+from lightopt.kernels import kernel
+from lightopt.rendering import in_threads
+from lightopt.scene import Scene
+
+__all__ = ["DARK_SPREAD", "GAIN_SPREAD", "Photometry", "fit_photometry", "some_pixels"]
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+PIXELS_PER_IMAGE = 40_000
+"""About so many pixels of an image are looked at: all of them would hardly tell more."""
+
+HUBER = 1.5
+ROUNDS = 12
+GAIN_SPREAD = 0.3
+DARK_SPREAD = 3.0
+"""Lights are about as bright as the rig says, within this share, and black is as black within these sensor levels: only
+images that say so move them."""
+
+MOST_GAIN = 4.0
+"""Lights that seem to be further from what the rig says, up or down, are not believed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photometry:
+    """Brightness of the lights and of black, as the images have them.
+
+    Attributes
+    ----------
+    gains
+        By name of the light: measured over predicted brightness.
+    dark
+        Above the rig's black level [sensor level].
+    """
+
+    gains: dict[str, float]
+    dark: float
+
+
+def some_pixels(mask: Bool) -> NDArray[np.intp]:
+    """Flat indices of pixels of a mask, evenly picked where there are more than it takes to tell of an image.
+
+    Parameters
+    ----------
+    mask
+        Of the pixels to pick from, shape (H, W).
+    """
+    index = np.flatnonzero(mask)
+    return index[:: max(1, len(index) // PIXELS_PER_IMAGE)]
+
+
+def fit_photometry(
+    observations: Sequence[Observation],
+    predicted: Sequence[Float32],
+    clean: Bool,
+    scene: Scene,
+    *,
+    threads: int | None = None,
+) -> Photometry:
+    """Gain of each light and a common dark level, by robust least squares over pixels that are neither black nor full.
+
+    Parameters
+    ----------
+    observations
+        The images, of one posture.
+    predicted
+        Of each, levels of the good part [grey level at exposure 1], shape (H, W).
+    clean
+        The pixels to look at, shape (H, W).
+    scene
+        For the sensor and the names of the lights.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+    names = [light.name for light in scene.lights]
+    n = len(names)
+
+    def sample(number: int) -> tuple[int, Float64, Float64, Float64]:
+        o = observations[number]
+        return names.index(o.light), *_sample(scene, o, predicted[number], clean)
+
+    rows = in_threads(sample, range(len(observations)), threads)
+    x = np.append(np.ones(n), 0.0)
+    held = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
+    nominal = x.copy()
+    for _ in range(ROUNDS):
+        normal, right = np.diag(held), held * nominal
+        for light, model, level, noise in rows:
+            if not len(model):
+                continue
+            off = np.abs(level - x[light] * model - x[n]) / noise
+            spread = max(1.4826 * float(np.median(off)), 1.0)
+            square, both, count, seen, total = _huber_sums(off, model, level, noise, HUBER * spread)
+            normal[light, light] += square
+            normal[n, n] += count
+            normal[light, n] += both
+            normal[n, light] += both
+            right[light] += seen
+            right[n] += total
+        x = np.linalg.solve(normal, right)
+    if not np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN)):
+        x = nominal  # not these lights, or not this part: what is told of the images must not hide that
+    return Photometry(gains={name: float(g) for name, g in zip(names, x[:n], strict=True)}, dark=float(x[n]))
+
+
+def _sample(
+    scene: Scene, o: Observation, predicted: Float32, clean: Bool
+) -> tuple[Float64, Float64, Float64]:
+    # predicted and measured levels above black and the noise, at pixels that are neither black nor full
+    sensor = scene.sensor
+    index = some_pixels(clean & ~o.saturated)
+    scale = np.float32(o.exposure * sensor.max_level / scene.reflectance.full_scale)
+    model = (predicted.ravel()[index] * scale).astype(np.float64)
+    noise = np.sqrt(sensor.noise_variance(model, frames=o.frames))
+    taken = np.broadcast_to(np.float32(o.subtracted), predicted.shape).reshape(-1)[index]
+    top = sensor.saturated_from - sensor.black_level - taken
+    usable = (model + 4.0 * noise < top) & (model > 4.0 * noise)
+    level = o.levels.ravel()[index].astype(np.float64) - sensor.black_level
+    return model[usable], level[usable], noise[usable]
+
+
+@kernel
+def _huber_sums(
+    off: Float64, model: Float64, level: Float64, noise: Float64, reach: float
+) -> tuple[float, float, float, float, float]:
+    # with Huber's weights w: sums of w·m², w·m, w, w·m·level, w·level
+    square, both, count, seen, total = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(off)):
+        weight = min(1.0, reach / max(off[i], 1e-9)) / (noise[i] * noise[i])
+        weighted = weight * model[i]
+        square += weighted * model[i]
+        both += weighted
+        count += weight
+        seen += weighted * level[i]
+        total += weight * level[i]
+    return square, both, count, seen, total
