@@ -83,7 +83,7 @@ def _best_sets(looked: Looked, rig: RigConfig, part: PartConfig, finish: str, st
         own = search([matrix], goal, thresholds, space=candidates.space, keep=1).best.candidates
         for what, places in (("detectability", own), ("paper", paper)):
             score = goal.score(matrix.combination(places), weights, thresholds)
-            panels = [some[k] for some, k in zip(candidates.panels, places, strict=True)]
+            panels = candidates.panels_at(places)
             if places not in seen:
                 seen[places] = looked.seen([posture], panels, [(1.0,)])
             said, found = seen[places]

@@ -11,7 +11,7 @@ from lightopt.capture._plan_problems import exposure_problems, light_problems, p
 from lightopt.capture._wiring import Wiring, wiring_of
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
-from lightopt.scene import travel_order, travel_s
+from lightopt.scene import part_postures, travel_order, travel_s
 from lightopt.transforms import Posture
 
 __all__ = ["Plan", "PostureTask", "Step", "make_plan"]
@@ -248,9 +248,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     """
     options = options or CaptureOptions()
     wiring = wiring_of(rig)
-    postures = options.postures or tuple(
-        Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg) for p in part.postures
-    )
+    postures = options.postures or part_postures(part)
     known = [light.name for light in rig.lights]
     lights = options.lights or tuple(known)
     problems = [

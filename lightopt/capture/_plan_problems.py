@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from lightopt.capture._options import CaptureOptions
 from lightopt.capture._wiring import VIRTUAL, Wiring
 from lightopt.config import PartConfig, RigConfig
-from lightopt.transforms import Posture
+from lightopt.scene import part_postures
 from lightopt.virtualbench import EXPOSURE_RANGE_US
 
 __all__ = ["exposure_problems", "light_problems", "posture_problems"]
@@ -20,10 +20,7 @@ def posture_problems(
     if options.postures is not None:
         named = [(posture, "--posture") for posture in options.postures]
     else:
-        named = [
-            (Posture(p.elevation_deg, p.rotation_deg), part.source.at("postures", i))
-            for i, p in enumerate(part.postures)
-        ]
+        named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     stage = wiring.hardware.stage
     if stage is None and len(named) > 1:
         yield (

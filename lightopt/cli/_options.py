@@ -96,10 +96,7 @@ def parse_posture(text: str) -> Posture:
 
 def parse_exposure(text: str, *, option: str = "--exposure") -> float:
     """Read a number or a fraction such as 1/16, given with an option."""
-    try:
-        value = float(Fraction(text))
-    except (ValueError, ZeroDivisionError, OverflowError):
-        value = math.nan
+    value = _number(text)
     if not LEAST_EXPOSURE <= value <= MOST_EXPOSURE:
         raise InputError(
             f"{option}: expected a number from {LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g} or a fraction such as 1/16, "
@@ -119,13 +116,18 @@ def parse_share(text: str, *, option: str, expected: str) -> float:
         What it is a share of and an example, for the message.
     """
     number, percents, rest = text.partition("%")
-    try:
-        value = float(Fraction(number)) / (100.0 if percents else 1.0)
-    except (ValueError, ZeroDivisionError, OverflowError):
-        value = math.nan
+    value = _number(number) / (100.0 if percents else 1.0)
     if rest or not math.isfinite(value):
         raise InputError(f'{option}: expected a share {expected}, found "{text}"')
     return value
+
+
+def _number(text: str) -> float:
+    # of a number or a fraction; nan where it is neither
+    try:
+        return float(Fraction(text))
+    except (ValueError, ZeroDivisionError, OverflowError):
+        return math.nan
 
 
 def parse_points(text: str) -> int | Literal["auto"]:

@@ -25,7 +25,7 @@ from lightopt.inspection._surface import surface_coverage
 from lightopt.inspection._systematic import nominal_pixels, without_systematic
 from lightopt.inspection._view import PostureView
 from lightopt.inspection._words import inspection_words
-from lightopt.transforms import Posture
+from lightopt.scene import part_postures
 
 __all__ = ["inspect_set"]
 
@@ -78,7 +78,7 @@ def inspect_set(
         learned = None if calibration is None else calibration.of(view.posture, shots, where=where)
         postures.append(_inspect_posture(view, options, laid, learned, where=where))
     placement = laid.placement if options.shift else None
-    asked = [Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg) for p in part.postures]
+    asked = part_postures(part)
     words = inspection_words(
         rig, postures, options, asked=asked, placement=placement, calibrated=calibration is not None
     )

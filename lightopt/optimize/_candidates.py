@@ -82,6 +82,10 @@ class Candidates:
     left_out: tuple[LeftOut, ...]
     space: Space
 
+    def panels_at(self, combination: Sequence[int]) -> tuple[PanelLight, ...]:
+        """The panels of one position of each light, given by its index."""
+        return tuple(some[k] for some, k in zip(self.panels, combination, strict=True))
+
 
 def find_candidates(
     rig: RigConfig,

@@ -103,7 +103,7 @@ def searched_beside(
     for result in results:
 
         def look(combination: tuple[int, ...], result: SetResult = result) -> list[LuminanceMatrix]:
-            panels = [some[k] for some, k in zip(candidates.panels, combination, strict=True)]
+            panels = candidates.panels_at(combination)
             return [makers.of_places(posture, panels) for posture in result.postures]
 
         found.append(

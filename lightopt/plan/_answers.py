@@ -126,7 +126,7 @@ def _planned(
     free: Candidates | None,
 ) -> Answer:
     best = answer.found.best
-    panels = [some[k] for some, k in zip(candidates.panels, best.candidates, strict=True)]
+    panels = candidates.panels_at(best.candidates)
     counts = _counts(chosen, survey, panels)
     score = reached(counts, survey.weights)
     scores = {**answer.scores, goal.name: score}

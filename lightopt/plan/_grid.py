@@ -10,7 +10,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
 from lightopt.raycast import RayCaster
 from lightopt.rendering import panels_in_part
-from lightopt.scene import PanelLight, Scene, frame_part, view_from_part
+from lightopt.scene import PanelLight, Scene, frame_part, part_postures, view_from_part
 from lightopt.transforms import Posture
 
 __all__ = ["DEFAULT_POSTURE_STEP", "MOST_POSTURES", "LeftOutPosture", "posture_grid", "usable_postures"]
@@ -70,9 +70,12 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
             f"--posture-step: at {step_deg:g}° the stage has {len(tilts):,} × {len(turns):,} postures, more than "
             f"{MOST_POSTURES:,}, the most that are accepted; take a larger step, or narrow the stage's ranges"
         )
-    own = [Posture(p.elevation_deg, p.rotation_deg) for p in part.postures]
     (lowest, highest), (first, last) = ranges
-    own = [p for p in own if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last]
+    own = [
+        p
+        for p in part_postures(part)
+        if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last
+    ]
     return tuple(dict.fromkeys([*own, *(Posture(tilt, turn) for tilt in tilts for turn in turns)]))
 
 

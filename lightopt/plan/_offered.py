@@ -150,7 +150,7 @@ class _Offer:
             )
             if choice.settled:
                 return _Plan(choice=choice, brackets=now.brackets)
-            panels = tuple(some[k] for some, k in zip(self.candidates.panels, places.candidates, strict=True))
+            panels = self.candidates.panels_at(places.candidates)
             better = self.planned(
                 replace(choice, lights=places.candidates, panels=panels, turns=choice.turns + 1)
             )

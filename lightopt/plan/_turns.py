@@ -105,7 +105,7 @@ class Turns:
     def panels(self, lights: Sequence[int]) -> tuple[PanelLight, ...]:
         """The lights at these of their candidates."""
         assert self.candidates is not None
-        return tuple(some[k] for some, k in zip(self.candidates.panels, lights, strict=True))
+        return self.candidates.panels_at(lights)
 
     def begin(self, panels: Sequence[PanelLight], lights: Lights, wanted: Wanted) -> State:
         """The postures for lights."""

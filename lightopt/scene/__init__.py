@@ -3,7 +3,14 @@
 :func:`build_scene` is the only code that knows both the YAML's words and the physics.
 """
 
-from lightopt.scene._build import build_camera, build_lights, build_scene, chord_tolerance, unit_hint
+from lightopt.scene._build import (
+    build_camera,
+    build_lights,
+    build_scene,
+    chord_tolerance,
+    part_postures,
+    unit_hint,
+)
 from lightopt.scene._camera import (
     Distortion,
     PinholeCamera,
@@ -61,6 +68,7 @@ __all__ = [
     "pace_text",
     "panel_corners",
     "panel_grid",
+    "part_postures",
     "pixel_directions",
     "pixel_footprint",
     "place_camera",

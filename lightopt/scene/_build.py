@@ -31,7 +31,7 @@ from lightopt.sensor import Sensor
 from lightopt.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.units import MM_PER_UNIT
 
-__all__ = ["build_camera", "build_lights", "build_scene", "chord_tolerance", "unit_hint"]
+__all__ = ["build_camera", "build_lights", "build_scene", "chord_tolerance", "part_postures", "unit_hint"]
 
 CHORD_TOLERANCE_MM = 0.01
 CHORD_TOLERANCE_FOOTPRINTS = 0.2
@@ -147,15 +147,14 @@ def _sensor(camera: CameraConfig) -> Sensor:
     )
 
 
+def part_postures(part: PartConfig) -> tuple[Posture, ...]:
+    """The postures that a part's file asks for, in its order."""
+    return tuple(Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg) for p in part.postures)
+
+
 def _postures(rig: RigConfig, part: PartConfig, asked: Sequence[Posture] | None) -> tuple[Posture, ...]:
     if asked is None:
-        named = [
-            (
-                Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg),
-                part.source.at("postures", i),
-            )
-            for i, p in enumerate(part.postures)
-        ]
+        named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     else:
         named = [(posture, "posture") for posture in asked]
     problems = [
