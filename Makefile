@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 OUT    ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo plan batch test test-all check golden golden-check bench docs clean
+.PHONY: help install demo plan batch test test-all test-nightly check golden golden-check bench docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -55,10 +55,13 @@ batch: $(BIN)/.installed  ## check, render and optimise every part: make batch R
 PYTEST = $(BIN)/python -m pytest --numprocesses=auto --dist=worksteal
 
 test: $(BIN)/.installed  ## the tests that take less than ten minutes
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not nightly"
 
-test-all: $(BIN)/.installed  ## all tests
-	$(PYTEST)
+test-all: $(BIN)/.installed  ## all tests but the long statistics
+	$(PYTEST) -m "not nightly"
+
+test-nightly: $(BIN)/.installed  ## the long statistics and campaigns
+	$(PYTEST) -m nightly
 
 check: $(BIN)/.installed  ## formatting, lint, types, layers
 	$(BIN)/ruff format --check .
