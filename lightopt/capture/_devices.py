@@ -147,7 +147,11 @@ class Devices:
         if channel.max_on_s is not None:
             self._watch.begin(name, channel.max_on_s)
         self._lit.add(name)
-        return controller.set_level(channel.channel, asked)
+        held = controller.set_level(channel.channel, asked)
+        if channel.max_on_s is not None and self._watch.left_s(name) is None:
+            self._darken(name)  # its time was up before the level was sent: nothing watches it now
+            self.check_burning(name)
+        return held
 
     def told_s(self, name: str) -> float:
         """When [s, monotonic clock] the controller of a panel had its last intensity, before it was read back."""
@@ -195,6 +199,9 @@ class Devices:
         except LightsStillOnError as error:
             lights = lights_on(self.wiring, error.channels)
             return [*error.messages, f"lights that may still burn: {', '.join(lights) or NONE_OF_THE_RIG}"]
+        except Exception as error:  # noqa: BLE001  (the stage must be stopped and all be closed, whatever this is)
+            lights = sorted(self.wiring.hardware.lights)
+            return [f"{type(error).__name__}: {error}", f"lights that may still burn: {', '.join(lights)}"]
         self._lit.clear()
         return []
 
@@ -272,12 +279,12 @@ class Devices:
         try:
             self.stage.stop()
             stopped = "the stage was stopped"
-        except LightoptError as error:
-            return burning, f"the stage MAY STILL MOVE, stopping it failed: {error}"
+        except Exception as error:  # noqa: BLE001  (whatever fails here, the devices must be closed)
+            return burning, f"the stage MAY STILL MOVE, stopping it failed: {_words(error)}"
         try:
             state = self.stage.state()
-        except LightoptError as error:
-            return burning, f"{stopped}; where it stands is unknown: {error}"
+        except Exception as error:  # noqa: BLE001  (as above)
+            return burning, f"{stopped}; where it stands is unknown: {_words(error)}"
         alarm = f", alarm: {state.alarm}" if state.alarm else ""
         return burning, f"{stopped} and stands at {state.posture}{alarm}"
 
@@ -305,6 +312,11 @@ class Devices:
         return HardwareError(
             f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else []), *unclosed
         )
+
+
+def _words(error: Exception) -> str:
+    """An error for people: its messages, or the kind and text of one that is none of ours."""
+    return str(error) if isinstance(error, LightoptError) else f"{type(error).__name__}: {error}"
 
 
 def _attempt(action: Callable[[], None]) -> str | None:

@@ -114,13 +114,23 @@ def _open_one(
         controller = open_controller(wiring, name, port=port or config.port, log=log)
     except LightoptError as error:
         return None, error
+    except Exception as error:  # noqa: BLE001  (the other controllers must go dark, and what may burn be named)
+        return None, _unexpected(name, error)
     opened(controller)
     if darken:
         try:
             all_off({name: controller})
         except LightsStillOnError as error:
             return controller, error
+        except Exception as error:  # noqa: BLE001  (as above)
+            return controller, _unexpected(name, error)
     return controller, None
+
+
+def _unexpected(name: str, error: Exception) -> HardwareError:
+    problem = HardwareError(f"controller {name}: {type(error).__name__}: {error}")
+    problem.__cause__ = error
+    return problem
 
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:

@@ -11,6 +11,9 @@ from lightopt.hardware._side_by_side import side_by_side
 
 __all__ = ["LightSettings", "LightsStillOnError", "all_off"]
 
+_ATTEMPTS = 3
+"""A channel is told to go dark so often where its driver fails in a way of which it knows nothing."""
+
 
 class LightsStillOnError(HardwareError):
     """Channels could not be switched off.
@@ -116,11 +119,18 @@ def _by_reason(found: Mapping[int, str]) -> dict[str, list[int]]:
 
 
 def _darken(controller: LightController, channel: int) -> str | None:
-    """Switch a channel off; why that failed, or None."""
-    try:
-        controller.set_level(channel, 0)
-    except LightoptError as error:
-        return str(error)
-    except Exception as error:  # noqa: BLE001  (whatever fails here, the other lights must go dark)
-        return f"{type(error).__name__}: {error}"
-    return None
+    """Switch a channel off; why that failed, or None.
+
+    A driver asks again by itself where it knows how its device fails; any other exception is a reason to try again.
+    """
+    reason = None
+    for _ in range(_ATTEMPTS):
+        try:
+            controller.set_level(channel, 0)
+        except LightoptError as error:
+            return str(error)
+        except Exception as error:  # noqa: BLE001  (whatever fails here, the other lights must go dark)
+            reason = f"{type(error).__name__}: {error}"
+        else:
+            return None
+    return reason

@@ -1,0 +1,240 @@
+"""The watch over burning lights, and every way out, with drivers that fail in ways that nobody foresaw."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+
+import pytest
+import serial
+from capture_doubles import Lights, Stage, World
+
+from lightopt.capture import Devices, _burning, _open_lights, switch_off, wiring_of
+from lightopt.capture._burning import BurnWatch
+from lightopt.capture._open_lights import open_lights
+from lightopt.config import load_lights, load_rig
+from lightopt.errors import HardwareError, InputError
+
+LONGEST_S = 0.05
+UNFORESEEN = [
+    ValueError("could not parse the reply"),
+    OSError(5, "Input/output error"),
+    serial.SerialException("device reports readiness to read but returned no data"),
+    RuntimeError("the SDK is not initialised"),
+]
+ANY = [*UNFORESEEN, InputError("no such channel"), KeyboardInterrupt("SIGINT"), SystemExit(1)]
+
+
+def of(errors):
+    return pytest.mark.parametrize("error", errors, ids=lambda error: type(error).__name__)
+
+
+@pytest.fixture(autouse=True)
+def soon_again(monkeypatch):
+    monkeypatch.setattr(_burning, "_AGAIN_S", 0.01)
+
+
+@pytest.fixture
+def world():
+    return World()
+
+
+@pytest.fixture
+def opened(bench, world):
+    """Devices of the small rig; light1 may burn for `LONGEST_S`."""
+    wiring = wiring_of(load_rig(bench.rig))
+    wiring.hardware.lights["light1"] = wiring.light("light1").model_copy(update={"max_on_s": LONGEST_S})
+    controllers = {name: Lights(world, name, c.channels) for name, c in wiring.hardware.controllers.items()}
+    return Devices(wiring=wiring, controllers=controllers, stage=Stage(world))
+
+
+def until(condition):
+    end = time.monotonic() + 5.0
+    while not condition():
+        assert time.monotonic() < end, "not within 5 s"
+        time.sleep(0.002)
+
+
+def failing(error, times):
+    """Trouble each of the first times that a channel is darkened."""
+    left = [times]
+
+    def trouble(event):
+        if event[0] == "level" and event[3] == 0 and left[0] > 0:
+            left[0] -= 1
+            raise error
+
+    return trouble
+
+
+# --- the watch
+
+
+@of(ANY)
+def test_a_light_goes_dark_whatever_its_driver_raised_at_first(error):
+    tried = []
+
+    def darken(light):
+        tried.append(light)
+        if len(tried) < 4:
+            raise error
+
+    watch = BurnWatch(darken)
+    watch.begin("light1", LONGEST_S)
+    until(lambda: len(tried) == 4)
+    until(lambda: watch.left_s("light1") is None)
+    assert "was switched off" in watch.ended("light1")
+    time.sleep(0.05)
+    assert len(tried) == 4, "a light that is dark is left alone"
+
+
+@of(ANY)
+def test_what_the_driver_says_is_told_as_long_as_the_light_burns(error):
+    def darken(_light):
+        raise error
+
+    watch = BurnWatch(darken)
+    watch.begin("light1", LONGEST_S)
+    told = []
+    until(lambda: told or told.extend(filter(None, [watch.ended("light1")])))
+    assert told[0].startswith(f"light1 burns longer than its max_on_s of {LONGEST_S:g} s: ")
+    assert str(error) in told[0]
+    watch.end_all()
+
+
+def test_no_light_waits_for_one_whose_driver_hangs():
+    hangs, dark = threading.Event(), []
+
+    def darken(light):
+        if light == "light1":
+            hangs.wait(5.0)
+        dark.append(light)
+
+    watch = BurnWatch(darken)
+    watch.begin("light1", LONGEST_S)
+    watch.begin("light2", 2 * LONGEST_S)
+    until(lambda: dark == ["light2"])
+    assert watch.left_s("light1") is not None
+    hangs.set()
+    until(lambda: watch.left_s("light1") is None)
+
+
+def test_a_light_that_is_out_in_time_is_not_touched():
+    tried = []
+    watch = BurnWatch(tried.append)
+    watch.begin("light1", LONGEST_S)
+    watch.end("light1")
+    time.sleep(2 * LONGEST_S)
+    assert (tried, watch.ended("light1")) == ([], None)
+
+
+def test_a_light_that_no_thread_can_watch_is_not_lit(opened, world, monkeypatch):
+    def none_left(_self):
+        raise RuntimeError("can't start new thread")
+
+    with pytest.raises(RuntimeError, match="new thread"), opened as devices:
+        monkeypatch.setattr(threading.Thread, "start", none_left)
+        devices.light_on("light1")
+    assert not [event for event in world.did("level") if event[3] > 0]
+
+
+def test_a_light_whose_time_is_up_before_it_is_lit_does_not_stay_on(opened, world):
+    def slow(event):
+        if event[0] == "level" and event[3] > 0:
+            until(lambda: opened.may_burn_s("light1") is None)
+
+    with pytest.raises(HardwareError, match="was switched off"), opened as devices:
+        world.trouble = slow
+        try:
+            devices.light_on("light1")
+        finally:
+            assert not world.burning
+
+
+# --- ways out
+
+
+@of(UNFORESEEN)
+def test_the_way_out_ends_dark_whatever_the_driver_raised(opened, world, error):
+    with opened as devices:
+        devices.light_on("light3")
+        assert world.burning
+        world.trouble = failing(error, 2)
+    assert not world.burning
+    assert {event[1] for event in world.did("close")} == {"stage", "bench1"}
+
+
+@of(UNFORESEEN)
+def test_a_driver_that_never_darkens_is_told_and_all_is_closed(opened, world, error):
+    with (
+        pytest.raises(HardwareError, match="lights that may still burn: .*light3") as raised,
+        opened as devices,
+    ):
+        devices.light_on("light3")
+        world.trouble = failing(error, 10_000)
+    assert any(str(error) in message for message in raised.value.messages)
+    assert {event[1] for event in world.did("close")} == {"stage", "bench1"}
+
+
+@of(UNFORESEEN)
+def test_ctrl_c_while_a_driver_fails_ends_dark(opened, world, error):
+    """The watch is failing at its light when Ctrl-C comes to the main thread."""
+    with pytest.raises((KeyboardInterrupt, HardwareError)), opened as devices:
+        devices.light_on("light1")
+        world.trouble = failing(error, 3)
+        until(lambda: len([event for event in world.did("level") if event[2:] == (1, 0)]) > 1)
+        signal.raise_signal(signal.SIGINT)
+    assert not world.burning
+    assert {event[1] for event in world.did("close")} == {"stage", "bench1"}
+
+
+@pytest.mark.parametrize("method", ["stop", "state"])
+def test_a_stage_that_fails_in_its_own_way_keeps_nothing_open(opened, world, method):
+    def fail(*_):
+        raise ValueError("could not parse")
+
+    def lost(event):
+        if event[0] == "move":
+            raise OSError("gone")
+
+    setattr(opened.stage, method, fail)
+    with pytest.raises(OSError, match="gone"), opened as devices:
+        devices.light_on("light3")
+        world.trouble = lost
+        devices.move_to(devices.stage.world.posture)
+    assert not world.burning
+    assert {event[1] for event in world.did("close")} == {"stage", "bench1"}
+
+
+@of(UNFORESEEN)
+def test_controllers_that_open_go_dark_and_the_others_are_named(bench, world, monkeypatch, error):
+    """Of two controllers one fails in a way of its own as it opens."""
+    wiring = wiring_of(load_rig(bench.rig))
+    (name,) = wiring.hardware.controllers
+    wiring.hardware.controllers["other"] = wiring.hardware.controllers[name].model_copy()
+    world.levels["other", 2] = 200
+
+    def open_controller(_wiring, which, *, port, log):
+        if which == name:
+            raise error
+        return Lights(world, which, 4)
+
+    monkeypatch.setattr(_open_lights, "open_controller", open_controller)
+    found = open_lights(
+        wiring, wiring.hardware.controllers, ports={}, log=None, darken=True, opened=lambda _: None
+    )
+    assert not world.burning
+    assert set(found.controllers) == {"other"}
+    assert set(found.burning) == {"light1", "light3"}
+    assert str(error) in str(found.raised())
+
+
+def test_switching_off_tells_what_may_burn_whatever_the_driver_raised(bench, monkeypatch):
+    def open_controller(_wiring, _name, *, port, log):
+        raise ValueError("could not parse")
+
+    monkeypatch.setattr(_open_lights, "open_controller", open_controller)
+    with pytest.raises(HardwareError, match="could not parse") as raised:
+        switch_off(load_lights(bench.rig))
+    assert "lights that may still burn: light1, light3" in raised.value.messages
