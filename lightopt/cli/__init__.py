@@ -4,6 +4,23 @@ The one place that turns errors into messages and exit statuses. Importing it mu
 they need when they run.
 """
 
-from lightopt.cli._main import main
+from __future__ import annotations
 
 __all__ = ["main"]
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status."""
+    import sys
+
+    from lightopt.cli._process import run_process
+
+    sys.exit(run_process(_run))
+
+
+def _run(arguments: list[str]) -> int:
+    # imported here: an installation that lacks something leaves with the status of a defect, too
+    from lightopt.cli._main import run, take_ctrl_c
+
+    take_ctrl_c()
+    return run(arguments)

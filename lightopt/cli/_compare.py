@@ -81,9 +81,9 @@ def compare(
         saturation=saturation,
     )
     result = compare_sets(golden, new, thresholds) if sets else compare_files(golden, new, thresholds)
-    _show(result)
     if json_file is not None:
         write_text_atomic(json_file, json.dumps(result.as_dict(), indent=2) + "\n", overwrite=force)
+    _show(result)
     if diff is not None:
         _draw(result, diff, thresholds, force)
     if not result.passed:

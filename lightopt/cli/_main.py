@@ -1,8 +1,12 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
+import traceback
+from collections.abc import Generator
+from contextlib import contextmanager
 
 import typer
 
@@ -16,15 +20,17 @@ from lightopt.cli._init import init
 from lightopt.cli._inspect import inspect
 from lightopt.cli._optimize import optimize
 from lightopt.cli._overlap import overlap
+from lightopt.cli._process import INTERRUPTED
 from lightopt.cli._render import render
 from lightopt.cli._schema import schema
 from lightopt.cli._terminal import say_error, version_wanted
+from lightopt.cli._unexpected import DEBUG, DEFECT, debugging, report_unexpected, system_refused
 from lightopt.errors import LightoptError
 from lightopt.interrupts import interrupt
 
-__all__ = ["app", "main"]
+__all__ = ["app", "run", "take_ctrl_c"]
 
-INTERRUPTED = 130
+WRONG_INPUT = 2
 
 # what typer raises for a wrong command line; it does not export the class itself
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]  # pyright: ignore[reportAssignmentType]
@@ -33,7 +39,7 @@ app = typer.Typer(
     name="lightopt",
     help="Decide where the lights go in an appearance-inspection machine.",
     epilog="Start with: lightopt init DIR. Exit status: 0 done, 1 a check said no, 2 wrong input, 3 hardware failed, "
-    "130 interrupted.",
+    "70 a defect of lightopt, 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -46,6 +52,9 @@ app = typer.Typer(
 def _common(
     version: bool = typer.Option(
         False, "--version", callback=version_wanted, is_eager=True, help="Show the version and leave."
+    ),
+    debug: bool = typer.Option(  # taken from the arguments before they are parsed
+        False, "--debug", help="Show the traceback of an unexpected error; also LIGHTOPT_DEBUG=1."
     ),
 ) -> None:
     pass
@@ -74,39 +83,66 @@ def _speak_utf8() -> None:
             stream.reconfigure(encoding=encoding, errors="replace")
 
 
-def main() -> None:
-    """Run the command line and leave with its exit status."""
-    # a shell that runs a command in the background lets it ignore Ctrl-C
+def take_ctrl_c() -> None:
+    """Let Ctrl-C interrupt the main thread, unless a shell that runs a command in the background lets it be ignored."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
-    sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: list[str]) -> int:
-    """Run a command line and return its exit status; errors are said on standard error."""
-    _speak_utf8()
-    try:
-        status = app(arguments, prog_name="lightopt", standalone_mode=False)
-    except LightoptError as error:
+    """Run a command line and return its exit status; errors are said on standard error, none is raised."""
+    with _debugging(arguments) as rest:
+        try:
+            _speak_utf8()
+            status = app(rest, prog_name="lightopt", standalone_mode=False)
+        except (KeyboardInterrupt, typer.Abort):
+            status = INTERRUPTED
+        except typer.Exit as leave:
+            return leave.exit_code
+        except SystemExit as leave:
+            # the parser's answer to a broken pipe, which of our own streams none is: one to a device
+            return _failed(leave.__context__ or leave)
+        except BaseException as error:  # noqa: BLE001  (the one boundary)
+            return _failed(error)
+    if status == INTERRUPTED:  # typer's own answer to Ctrl-C
+        say_error("interrupted; files that were finished are complete", label="")
+    return status if isinstance(status, int) else 0
+
+
+def _failed(error: BaseException) -> int:
+    """Say what went wrong; the exit status."""
+    if isinstance(error, LightoptError):
         say_error(*error.messages)
         return error.exit_status
-    except _UsageError as error:
+    if isinstance(error, _UsageError):
         context = getattr(error, "ctx", None)
         say_error(error.format_message())  # pyright: ignore[reportAttributeAccessIssue]
         if context is not None:
             say_error(f"see: {context.command_path} --help", label="")
-        return 2
-    except (KeyboardInterrupt, typer.Abort):
-        status = INTERRUPTED
-    except typer.Exit as leave:
-        return leave.exit_code
-    except (OSError, MemoryError) as error:
-        # what no command foresaw: the system says no
-        say_error(f"{type(error).__name__}: {error}" if str(error) else "not enough memory")
-        return 2
-    except SystemExit as leave:
-        # typer's answer to a reader of our output that went away (| head): not an error of ours
-        return leave.code if isinstance(leave.code, int) and leave.code != 1 else 0
-    if status == INTERRUPTED:  # typer's own answer to Ctrl-C
-        say_error("interrupted; files that were finished are complete", label="")
-    return status if isinstance(status, int) else 0
+        return WRONG_INPUT
+    if isinstance(error, OSError) and system_refused(error):
+        if debugging():
+            traceback.print_exception(error)
+        say_error(f"{type(error).__name__}: {error}")
+        return WRONG_INPUT
+    report_unexpected(error)
+    return DEFECT
+
+
+@contextmanager
+def _debugging(arguments: list[str]) -> Generator[list[str]]:
+    # --debug may stand anywhere, so that it can be added to a command that failed
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    rest = [text for text in arguments[:end] if text != "--debug"] + arguments[end:]
+    if len(rest) == len(arguments):
+        yield rest
+        return
+    before = os.environ.get(DEBUG)
+    os.environ[DEBUG] = "1"
+    try:
+        yield rest
+    finally:
+        if before is None:
+            del os.environ[DEBUG]
+        else:
+            os.environ[DEBUG] = before

@@ -127,7 +127,7 @@ def _darken(controller: LightController, channel: int) -> str | None:
     for _ in range(_ATTEMPTS):
         try:
             controller.set_level(channel, 0)
-        except LightoptError as error:
+        except LightoptError as error:  # noqa: PERF203
             return str(error)
         except Exception as error:  # noqa: BLE001  (whatever fails here, the other lights must go dark)
             reason = f"{type(error).__name__}: {error}"
