@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from lightopt.capture._frames import Exposed, mean_of_frames
 from lightopt.capture._merge import merge_bracket
 from lightopt.capture._plan import Plan, PostureTask
 from lightopt.capture._shoot import Shot
-from lightopt.config import PartConfig, RigConfig
+from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.errors import InputError
 from lightopt.images import (
     CAME_BACK_KEY,
@@ -27,7 +26,6 @@ from lightopt.images import (
     Manifest,
     SourceFile,
     dark_name,
-    file_sha256,
     make_folder,
     read_manifest,
     read_png,
@@ -35,6 +33,7 @@ from lightopt.images import (
     remove_file,
     resumable_manifest,
 )
+from lightopt.provenance import provenance
 from lightopt.scene import Scene, build_scene
 from lightopt.transforms import Posture
 
@@ -111,11 +110,7 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan) -> Manif
         lightopt=__version__,
         rig=SourceFile(rig.source.path.name, rig.source.sha256),
         part=SourceFile(part.source.path.name, part.source.sha256),
-        options={
-            "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
-            **plan.as_dict(),
-            "versions": {name: version(name) for name in ("numpy", "OpenImageIO")},
-        },
+        provenance=provenance(input_hashes(rig, part), plan.as_dict()),
     )
 
 

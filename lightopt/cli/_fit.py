@@ -172,7 +172,7 @@ def _run(
     image_set = read_image_set(images)
     asked: dict[str, Any] = {**vars(options), "kind": kind, "paper": paper.as_dict()}
     del asked["threads"]
-    made_from = fit.provenance(loaded_rig, loaded_part, image_set, asked)
+    made_from = fit.fit_provenance(loaded_rig, loaded_part, image_set, asked)
     folder = fit.FitFolder(out, made_from, force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:

@@ -158,10 +158,10 @@ def _calibrate(
     force: bool,
     quiet: bool,
 ) -> None:
-    from lightopt.inspection import CalibrationFolder, calibrate, provenance, refuse_too_few
+    from lightopt.inspection import CalibrationFolder, calibrate, inspection_provenance, refuse_too_few
 
     refuse_too_few(len(sets), options)
-    folder = CalibrationFolder(out, provenance(rig, part, sets, options), force=force)
+    folder = CalibrationFolder(out, inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:
         calibration = calibrate(rig, part, sets, options=options, progress=progress)

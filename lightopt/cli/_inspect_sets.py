@@ -140,19 +140,22 @@ def _named(sets: list[ImageSet], out: Path) -> list[tuple[ImageSet, str]]:
 def _folder(
     wanted: Wanted, image_set: ImageSet, out: Path, *, before: Sequence[str] = ()
 ) -> InspectionFolder:
-    from lightopt.inspection import InspectionFolder, provenance
+    from lightopt.inspection import InspectionFolder, inspection_provenance
 
-    made_from = provenance(
+    made_from = inspection_provenance(
         wanted.rig, wanted.part, [image_set], wanted.options, calibration=wanted.calibration, before=before
     )
     return InspectionFolder(out, made_from, force=wanted.force)
 
 
 def _batch_folder(wanted: Wanted, sets: list[ImageSet], out: Path) -> BatchFolder:
-    from lightopt.inspection import BatchFolder, provenance
+    from lightopt.inspection import BatchFolder, inspection_provenance
 
-    made_from = provenance(wanted.rig, wanted.part, sets, wanted.options, calibration=wanted.calibration)
-    return BatchFolder(out, {**made_from, "truth": wanted.truth}, force=wanted.force)
+    made_from = inspection_provenance(
+        wanted.rig, wanted.part, sets, wanted.options, calibration=wanted.calibration
+    )
+    made_from["options"]["truth"] = wanted.truth
+    return BatchFolder(out, made_from, force=wanted.force)
 
 
 @contextmanager

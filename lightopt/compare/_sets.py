@@ -11,7 +11,8 @@ from lightopt.compare._channels import Thresholds
 from lightopt.compare._files import FileComparison, compare_files
 from lightopt.compare._tables import compare_tables
 from lightopt.errors import InputError
-from lightopt.images import ImageSet, Manifest, Posture, file_sha256, read_image_set
+from lightopt.images import ImageSet, Manifest, Posture, read_image_set
+from lightopt.provenance import file_sha256
 
 __all__ = ["SetComparison", "compare_sets"]
 

@@ -17,6 +17,7 @@ from lightopt.config._hardware import (
     TemplateConfig,
     TimingConfig,
 )
+from lightopt.config._input_hashes import input_hashes
 from lightopt.config._inspection import InspectionConfig
 from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
@@ -56,6 +57,7 @@ __all__ = [
     "TemplateConfig",
     "TimingConfig",
     "copied_text",
+    "input_hashes",
     "json_schema",
     "load_lights",
     "load_part",

@@ -20,7 +20,7 @@ from lightopt.fit._result import FitResult, FittedValue
 from lightopt.fit._samples import Samples, collect_samples, thinned
 from lightopt.fit._search import estimate, refine
 from lightopt.fit._validate import Comparison, LeftOut, compare_image, leave_lights_out
-from lightopt.fit._write import FitFolder, provenance
+from lightopt.fit._write import FitFolder, fit_provenance
 
 __all__ = [
     "DARK",
@@ -51,6 +51,7 @@ __all__ = [
     "compare_regions",
     "estimate",
     "fit_diffuse",
+    "fit_provenance",
     "fit_specular",
     "leave_lights_out",
     "paper_diffuse",
@@ -58,7 +59,6 @@ __all__ = [
     "predict_images",
     "predicted",
     "profile_interval",
-    "provenance",
     "refine",
     "thinned",
 ]

@@ -3,43 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from lightopt import __version__
 from lightopt.align import PlacementInFile
-from lightopt.config import PartConfig, RigConfig, Source, copied_text
+from lightopt.config import PartConfig, RigConfig, Source, copied_text, input_hashes
 from lightopt.errors import InputError
 from lightopt.fit._result import FitResult
-from lightopt.images import ImageSet, ResultFolder, file_sha256
+from lightopt.images import ImageSet, ResultFolder
+from lightopt.provenance import provenance
 
-__all__ = ["FIT_NAME", "PART_NAME", "RIG_NAME", "FitFolder", "provenance"]
+__all__ = ["FIT_NAME", "PART_NAME", "RIG_NAME", "FitFolder", "fit_provenance"]
 
 PART_NAME = "part.fitted.yaml"
 RIG_NAME = "rig.fitted.yaml"
 FIT_NAME = "fit.json"
 
 
-def provenance(
+def fit_provenance(
     rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What a fit was made from: versions, hashes of the inputs, options.
-
-    Names only, so that the same files give the same bytes wherever they lie.
-    """
-    return {
-        "lightopt": __version__,
-        "versions": {name: version(name) for name in ("embreex", "numba", "numpy")},
-        "rig": {"file": rig.source.path.name, "sha256": rig.source.sha256},
-        "part": {"file": part.source.path.name, "sha256": part.source.sha256},
-        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
-        "images": [
-            {**entry.as_dict(), "sha256": {**entry.sha256} or _hashes(image_set, entry.png, entry.exr)}
-            for entry in image_set.images
-        ],
-        "options": dict(options),
-    }
+    """What a fit depends on, in the layout of :mod:`lightopt.provenance`."""
+    return provenance(
+        inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint()]}, options=options
+    )
 
 
 class FitFolder(ResultFolder):
@@ -50,7 +37,7 @@ class FitFolder(ResultFolder):
     folder
         Made where it does not exist.
     made_from
-        From :func:`provenance`.
+        From :func:`fit_provenance`.
     force
         Whether files of a fit of other inputs are replaced.
 
@@ -131,7 +118,3 @@ def _check_text(source: Source) -> None:
         raise InputError(
             f"{source.path}: built in code, so that there is no file to write the fitted values into; load it from one"
         )
-
-
-def _hashes(image_set: ImageSet, *names: str | None) -> dict[str, str]:
-    return {Path(n).suffix[1:]: file_sha256(image_set.path(n)) for n in names if n is not None}

@@ -1,7 +1,6 @@
 """Images on disk: EXR, PNG and the sets that rendering and capturing share. The one home of OpenImageIO."""
 
 from lightopt.images._atomic import (
-    file_sha256,
     write_atomically,
     write_bytes_atomic,
     write_npz_atomic,
@@ -44,7 +43,6 @@ __all__ = [
     "SourceFile",
     "dark_name",
     "exr_name",
-    "file_sha256",
     "geometry_name",
     "make_folder",
     "parse_manifest",

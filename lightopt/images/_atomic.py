@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import zipfile
 from collections.abc import Callable, Mapping
@@ -14,32 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.errors import InputError
+from lightopt.provenance import file_sha256
 
 __all__ = [
-    "file_sha256",
     "write_atomically",
     "write_bytes_atomic",
     "write_npz_atomic",
     "write_text_atomic",
 ]
 
-_BLOCK_BYTES = 1 << 20
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
-
-
-def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, in hex.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be read.
-    """
-    digest = hashlib.sha256()
-    with Path(path).open("rb") as file:
-        while block := file.read(_BLOCK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], None], *, overwrite: bool = True) -> str:

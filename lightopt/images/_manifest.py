@@ -144,8 +144,8 @@ class Manifest:
         Version that wrote the set; None in sets of others.
     rig, part
         The files that the images came from.
-    options
-        What the run was asked for, as far as it changes the images.
+    provenance
+        What the images depend on, in the layout of :mod:`lightopt.provenance`; empty in sets of others.
     images, geometry
         The entries, in the order of writing.
     patches
@@ -166,13 +166,19 @@ class Manifest:
     lightopt: str | None = None
     rig: SourceFile | None = None
     part: SourceFile | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
     images: tuple[ImageEntry, ...] = ()
     geometry: tuple[GeometryEntry, ...] = ()
     patches: str | None = None
     files: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """What the run was asked for, as far as it changes the images."""
+        options = self.provenance.get("options")
+        return options if isinstance(options, Mapping) else {}
 
     @property
     def max_level(self) -> int:
@@ -196,7 +202,7 @@ class Manifest:
             "black_level": self.black_level,
             "rig": self.rig and self.rig.as_dict(),
             "part": self.part and self.part.as_dict(),
-            "options": dict(self.options),
+            "provenance": dict(self.provenance),
             "images": [entry.as_dict() for entry in self.images],
             "geometry": [entry.as_dict() for entry in self.geometry],
             "patches": self.patches,

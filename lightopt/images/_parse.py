@@ -32,7 +32,7 @@ _TOP_KEYS = (
         "rig",
         "part",
     ),
-    *("options", "images", "geometry", "patches", "files", "warnings"),
+    *("provenance", "images", "geometry", "patches", "files", "warnings"),
 )
 
 
@@ -106,10 +106,10 @@ def _manifest(fields: Fields) -> Manifest:
         if entry.key in seen:
             fields.problem(f"images[{i}]", "each light, posture and exposure once", entry.light)
         seen.add(entry.key)
-    options = fields.data.get("options") or {}
-    if not isinstance(options, dict):
-        fields.problem("options", "an object", options)
-        options = {}
+    provenance = fields.data.get("provenance") or {}
+    if not isinstance(provenance, dict):
+        fields.problem("provenance", "an object", provenance)
+        provenance = {}
     warnings = fields.data.get("warnings") or []
     if not isinstance(warnings, list) or not all(isinstance(line, str) for line in warnings):
         fields.problem("warnings", "a list of texts", warnings)
@@ -130,7 +130,7 @@ def _manifest(fields: Fields) -> Manifest:
         lightopt=fields.optional_text("lightopt"),
         rig=_source(fields, "rig"),
         part=_source(fields, "part"),
-        options=options,
+        provenance=provenance,
         images=images,
         geometry=tuple(_geometry(item) for item in fields.items("geometry")),
         patches=fields.file("patches"),

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.errors import InputError
-from lightopt.images._atomic import file_sha256
 from lightopt.images._exr import read_exr
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
 from lightopt.images._parse import read_manifest
 from lightopt.images._png import read_png
+from lightopt.provenance import file_sha256
 
 __all__ = ["ImageSet", "LoadedImage", "read_image_set"]
 
@@ -63,6 +63,25 @@ class ImageSet:
     def path(self, name: str) -> Path:
         """Where a file that the manifest names lies."""
         return self.folder / name
+
+    def fingerprint(self) -> dict[str, Any]:
+        """What a result of this set depends on: hashes of the manifest, and of images that it lists without one.
+
+        Raises
+        ------
+        OSError
+            When a file cannot be read.
+        """
+        named = (
+            (i.sha256, kind, name) for i in self.images for kind, name in (("png", i.png), ("exr", i.exr))
+        )
+        unlisted = {
+            name: file_sha256(self.path(name))
+            for hashes, kind, name in named
+            if name is not None and kind not in hashes
+        }
+        manifest = file_sha256(self.path(MANIFEST_NAME))
+        return {"manifest_sha256": manifest, **({"images": unlisted} if unlisted else {})}
 
     def load(self, entry: ImageEntry) -> LoadedImage:
         """Read an image: its PNG with the manifest's exposure, the EXR only where there is no PNG.

@@ -11,6 +11,7 @@ from typing import Any
 from lightopt.errors import InputError
 from lightopt.images._atomic import write_text_atomic
 from lightopt.images._folders import make_folder
+from lightopt.provenance import differences
 
 __all__ = ["ResultFolder"]
 
@@ -23,7 +24,7 @@ class ResultFolder:
     folder
         Made with the first file where it does not exist.
     made_from
-        Versions, hashes of the inputs, options: kept under ``provenance`` of the JSON file.
+        From :func:`lightopt.provenance.provenance`: kept under ``provenance`` of the JSON file.
     name
         Of the JSON file.
     format
@@ -58,10 +59,11 @@ class ResultFolder:
         self._files: list[str] = []
         old = self._earlier()
         there = [one for one in (name, *also) if (folder / one).exists()]
-        if there and not force and (old is None or old.get("provenance") != self._made_from):
+        if there and not force and (old is None or differences(_provenance(old), self._made_from)):
+            told = differences(_provenance(old), self._made_from)
             raise InputError(
-                f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options; use --force "
-                "to replace it, or choose another folder"
+                f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
+                f"{f' ({told})' if told else ''}; use --force to replace it, or choose another folder"
             )
 
     def place(self, name: str) -> Path:
@@ -111,3 +113,8 @@ class ResultFolder:
                 path = (self.folder / name).resolve()
                 if path.is_relative_to(self.folder.resolve()):
                     path.unlink()
+
+
+def _provenance(document: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    found = (document or {}).get("provenance")
+    return found if isinstance(found, Mapping) else {}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from lightopt.errors import InputError
 from lightopt.images._manifest import CAME_BACK_KEY, ENDED_DARK_KEY, EVENTS_KEY, MANIFEST_NAME, Manifest
 from lightopt.images._parse import read_manifest
+from lightopt.provenance import differences
 
 __all__ = ["remove_file", "remove_image_set", "remove_set", "resumable_manifest"]
 
@@ -41,8 +42,8 @@ def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
         existing = read_manifest(path)
     except InputError as error:
         raise InputError(*error.messages, f"{folder}: holds a damaged image set; {advice}") from error
-    if differences := _differences(existing, header):
-        raise InputError(f"{folder}: holds the image set of another run ({'; '.join(differences)}); {advice}")
+    if told := differences(_header(existing), _header(header)):
+        raise InputError(f"{folder}: holds the image set of another run ({told}); {advice}")
     return replace(existing, warnings=tuple(dict.fromkeys((*existing.warnings, *header.warnings))))
 
 
@@ -136,33 +137,6 @@ def _listed(manifest: Manifest) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _differences(existing: Manifest, header: Manifest) -> list[str]:
-    """Say in words what tells two runs apart: what a person set first, then which files have another content."""
-    old, new = _flat(existing), _flat(header)
-    differing = [key for key in dict.fromkeys((*old, *new)) if old.get(key) != new.get(key)]
-    differing.sort(key=_is_hash)
-    return [
-        f"{key}: another content"
-        if _is_hash(key)
-        else f"{key}: there {old.get(key, 'absent')}, now {new.get(key, 'absent')}"
-        for key in differing
-    ]
-
-
-def _is_hash(key: str) -> bool:
-    return key.endswith("sha256")
-
-
-def _flat(manifest: Manifest) -> dict[str, str]:
-    """Map header key (``part.sha256``, ``options.points``) to JSON text."""
-    flat: dict[str, str] = {}
-    for key, value in manifest.as_dict().items():
-        if key in _CONTENT_KEYS:
-            continue
-        inner = value if isinstance(value, dict) else None
-        for name, leaf in (inner or {}).items():
-            if (key, name) not in (("rig", "file"), ("part", "file")):
-                flat[f"{key}.{name}"] = json.dumps(leaf, sort_keys=True)
-        if not inner:
-            flat[key] = json.dumps(value, sort_keys=True)
-    return flat
+def _header(manifest: Manifest) -> dict[str, Any]:
+    """What tells the sets of two runs apart."""
+    return {key: value for key, value in manifest.as_dict().items() if key not in _CONTENT_KEYS}

@@ -56,8 +56,8 @@ from lightopt.inspection._write import (
     TRUTH_NAME,
     BatchFolder,
     InspectionFolder,
+    inspection_provenance,
     manifest_sha256,
-    provenance,
     truth_text,
 )
 
@@ -121,6 +121,7 @@ __all__ = [
     "grey_picture",
     "held_threshold",
     "inspect_set",
+    "inspection_provenance",
     "judge",
     "lay_over",
     "lay_set",
@@ -135,7 +136,6 @@ __all__ = [
     "posture_view",
     "predict",
     "prediction_slopes",
-    "provenance",
     "rank_probability",
     "read_calibration",
     "refuse_too_few",

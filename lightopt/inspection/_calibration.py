@@ -15,6 +15,7 @@ from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, too_few
 from lightopt.inspection._shots import Shots, shots_text
 from lightopt.inspection._systematic import Systematic
+from lightopt.provenance import computed_by, differences
 from lightopt.transforms import Posture
 
 __all__ = ["CALIBRATION_NAME", "CalibratedPosture", "Calibration"]
@@ -73,6 +74,8 @@ class Calibration:
         In the sets' order.
     made_for
         From :func:`made_for`.
+    computed_by
+        From :func:`lightopt.provenance.computed_by`: scores of other code are other scores.
     name
         File name, and its hash: for the provenance of what is inspected with it.
     sha256
@@ -83,11 +86,12 @@ class Calibration:
     sets: tuple[str, ...]
     postures: tuple[CalibratedPosture, ...]
     made_for: Mapping[str, Any]
+    computed_by: Mapping[str, Any] = field(default_factory=computed_by)
     name: str = CALIBRATION_NAME
     sha256: str = ""
 
     def refuse_others(self, rig: RigConfig, part: PartConfig, options: InspectOptions) -> None:
-        """Refuse another rig, part or way to inspect, and a rate that the good sets do not bear.
+        """Refuse another rig, part, way to inspect or program, and a rate that the good sets do not bear.
 
         Raises
         ------
@@ -105,6 +109,11 @@ class Calibration:
             for key, text in words.items()
             if now[key] != self.made_for.get(key)
         ]
+        if told := differences(self.computed_by, computed_by()):
+            problems.append(
+                f"{self.name} was made by another lightopt, whose scores may be others ({told}); make it anew "
+                "(--calibrate)"
+            )
         before = self.made_for.get("options")
         before = before if isinstance(before, Mapping) else {}
         problems += [

@@ -11,9 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from lightopt.errors import InputError
-from lightopt.images import ResultFolder, file_sha256, posture_folder, read_exr, write_exr
+from lightopt.images import ResultFolder, posture_folder, read_exr, write_exr
 from lightopt.inspection._calibration import CALIBRATION_NAME, CalibratedPosture, Calibration
 from lightopt.inspection._systematic import Systematic
+from lightopt.provenance import computed_by, file_sha256
 from lightopt.transforms import Posture
 
 __all__ = ["CalibrationFolder", "read_calibration"]
@@ -93,6 +94,7 @@ def read_calibration(path: Path) -> Calibration:
             sets=sets,
             postures=tuple(_posture(path, one, len(sets)) for one in content["postures"]),
             made_for=dict(content["made_for"]),
+            computed_by={key: content["provenance"][key] for key in computed_by()},
             name=path.name,
             sha256=hashlib.sha256(data).hexdigest(),
         )

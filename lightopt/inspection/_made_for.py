@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.images import file_sha256
 from lightopt.inspection._options import InspectOptions
+from lightopt.provenance import file_sha256
 
 __all__ = ["made_for"]
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from lightopt.config import PartConfig, load_part
 from lightopt.errors import InputError
-from lightopt.images import ImageSet, file_sha256
+from lightopt.images import ImageSet
+from lightopt.provenance import file_sha256
 
 __all__ = ["TruthSource", "truth_source"]
 

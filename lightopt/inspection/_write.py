@@ -7,20 +7,17 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightopt import __version__
 from lightopt.align import Placement
-from lightopt.config import PartConfig, RigConfig
+from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.images import (
     MANIFEST_NAME,
     ImageSet,
     ResultFolder,
-    file_sha256,
     posture_folder,
     write_exr,
     write_png,
@@ -33,6 +30,7 @@ from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._regions import pixels_of
 from lightopt.inspection._sightings import KIND_COLOURS
 from lightopt.inspection._verdict import Verdict
+from lightopt.provenance import file_sha256, provenance
 
 __all__ = [
     "BATCH_NAME",
@@ -41,8 +39,8 @@ __all__ = [
     "TRUTH_NAME",
     "BatchFolder",
     "InspectionFolder",
+    "inspection_provenance",
     "manifest_sha256",
-    "provenance",
     "truth_text",
 ]
 
@@ -60,7 +58,7 @@ def manifest_sha256(image_set: ImageSet) -> str:
     return file_sha256(image_set.path(MANIFEST_NAME))
 
 
-def provenance(
+def inspection_provenance(
     rig: RigConfig,
     part: PartConfig,
     sets: Sequence[ImageSet],
@@ -69,7 +67,7 @@ def provenance(
     calibration: Calibration | None = None,
     before: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """What an inspection was made from: versions, hashes of the inputs, options; names only, no folders.
+    """What an inspection depends on, in the layout of :mod:`lightopt.provenance`.
 
     Parameters
     ----------
@@ -79,27 +77,15 @@ def provenance(
         :func:`manifest_sha256` of the sets of its batch that were inspected before: a part that lies near one of them
         has its prediction.
     """
-    images = [
-        entry.sha256 or {"file": file_sha256(image_set.path(entry.png or entry.exr or ""))}
-        for image_set in sets
-        for entry in image_set.images
-    ]
-    return {
-        "lightopt": __version__,
-        "versions": {name: version(name) for name in ("embreex", "numba", "numpy", "scipy")},
-        "rig": {"file": rig.source.path.name, "sha256": rig.source.sha256},
-        "part": {"file": part.source.path.name, "sha256": part.source.sha256},
-        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
-        "images": [dict(hashes) for hashes in images],
-        "manifests": [manifest_sha256(image_set) for image_set in sets],
-        **({"after": list(before)} if before and options.shift else {}),
-        **(
-            {}
-            if calibration is None
-            else {"calibration": {"file": calibration.name, "sha256": calibration.sha256}}
-        ),
-        "options": options.as_dict(),
+    inputs: dict[str, Any] = {
+        **input_hashes(rig, part),
+        "image_sets": [image_set.fingerprint() for image_set in sets],
     }
+    if before and options.shift:
+        inputs["after"] = list(before)
+    if calibration is not None:
+        inputs["calibration"] = {"file": calibration.name, "sha256": calibration.sha256}
+    return provenance(inputs=inputs, options=options.as_dict())
 
 
 class InspectionFolder(ResultFolder):
@@ -110,7 +96,7 @@ class InspectionFolder(ResultFolder):
     folder
         Made where it does not exist.
     made_from
-        From :func:`provenance`.
+        From :func:`inspection_provenance`.
     force
         Whether files of an inspection of other inputs are replaced.
 
@@ -133,7 +119,7 @@ class InspectionFolder(ResultFolder):
 
     @property
     def made_from(self) -> Mapping[str, Any]:
-        """From :func:`provenance`."""
+        """From :func:`inspection_provenance`."""
         return self._made_from
 
     def clear(self) -> None:

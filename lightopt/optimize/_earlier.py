@@ -16,6 +16,7 @@ from typing import Any
 from lightopt.errors import InputError
 from lightopt.images import remove_image_set, write_text_atomic
 from lightopt.optimize._appendix import APPENDED_NAMES
+from lightopt.provenance import differences
 
 __all__ = ["REPORT_NAME", "RESULT_NAME", "RIG_NAME", "begin_writing", "end_writing", "refuse_other_result"]
 
@@ -35,7 +36,7 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
     folder
         Where the results go.
     provenance
-        Of the run to come, JSON.
+        Of the run to come, or the part of it that is known already.
 
     Raises
     ------
@@ -49,14 +50,9 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
     advice = "use --force to replace it, or choose another output folder"
     if found is None:
         raise InputError(f"{path}: exists and is not a result of lightopt optimize; {advice}")
-    there, now = _flat(found), _flat(provenance)
-    differences = [
-        f"{key}: there {there.get(key, 'absent')}, now {value}"
-        for key, value in now.items()
-        if there.get(key) != value
-    ]
-    if differences:
-        raise InputError(f"{path}: the result of another run ({'; '.join(differences)}); {advice}")
+    earlier = found.get("provenance")
+    if told := differences(earlier if isinstance(earlier, dict) else {}, provenance, partly=True):
+        raise InputError(f"{path}: the result of another run ({told}); {advice}")
 
 
 def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
@@ -154,13 +150,3 @@ def _read(path: Path) -> dict[str, Any] | None:
         return None
     right = isinstance(found, dict) and str(found.get("format", "")).startswith(_FORMATS[path.name])
     return found if right else None
-
-
-def _flat(facts: Mapping[str, Any]) -> dict[str, str]:
-    flat: dict[str, str] = {}
-    for key, value in facts.items():
-        inner = value.items() if isinstance(value, dict) else [(None, value)]
-        for name, leaf in inner:
-            if (key, name) not in (("rig", "file"), ("part", "file")):
-                flat[key if name is None else f"{key}.{name}"] = json.dumps(leaf, sort_keys=True)
-    return flat

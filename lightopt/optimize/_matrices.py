@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.images import file_sha256, make_folder, posture_folder
+from lightopt.images import make_folder, posture_folder
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._inspection import Inspection
 from lightopt.optimize._kept import keep_matrix, matrix_key, read_matrix
 from lightopt.optimize._luminance import MOST_BYTES, luminance_matrix
 from lightopt.optimize._matrix import LuminanceMatrix
 from lightopt.optimize._options import OptimizeOptions
-from lightopt.optimize._provenance import versions
+from lightopt.provenance import computed_by, file_sha256
 from lightopt.raycast import RayCaster
 from lightopt.rendering import PatchTable, Report, build_patches, patches_for_edge
 from lightopt.scene import PanelLight, Scene, chord_tolerance, pixel_footprint
@@ -34,7 +34,7 @@ MATRIX_NAME = "matrix.npz"
 
 
 class Matrices:
-    """Makes the luminance matrices, or takes those that were kept; patches are cut only when needed.
+    """Makes the luminance matrices, or takes kept ones where that was asked for; patches are cut only when needed.
 
     Parameters
     ----------
@@ -139,10 +139,11 @@ class Matrices:
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
         path = self.folder / posture_folder(posture) / MATRIX_NAME
         trials = None if self.inspection is None else self.inspection.trials
-        kept = read_matrix(path, key=key, lights=len(self.candidates.names), trials=trials)
-        if kept is not None:
-            self.reused += 1
-            return kept
+        if self.options.keep_matrix:
+            kept = read_matrix(path, key=key, lights=len(self.candidates.names), trials=trials)
+            if kept is not None:
+                self.reused += 1
+                return kept
         made = self._made(posture, self.candidates.panels, self.inspection, report, held)
         if self.options.keep_matrix:
             make_folder(path.parent)
@@ -221,5 +222,5 @@ def _matrix_facts(
         "points": options.points,
         "shadows": options.shadows,
         "patch_budget": options.patch_budget,
-        "versions": versions(),
+        "computed_by": computed_by(),
     }

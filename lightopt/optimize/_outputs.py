@@ -87,7 +87,7 @@ def write_outputs(
     results, candidates, thresholds
         What was found.
     provenance
-        Versions, hashes and options, JSON.
+        From :func:`lightopt.provenance.provenance`.
     options
         As they were asked for.
     appendix
@@ -128,7 +128,7 @@ def write_outputs(
             overlaps += _overlaps(images, force)
     document = {
         "format": "lightopt-optimum/1",
-        **provenance,
+        "provenance": dict(provenance),
         "thresholds": {
             "black": thresholds.black,
             "shaded_below": thresholds.shade,

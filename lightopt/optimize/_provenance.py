@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import version
 from typing import Any
 
-from lightopt import __version__
-from lightopt.config import PartConfig, RigConfig
-from lightopt.images import file_sha256
+from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._options import OptimizeOptions
+from lightopt.provenance import provenance
 from lightopt.scene import Scene
 
-__all__ = ["provenance_of", "versions"]
+__all__ = ["provenance_of"]
 
 
 def provenance_of(
@@ -35,13 +33,9 @@ def provenance_of(
     report
         Whether report.html is part of it.
     """
-    return {
-        "versions": versions(),
-        # names only, so that the same files give the same result wherever they lie
-        "rig": {"file": rig.source.path.name, "sha256": rig.source.sha256},
-        "part": {"file": part.source.path.name, "sha256": part.source.sha256},
-        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
-        "options": {
+    return provenance(
+        input_hashes(rig, part),
+        {
             "objectives": [objective.name for objective in objectives],
             "step_deg": options.step_deg,
             "common_elevation": options.common_elevation,
@@ -58,7 +52,7 @@ def provenance_of(
             "report": report,
             **options.plan,
         },
-    }
+    )
 
 
 def _defect_options(options: OptimizeOptions, objectives: tuple[Objective, ...]) -> dict[str, Any]:
@@ -66,9 +60,3 @@ def _defect_options(options: OptimizeOptions, objectives: tuple[Objective, ...])
     if not any(isinstance(objective, Detectability) for objective in objectives):
         return {}
     return {"seen_in": options.seen_in, "threshold": options.contrast}
-
-
-def versions() -> dict[str, str]:
-    """Of lightopt, and of the packages that levels and rays depend on."""
-    packages = ("cascadio", "embreex", "numba", "numpy", "trimesh")
-    return {"lightopt": __version__, **{name: version(name) for name in packages}}

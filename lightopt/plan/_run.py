@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lightopt.config import PartConfig, RigConfig, load_part, load_rig
+from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load_rig
 from lightopt.errors import InputError, counted
-from lightopt.images import file_sha256
 from lightopt.optimize import (
     OBJECTIVES,
     Appendix,
@@ -35,6 +34,7 @@ from lightopt.plan._result import ChosenPostures, PlanResult
 from lightopt.plan._survey import Survey
 from lightopt.plan._tolerances import lights_problem
 from lightopt.plan._write import PLANNED_PART_NAME, planned_text
+from lightopt.provenance import provenance
 from lightopt.rendering import Report
 
 __all__ = ["Planned", "plan"]
@@ -216,11 +216,9 @@ def _check_images(rig: RigConfig, part: PartConfig, options: OptimizeOptions, wa
 
 def _early_provenance(rig: RigConfig, part: PartConfig, options: OptimizeOptions) -> dict[str, Any]:
     # of what is known before the postures are: a part of what the result will say
-    return {
-        "rig": {"sha256": rig.source.sha256},
-        "part": {"sha256": part.source.sha256},
-        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
-        "options": {
+    return provenance(
+        input_hashes(rig, part),
+        {
             "step_deg": options.step_deg,
             "common_elevation": options.common_elevation,
             "points": options.points,
@@ -228,4 +226,4 @@ def _early_provenance(rig: RigConfig, part: PartConfig, options: OptimizeOptions
             "patch_budget": options.patch_budget,
             **options.plan,
         },
-    }
+    )

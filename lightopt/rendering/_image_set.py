@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt import __version__
-from lightopt.config import PartConfig, RigConfig, load_part, load_rig
+from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load_rig
 from lightopt.errors import InputError, counted
-from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile, file_sha256
+from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
+from lightopt.provenance import provenance
 from lightopt.rendering._hopeless import refuse_hopeless
 from lightopt.rendering._images import (
     Geometry,
@@ -274,7 +274,6 @@ def _check_options(options: RenderOptions) -> None:
 
 def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptions) -> Manifest:
     asked: dict[str, Any] = {
-        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
         "postures": [posture.as_dict() for posture in scene.postures],
         "points": options.points,
         "noise": options.noise,
@@ -282,10 +281,6 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
         "shadows": options.shadows,
         "supersample": options.supersample,
         "patch_budget": options.patch_budget,
-        # a set that was begun with other versions of these is not continued: meshes, hits and noise depend on them
-        "versions": {
-            name: version(name) for name in ("cascadio", "embreex", "numba", "numpy", "OpenImageIO")
-        },
     }
     # sets of parts without defects say nothing about them
     if part.defects and not options.defects:
@@ -301,7 +296,8 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
         # names only, so that the same files give the same manifest wherever they lie
         rig=SourceFile(rig.source.path.name, rig.source.sha256),
         part=SourceFile(part.source.path.name, part.source.sha256),
-        options=asked,
+        # a set that was begun by other code or packages is not continued: meshes, hits and noise depend on them
+        provenance=provenance(input_hashes(rig, part), asked),
         extra=shown,
     )
 

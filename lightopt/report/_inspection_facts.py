@@ -22,20 +22,21 @@ def inspection_facts(result: Inspection, verdict: Verdict, provenance: Mapping[s
     result, verdict
         Of one set of images.
     provenance
-        From :func:`lightopt.inspection.provenance`.
+        From :func:`lightopt.inspection.inspection_provenance`.
     """
+    inputs: Mapping[str, Any] = provenance["inputs"]
     options: Mapping[str, Any] = provenance["options"]
     seen_by: int = options["seen_by"]
     fewer = any(len(p.view.lights) < seen_by for p in result.postures)
     shows = f"a defect shows in {counted(seen_by, 'image')}"
     rows = [
-        ("rig", f"{provenance['rig']['file']}, sha256 {provenance['rig']['sha256'][:16]}"),
-        ("part", f"{provenance['part']['file']}, sha256 {provenance['part']['sha256'][:16]}"),
+        ("rig", f"{inputs['rig']['file']}, sha256 {inputs['rig']['sha256'][:16]}"),
+        ("part", f"{inputs['part']['file']}, sha256 {inputs['part']['sha256'][:16]}"),
         ("detector", f"{options['detector']}, {shows}{', or in all where there are fewer' if fewer else ''}"),
         ("image without highlights", options["fusion"] or "none"),
-        ("false alarms asked for", _rate(options["false_alarms"], calibrated="calibration" in provenance)),
+        ("false alarms asked for", _rate(options["false_alarms"], calibrated="calibration" in inputs)),
         ("limits", _limits(verdict.limits)),
-        ("calibration", provenance.get("calibration", {}).get("file", "none: by the noise of the sensor")),
+        ("calibration", inputs.get("calibration", {}).get("file", "none: by the noise of the sensor")),
     ]
     if result.placement is not None:
         x, y, turn = placement_told(result.placement)

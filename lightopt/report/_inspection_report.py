@@ -49,7 +49,7 @@ def inspection_page(
     part, rig
         Their names.
     provenance
-        From :func:`lightopt.inspection.provenance`.
+        From :func:`lightopt.inspection.inspection_provenance`.
     truth
         From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """

@@ -45,19 +45,20 @@ def _physics(draft: Draft) -> list[tuple[str, str]]:
         f"{sensor.bit_depth} bit, black level {sensor.black_level:g}; shaded below {thresholds.shade}, saturated from "
         f"{thresholds.saturation} on; at exposure 1, without noise"
     )
+    shadows: bool = draft.document["provenance"]["options"]["shadows"]
     coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
         ("sensor noise", f"read noise {sensor.read_noise_levels:g} levels, {shot}; {_use_of_noise(draft)}"),
         ("reflectance", f"{coefficients}, of full scale {reflectance.full_scale:g}; only direct light"),
         ("lights", "; ".join(dict.fromkeys(map(_light, draft.scene.lights)))),
-        ("shadows", "cast by the part" if draft.document["options"]["shadows"] else "none (--no-shadows)"),
+        ("shadows", "cast by the part" if shadows else "none (--no-shadows)"),
         ("patches", draft.table.message),
     ]
 
 
 def _use_of_noise(draft: Draft) -> str:
-    if "threshold" in draft.document["options"]:
+    if "threshold" in draft.document["provenance"]["options"]:
         return "what a defect has to be seen against, and no part of other scores"
     return "not part of the score"
 
@@ -73,7 +74,7 @@ def _light(light: PanelLight) -> str:
 
 
 def _search(draft: Draft) -> list[tuple[str, str]]:
-    options = draft.document["options"]
+    options = draft.document["provenance"]["options"]
     positions = " × ".join(str(len(angles)) for angles in draft.candidates.angles)
     ties = [
         text
@@ -93,7 +94,7 @@ def _search(draft: Draft) -> list[tuple[str, str]]:
 
 
 def _looked_for(draft: Draft) -> list[tuple[str, str]]:
-    options = draft.document["options"]
+    options = draft.document["provenance"]["options"]
     if "threshold" not in options:
         return []
     entries = build_catalogue(draft.part)
@@ -123,10 +124,12 @@ def _tolerances(options: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _provenance(draft: Draft) -> list[tuple[str, str]]:
-    document = draft.document
+    found = draft.document["provenance"]
+    inputs = found["inputs"]
     return [
-        ("rig", f"{document['rig']['file']}, SHA-256 {document['rig']['sha256']}"),
-        ("part", f"{document['part']['file']}, SHA-256 {document['part']['sha256']}"),
-        ("mesh", f"{draft.part.mesh.file}, SHA-256 {document['mesh_sha256']}"),
-        ("versions", ", ".join(f"{name} {number}" for name, number in document["versions"].items())),
+        ("rig", f"{inputs['rig']['file']}, SHA-256 {inputs['rig']['sha256']}"),
+        ("part", f"{inputs['part']['file']}, SHA-256 {inputs['part']['sha256']}"),
+        ("mesh", f"{draft.part.mesh.file}, SHA-256 {inputs['mesh']['sha256']}"),
+        ("code", f"lightopt {found['lightopt']}, SHA-256 {found['code_sha256']}"),
+        ("versions", ", ".join(f"{name} {number}" for name, number in found["versions"].items())),
     ]

@@ -183,7 +183,7 @@ def trust_blocks(draft: Draft) -> list[Block]:
             for one in trust
         ]
         rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
-    asked = draft.document["options"]["tolerances"]
+    asked = draft.document["provenance"]["options"]["tolerances"]
     caption = (
         f"Shares of the score: where lights are off by {asked['light_deg']:g}° and the part by {asked['pose_deg']:g}° "
         "in each of their angles, in the worst way, and in draws. Widest: how far each angle alone, or those of all "

@@ -42,7 +42,7 @@ def optimum_page(draft: Draft) -> Page:
     ]
     return Page(
         title=f"Where the lights go: {draft.part.name}",
-        subtitle=f"{draft.part.name} on {draft.rig.name}, lightopt {draft.document['versions']['lightopt']}",
+        subtitle=f"{draft.part.name} on {draft.rig.name}, lightopt {draft.document['provenance']['lightopt']}",
         lead=answer_blocks(draft),
         sections=[section for section in sections if section.blocks],
     )

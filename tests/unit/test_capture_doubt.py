@@ -20,7 +20,8 @@ from lightopt.capture._records import CapturedSet
 from lightopt.capture._shoot import Shooter
 from lightopt.capture._timing import Timing
 from lightopt.errors import HardwareError, InputError, Interrupted
-from lightopt.images import ImageSetWriter, file_sha256, png_name, read_image_set, read_png
+from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
+from lightopt.provenance import file_sha256
 from lightopt.transforms import Posture
 
 HERE = (Posture(0.0, 0.0),)

@@ -8,7 +8,8 @@ import shutil
 import numpy as np
 import pytest
 
-from lightopt.images import file_sha256, read_exr, write_exr
+from lightopt.images import read_exr, write_exr
+from lightopt.provenance import file_sha256
 
 
 @pytest.fixture(scope="module")

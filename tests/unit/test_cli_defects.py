@@ -177,7 +177,7 @@ def test_without_defects_the_images_are_those_of_the_good_part(cli, catalogue, s
         json.loads((catalogue.folder / name / "manifest.json").read_text(encoding="utf-8")) for name in sets
     ]
     assert ["defects" in m for m in manifests] == [False, True, False]
-    assert ["defects" in m["options"] for m in manifests] == [False, False, True]
+    assert ["defects" in m["provenance"]["options"] for m in manifests] == [False, False, True]
     geometry = "posture_0_0/geometry.exr"
     plain, labelled = (read_exr(catalogue.folder / name / geometry) for name in ("good", "shown"))
     assert labelled.keys() - plain.keys() == {"defect"}

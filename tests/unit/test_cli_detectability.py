@@ -63,8 +63,8 @@ def ply_of(path):
 
 def test_result_has_scores_kinds_directions_and_blind_spots(planned):
     result = result_of(planned.out)
-    assert result["options"]["seen_in"] == 2
-    assert result["options"]["threshold"] == 4.0
+    assert result["provenance"]["options"]["seen_in"] == 2
+    assert result["provenance"]["options"]["threshold"] == 4.0
     for one in result["results"]:
         found, paper = one["objectives"]
         assert found["objective"] == "detectability"

@@ -232,7 +232,7 @@ def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli
     assert "the result of another run (options.step_deg: there 10.0, now 20.0); use --force" in ran.err
     assert snapshot(three.out) == before
     assert cli(*command, "--step", "20", "--force", "-q").status == 0
-    assert result_of(three.out)["options"]["step_deg"] == 20.0
+    assert result_of(three.out)["provenance"]["options"]["step_deg"] == 20.0
     listed = {rig["file"] for rig in result_of(three.out)["rigs"]}
     assert {p.relative_to(three.out).as_posix() for p in three.out.rglob("rig.optimized.yaml")} == listed
 

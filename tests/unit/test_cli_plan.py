@@ -90,7 +90,7 @@ def test_the_result_says_postures_gains_and_bounds(planned):
     angles = answer["lights"]
     rig = load_rig(planned.out / "rig.optimized.yaml")
     assert [light.elevation_deg for light in rig.lights] == [light["elevation_deg"] for light in angles]
-    assert result["options"]["choose_postures"] == 2
+    assert result["provenance"]["options"]["choose_postures"] == 2
     # proven of the lights in these postures only, as the postures' own section has it; others were not counted
     assert answer["proven"] is chosen["lights_best_for_postures"]
     assert answer["proven_of"].startswith("positions of the lights in these postures")
@@ -235,7 +235,7 @@ def test_the_same_command_again_gives_the_same_bytes_and_another_is_refused(plan
 def test_what_is_planned_goes_with_the_plan(two, cli):
     assert cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--exposures", "1/16").status == 0
     assert (two.out / "part.planned.yaml").is_file()
-    options = result_of(two.out)["options"]
+    options = result_of(two.out)["provenance"]["options"]
     assert (options["seen_in"], options["threshold"]) == (1, 5.0)  # exposures are planned for defects
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--force")
     assert ran.status == 0, ran.err

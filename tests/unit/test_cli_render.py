@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.images import file_sha256, read_exr, read_exr_metadata, read_image_set, read_png
+from lightopt.images import read_exr, read_exr_metadata, read_image_set, read_png
+from lightopt.provenance import file_sha256
 from lightopt.report import contact_sheet
 from lightopt.scene import build_camera, project
 from lightopt.sensor import Sensor, expose
@@ -498,9 +499,7 @@ def test_other_inputs_are_refused_without_force(cli, bench, snapshot, name):
         bench.edit(name, "format:", "# changed\nformat:")
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q")
     assert ran.status == 2
-    assert {"rig.yaml": "rig.sha256", "part.yaml": "part.sha256", "knob.stl": "options.mesh_sha256"}[
-        name
-    ] in ran.err
+    assert {"rig.yaml": "rig.sha256", "part.yaml": "part.sha256", "knob.stl": "mesh.sha256"}[name] in ran.err
     assert snapshot(bench.out) == before
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q", "--force").status == 0
     read_image_set(bench.out)

@@ -19,7 +19,6 @@ from hypothesis.extra import numpy as hnp
 
 from lightopt.errors import InputError
 from lightopt.images import (
-    file_sha256,
     read_exr,
     read_exr_metadata,
     read_png,
@@ -30,6 +29,7 @@ from lightopt.images import (
     write_png,
     write_text_atomic,
 )
+from lightopt.provenance import file_sha256
 
 RNG = np.random.default_rng(0)
 NOISE = RNG.normal(size=(70, 33)).astype(np.float32)

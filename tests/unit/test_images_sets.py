@@ -41,7 +41,7 @@ HEADER = Manifest(
     lightopt="0.1.0",
     rig=SourceFile("rig.yaml", "a" * 64),
     part=SourceFile("part.yaml", "b" * 64),
-    options={"points": 4, "layers": ("diffuse", "specular"), "noise": None},
+    provenance={"options": {"points": 4, "layers": ("diffuse", "specular"), "noise": None}},
     warnings=("12 duplicate vertices merged",),
 )
 POSTURES = (Posture(0, 0), Posture(-10, 82.5))
@@ -129,7 +129,7 @@ def test_set_has_the_files_and_the_manifest_of_the_contract(whole: Path):
     data = json.loads((whole / "manifest.json").read_text())
     assert list(data) == [
         *("format", "kind", "lightopt", "bit_depth", "full_scale", "saturation_level", "black_level"),
-        *("rig", "part", "options", "images", "geometry", "patches", "files", "warnings"),
+        *("rig", "part", "provenance", "images", "geometry", "patches", "files", "warnings"),
     ]
     assert data["format"] == "lightopt-images/1"
     assert data["rig"] == {"file": "rig.yaml", "sha256": "a" * 64}
@@ -250,8 +250,11 @@ def test_ctrl_c_leaves_no_temporary_file(tmp_path: Path, monkeypatch):
     ("change", "told"),
     [
         ({"part": SourceFile("part.yaml", "c" * 64)}, r"part\.sha256: another content"),
-        ({"options": {**HEADER.options, "points": 9}}, r"options\.points: there 4, now 9"),
-        ({"options": {**HEADER.options, "falloff": "none"}}, r'options\.falloff: there absent, now "none"'),
+        ({"provenance": {"options": {**HEADER.options, "points": 9}}}, r"options\.points: there 4, now 9"),
+        (
+            {"provenance": {"options": {**HEADER.options, "falloff": "none"}}},
+            r'options\.falloff: there absent, now "none"',
+        ),
         ({"lightopt": "0.2.0"}, r'lightopt: there "0.1.0", now "0.2.0"'),
         ({"bit_depth": 12}, "bit_depth: there 8, now 12"),
         ({"rig": None}, "rig: there absent, now null"),
@@ -529,7 +532,7 @@ def test_eight_bit_container_of_twelve_bits_is_told(tmp_path: Path):
         (["patches"], "../p.npz", "patches: expected a file inside"),
         (["files"], {"../p.npz": "0"}, "files: expected a file inside"),
         (["rig"], {"file": "rig.yaml"}, "rig.sha256: expected text, found nothing"),
-        (["options"], [1], "options: expected an object"),
+        (["provenance"], [1], "provenance: expected an object"),
         (["warnings"], [1], "warnings: expected a list of texts"),
     ],
 )

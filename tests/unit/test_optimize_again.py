@@ -13,8 +13,9 @@ import pytest
 
 from lightopt.errors import InputError
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, Posture
-from lightopt.optimize import LuminanceMatrix, OptimizeOptions, _matrices, _provenance, optimize
+from lightopt.optimize import LuminanceMatrix, OptimizeOptions, _matrices, optimize
 from lightopt.optimize._earlier import begin_writing
+from lightopt.provenance import versions
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -169,8 +170,7 @@ def test_a_kept_matrix_is_reused_as_long_as_no_level_changes(three):
 
 def test_the_matrix_depends_on_the_version_of_what_loads_the_mesh(three, monkeypatch):
     optimize(three.rig, three.part, three.out, options=KEPT)
-    real = _provenance.version
-    monkeypatch.setattr(_provenance, "version", lambda name: "0" if name == "trimesh" else real(name))
+    monkeypatch.setattr("lightopt.provenance.versions", lambda: {**versions(), "trimesh": "0"})
     assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
 
 

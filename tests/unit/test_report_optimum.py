@@ -173,8 +173,8 @@ def test_all_that_it_rests_on_is_told(done, blocks):
     result = result_of(bench.out)
     assert result["rig"]["sha256"] in rows["rig"]
     assert result["part"]["sha256"] in rows["part"]
-    assert result["mesh_sha256"] in rows["mesh"]
-    assert f"numpy {result['versions']['numpy']}" in rows["versions"]
+    assert result["provenance"]["inputs"]["mesh"]["sha256"] in rows["mesh"]
+    assert f"numpy {result['provenance']['versions']['numpy']}" in rows["versions"]
     gallery = next(block for block in blocks if isinstance(block, Gallery))
     assert [len(pictures) for _, pictures in gallery.rows] == [4, 4]
     text = (bench.out / "report.html").read_text(encoding="utf-8")

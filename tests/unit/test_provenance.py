@@ -1,0 +1,269 @@
+"""What results depend on: said in one layout by all commands, and nothing reused where it differs."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import time
+from importlib.metadata import version
+
+import pytest
+
+from lightopt import __version__, provenance
+from lightopt.errors import InputError
+from lightopt.inspection import read_calibration
+from lightopt.optimize import OptimizeOptions, optimize
+from lightopt.rendering import RenderOptions, render_image_set
+
+FEW = ("--patches", "500", "-q", "--posture", "0,0")
+SECTIONS = {"lightopt", "code_sha256", "versions", "inputs", "options"}
+
+
+@pytest.fixture
+def other_code(monkeypatch):
+    """Another edit of the sources."""
+
+    def change():
+        monkeypatch.setattr(provenance, "code_sha256", lambda: "0" * 64)
+
+    return change
+
+
+@pytest.fixture
+def other_package(monkeypatch):
+    """Another release of a package."""
+    before = provenance.versions()
+
+    def change(name="embreex"):
+        monkeypatch.setattr(provenance, "versions", lambda: {**before, name: "0.0.1"})
+
+    return change
+
+
+# --- the hash of the code
+
+
+@pytest.fixture
+def copied(tmp_path, monkeypatch):
+    """A copy of the sources, whose hash is taken."""
+    package = tmp_path / "lightopt"
+    source = provenance.Path(provenance.__file__).parent
+    for name in ("provenance.py", "sensor", "cli", "report"):
+        if (source / name).is_dir():
+            shutil.copytree(source / name, package / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            package.mkdir(exist_ok=True)
+            shutil.copyfile(source / name, package / name)
+    monkeypatch.setattr(provenance, "__file__", str(package / "provenance.py"))
+
+    def taken():
+        provenance.code_sha256.cache_clear()
+        return provenance.code_sha256()
+
+    yield package, taken
+    provenance.code_sha256.cache_clear()
+
+
+def test_the_hash_changes_with_any_code_that_computes(copied):
+    package, taken = copied
+    before = taken()
+    assert re.fullmatch("[0-9a-f]{64}", before)
+    assert taken() == before
+    path = package / "sensor" / "_expose.py"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text + "\nGAIN = 2\n", encoding="utf-8")
+    edited = taken()
+    path.write_text(text, encoding="utf-8")
+    assert taken() == before
+    path.rename(path.with_name("_other.py"))
+    moved = taken()
+    path.with_name("_other.py").rename(path)
+    (package / "new").mkdir()
+    (package / "new" / "__init__.py").write_text("", encoding="utf-8")
+    assert len({before, edited, moved, taken()}) == 4
+
+
+def test_the_hash_does_not_change_with_what_only_shows_results(copied):
+    package, taken = copied
+    before = taken()
+    for name in ("cli/_main.py", "report/_page.py"):
+        (package / name).write_text("changed = True\n", encoding="utf-8")
+    (package / "sensor" / "__pycache__").mkdir()
+    (package / "sensor" / "__pycache__" / "x.py").write_text("x = 1\n", encoding="utf-8")
+    (package / "sensor" / "notes.txt").write_text("x", encoding="utf-8")
+    assert taken() == before
+
+
+def test_it_costs_next_to_nothing(monkeypatch):
+    times = []
+    for _ in range(5):
+        provenance.code_sha256.cache_clear()
+        provenance._versions.cache_clear()
+        begun = time.process_time()
+        provenance.computed_by()
+        times.append(time.process_time() - begun)
+    assert min(times) < 0.05
+    begun = time.process_time()
+    provenance.computed_by()
+    assert time.process_time() - begun < 0.001
+
+
+def test_all_packages_that_results_come_from_are_named():
+    found = provenance.computed_by()
+    assert found["lightopt"] == __version__
+    assert set(found["versions"]) == {
+        *("python", "cascadio", "embreex", "llvmlite", "numba", "numpy", "OpenImageIO", "scipy", "trimesh")
+    }
+    assert found["versions"]["trimesh"] == version("trimesh")
+
+
+# --- differences in words
+
+
+def test_differences_are_told_in_order_and_names_of_files_are_none():
+    there = provenance.provenance(
+        {"rig": {"file": "a.yaml", "sha256": "1"}, "image_sets": [{"manifest_sha256": "1"}]}, {"points": 4}
+    )
+    now = {
+        **there,
+        "code_sha256": "0",
+        "versions": {**there["versions"], "numpy": "0"},
+        "inputs": {"rig": {"file": "b.yaml", "sha256": "2"}, "image_sets": [{"manifest_sha256": "2"}]},
+        "options": {"points": 9},
+    }
+    assert provenance.differences(there, now) == (
+        f'options.points: there 4, now 9; versions.numpy: there "{version("numpy")}", now "0"; '
+        "the code of lightopt has changed; rig.sha256: another content; image_sets: another content"
+    )
+    renamed = {**there, "inputs": {**there["inputs"], "rig": {"file": "b.yaml", "sha256": "1"}}}
+    assert provenance.differences(there, renamed) == ""
+    assert provenance.differences(there, {"options": {"points": 4}}, partly=True) == ""
+    assert provenance.differences(there, {"options": {"points": 4}}) != ""
+
+
+def test_of_many_differences_some_are_told():
+    told = provenance.differences({}, {f"option{i}": i for i in range(10)})
+    assert told.count("; ") == 6
+    assert told.endswith("; and 4 more")
+    assert "…" in provenance.differences({}, {"long": "x" * 500})
+
+
+# --- every command says it, and nothing of other code is reused
+
+
+def check(found, *, inputs):
+    assert set(found) == SECTIONS
+    assert found["code_sha256"] == provenance.code_sha256()
+    assert found["versions"] == provenance.versions()
+    assert set(found["inputs"]) == inputs
+    for name in ("rig", "part", "mesh"):
+        assert re.fullmatch("[0-9a-f]{64}", found["inputs"][name]["sha256"])
+
+
+@pytest.mark.parametrize("what", ["code", "package"])
+def test_a_render_is_not_resumed_by_other_code(bench, snapshot, other_code, other_package, what):
+    options = RenderOptions(patch_budget=500)
+    render_image_set(bench.rig, bench.part, bench.out, options=options)
+    document = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))
+    check(document["provenance"], inputs={"rig", "part", "mesh"})
+    (bench.out / "posture_-10_170" / "light3.exr").unlink()
+    before = snapshot(bench.out)
+    other_code() if what == "code" else other_package()
+    told = "the code of lightopt has changed" if what == "code" else r"versions\.embreex: there"
+    with pytest.raises(InputError, match=f"image set of another run .*{told}.*--force"):
+        render_image_set(bench.rig, bench.part, bench.out, options=options)
+    assert snapshot(bench.out) == before
+    done = render_image_set(bench.rig, bench.part, bench.out, options=options, force=True)
+    assert (done.resumed, done.replaced > 0) == (0, True)
+
+
+def test_a_capture_is_not_resumed_by_other_code(take, bench, world, snapshot, other_code):
+    take()
+    document = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))
+    check(document["provenance"], inputs={"rig", "part", "mesh"})
+    before = snapshot(bench.out)
+    other_code()
+    with pytest.raises(InputError, match="the code of lightopt has changed"):
+        take(resume=True)
+    assert snapshot(bench.out) == before
+
+
+KEPT = OptimizeOptions(step_deg=20.0, patch_budget=500, keep_matrix=True, images=False)
+
+
+@pytest.fixture
+def movable(bench):
+    bench.edit("rig.yaml", "azimuth_deg: 45}", "azimuth_deg: 45, elevation_range_deg: [40, 60]}")
+    return bench
+
+
+def run(bench, *, force=True, keep=True):
+    options = KEPT if keep else OptimizeOptions(step_deg=20.0, patch_budget=500, images=False)
+    return optimize(bench.rig, bench.part, bench.out, options=options, force=force)
+
+
+@pytest.mark.parametrize("what", ["code", "package"])
+def test_a_kept_matrix_of_other_code_is_not_reused(movable, other_code, other_package, what):
+    run(movable)
+    document = json.loads((movable.out / "result.json").read_text(encoding="utf-8"))
+    check(document["provenance"], inputs={"rig", "part", "mesh"})
+    assert run(movable).reused == 2
+    other_code() if what == "code" else other_package("cascadio")
+    with pytest.raises(InputError, match="the result of another run"):
+        run(movable, force=False)
+    assert run(movable).reused == 0
+    assert run(movable).reused == 2, "it was kept anew"
+
+
+def test_a_kept_matrix_is_read_only_where_that_is_asked_for(movable):
+    run(movable)
+    assert run(movable, keep=False).reused == 0
+    assert run(movable).reused == 2
+
+
+def test_a_fit_is_not_replaced_by_one_of_other_code(cli, bench, other_code, snapshot):
+    assert cli("render", bench.rig, bench.part, "-o", bench.folder / "set", *FEW, "--noise", 1).status == 0
+    command = ("fit-diffuse", bench.rig, bench.part, bench.folder / "set", "-o", bench.out)
+    assert cli(*command, "-q").status == 0
+    document = json.loads((bench.out / "fit.json").read_text(encoding="utf-8"))
+    check(document["provenance"], inputs={"rig", "part", "mesh", "image_sets"})
+    before = snapshot(bench.out)
+    assert cli(*command, "-q").status == 0
+    assert snapshot(bench.out) == before
+    other_code()
+    ran = cli(*command, "-q")
+    assert ran.status == 2
+    assert "(the code of lightopt has changed); use --force" in ran.err
+    assert snapshot(bench.out) == before
+
+
+@pytest.mark.slow
+def test_a_calibration_of_other_code_is_refused(cli, bench, other_code, tmp_path):
+    """One that good parts taught, at the fewest sets and the highest rate that they bear."""
+    sets = []
+    for seed in range(3):
+        folder = bench.folder / f"good{seed}"
+        sets.append(folder)
+        assert cli("render", bench.rig, bench.part, "-o", folder, *FEW, "--noise", seed).status == 0
+    options = ("--false-alarms", "0.9", "--no-shift", "-q")
+    made = tmp_path / "calibration"
+    assert cli("inspect", bench.rig, bench.part, *sets, "-o", made, "--calibrate", *options).status == 0
+    document = json.loads((made / "calibration.json").read_text(encoding="utf-8"))
+    check(document["provenance"], inputs={"rig", "part", "mesh", "image_sets"})
+    command = ("inspect", bench.rig, bench.part, sets[0], "--calibration", made, "--no-shift", "--no-report")
+    ran = cli(*command, "-o", bench.out)
+    assert ran.status == 0, ran.err
+    found = json.loads((bench.out / "defects.json").read_text(encoding="utf-8"))["provenance"]
+    check(found, inputs={"rig", "part", "mesh", "image_sets", "calibration"})
+    other_code()
+    ran = cli(*command, "-o", bench.folder / "again")
+    assert ran.status == 2
+    assert "calibration.json was made by another lightopt" in ran.err
+    assert "the code of lightopt has changed" in ran.err
+    assert "--calibrate" in ran.err
+    assert not (bench.folder / "again").exists()
+    del document["provenance"]["code_sha256"]
+    (made / "calibration.json").write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(InputError, match="not as --calibrate wrote it"):
+        read_calibration(made)
