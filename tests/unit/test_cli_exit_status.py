@@ -265,7 +265,8 @@ def test_render_does_its_work_though_nobody_reads(shared_bench, tmp_path):
 def test_inspect_judges_though_nobody_reads(bench, cli, tmp_path):
     """Images of a part with a dent, inspected as a good one: NG, and all its files, whoever reads."""
     good = bench.part.read_text(encoding="utf-8")
-    dent = "defects: [{name: d, kind: dent, at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [80, 60]}, size_mm: 6, slope_deg: 20}]\n"
+    place = "at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [80, 60]}"
+    dent = f"defects: [{{name: d, kind: dent, {place}, size_mm: 6, slope_deg: 20}}]\n"
     (bench.folder / "bad.yaml").write_text(good + dent, encoding="utf-8")
     sets = bench.folder / "set"
     assert cli("render", bench.rig, bench.folder / "bad.yaml", "-o", sets, "--patches", 500, "-q").status == 0
