@@ -16,6 +16,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSet
 from lightopt.rendering import in_threads
+from lightopt.scene import build_sensor
 from lightopt.sensor import Sensor
 from lightopt.transforms import Posture
 
@@ -107,7 +108,9 @@ def read_observations(
     width, height = rig.camera.resolution_px
     entries = image_set.images
     observations = tuple(
-        in_threads(lambda i: _read(image_set, entries[i], _sensor(rig)), range(len(entries)), threads)
+        in_threads(
+            lambda i: _read(image_set, entries[i], build_sensor(rig.camera)), range(len(entries)), threads
+        )
     )
     other = [o for o in observations if o.levels.shape != (height, width)]
     if other:
@@ -171,17 +174,6 @@ def _light_problems(images: Iterable[ImageEntry], rig: RigConfig, image_set: Ima
                 f"{entry.light_azimuth_deg:g}°, but {rig.source.at('lights', index)} has {light.elevation_deg:g}°, "
                 f"{light.azimuth_deg:g}°; give the rig that the images were taken with"
             )
-
-
-def _sensor(rig: RigConfig) -> Sensor:
-    of = rig.camera.sensor
-    return Sensor(
-        bit_depth=of.bit_depth,
-        saturation_level=of.saturation_level,
-        black_level=of.black_level,
-        read_noise_levels=of.read_noise_levels,
-        electrons_per_level=of.electrons_per_level,
-    )
 
 
 def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation:

@@ -209,6 +209,7 @@ def _options(
     joint: bool,
     validate: bool,
 ) -> FitOptions:
+    from lightopt.config import points_problem
     from lightopt.fit import OPTION_NAMES, FitOptions, PaperOptions
 
     problems: list[str] = []
@@ -224,11 +225,7 @@ def _options(
     chosen: tuple[int | Literal["auto"], ...] = ()
     if points is not None:
         chosen = tuple(parse_points(text.strip()) for text in points.split(","))
-    problems += [
-        f"--points: expected a square (1, 4, 9, 16, …) or auto, found {m}"
-        for m in chosen
-        if isinstance(m, int) and not (1 <= m <= 65536 and math.isqrt(m) ** 2 == m)
-    ]
+    problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
     if kind == "diffuse" and len(chosen) > 1:
         problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
     problems += paper.problems()

@@ -23,6 +23,7 @@ from lightopt.config._lights import LightConfig, LightSourceConfig
 from lightopt.config._load import load_part, load_rig
 from lightopt.config._load_lights import LightsOnly, load_lights
 from lightopt.config._part import MeshConfig, PartConfig, PlacementConfig, ReflectanceConfig
+from lightopt.config._points import points_problem
 from lightopt.config._posture import PostureConfig
 from lightopt.config._relocate import copied_text
 from lightopt.config._rig import RigConfig, StageConfig
@@ -62,6 +63,7 @@ __all__ = [
     "load_lights",
     "load_part",
     "load_rig",
+    "points_problem",
     "with_list",
     "with_values",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -17,6 +16,8 @@ from pydantic import (
     WrapValidator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from lightopt.config._points import MOST_POINTS, points_problem
 
 if TYPE_CHECKING:
     from typing_extensions import LiteralString
@@ -103,13 +104,8 @@ def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
 
 
 def _square(points: int | str) -> int | str:
-    if isinstance(points, int) and points >= 1:
-        k = math.isqrt(points)
-        if k * k != points:
-            raise complaint(
-                f"expected a square number of points (they form a k × k grid) or auto, "
-                f"found {points}; the nearest are {k * k} and {(k + 1) ** 2}"
-            )
+    if problem := points_problem(points):
+        raise complaint(problem)
     return points
 
 
@@ -162,9 +158,9 @@ Size = Annotated[
     expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000"),
 ]
 Points = Annotated[
-    Annotated[int, Field(ge=1, le=65536)] | Literal["auto"],
+    Annotated[int, Field(ge=1, le=MOST_POINTS)] | Literal["auto"],
     AfterValidator(_square),
-    expecting("a square number of points from 1 to 65536 (1, 4, 9, 16, ...) or auto"),
+    expecting(f"a square number of points from 1 to {MOST_POINTS} (1, 4, 9, 16, ...) or auto"),
 ]
 Text = Annotated[
     str,

@@ -75,7 +75,7 @@ def open_world(
     options: FitOptions,
     progress: Progress | None,
 ) -> World:
-    observations = read_observations(image_set, rig, part)
+    observations = read_observations(image_set, rig, part, threads=options.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points)

@@ -9,14 +9,16 @@ from __future__ import annotations
 from lightopt.mesh._load import MESH_SUFFIXES, UNITLESS_SUFFIXES, LoadedMesh, MeshDescription, load_mesh
 from lightopt.mesh._nearest import SurfaceFinder, SurfacePlace, surface_place
 from lightopt.mesh._patches import Patches, estimate_patch_count, refine
+from lightopt.mesh._topology import MeshEdges, merge_rows, mesh_edges
 from lightopt.mesh._triangle_mesh import TriangleMesh, face_areas, face_normals, transformed
-from lightopt.mesh._winding import winding_number
+from lightopt.mesh._winding import points_inside
 
 __all__ = [
     "MESH_SUFFIXES",
     "UNITLESS_SUFFIXES",
     "LoadedMesh",
     "MeshDescription",
+    "MeshEdges",
     "Patches",
     "SurfaceFinder",
     "SurfacePlace",
@@ -25,8 +27,10 @@ __all__ = [
     "face_areas",
     "face_normals",
     "load_mesh",
+    "merge_rows",
+    "mesh_edges",
+    "points_inside",
     "refine",
     "surface_place",
     "transformed",
-    "winding_number",
 ]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
 
-__all__ = ["EdgePairs", "edge_pairs", "merge_rows"]
+__all__ = ["EdgePairs", "MeshEdges", "edge_pairs", "merge_rows", "mesh_edges"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +36,33 @@ class EdgePairs:
     nonmanifold_edges: int
 
 
+@dataclass(frozen=True, eq=False)
+class MeshEdges:
+    """Every edge once.
+
+    Attributes
+    ----------
+    ends
+        Vertex indices, the lower one first, shape (e, 2).
+    uses
+        Number of faces at the edge, shape (e,).
+    corners
+        The corners that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2).
+    order
+        All corners, those of an edge together, shape (3·m,).
+    """
+
+    ends: NDArray[np.int64]
+    uses: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    order: NDArray[np.int64]
+
+    @property
+    def faces(self) -> NDArray[np.int64]:
+        """The first and the last of the faces at the edge, shape (e, 2)."""
+        return self.corners // 3
+
+
 def merge_rows(rows: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Find the unique rows of an array by exact value, in order of first occurrence.
 
@@ -55,34 +82,54 @@ def merge_rows(rows: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np
     return _merge_bits(bits)
 
 
-def edge_pairs(faces: NDArray[np.int32], vertex_count: int) -> EdgePairs:
+def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
+    """Every edge of some faces once.
+
+    Parameters
+    ----------
+    faces
+        Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are.
+    """
+    start, end = _corner_vertices(faces)
+    count = int(start.max()) + 1
+    key = np.minimum(start, end) * count + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
+    last = np.append(first[1:], len(key)) - 1
+    return MeshEdges(
+        ends=np.stack([key[first] // count, key[first] % count], axis=1),
+        uses=last - first + 1,
+        corners=np.stack([order[first], order[last]], axis=1),
+        order=order,
+    )
+
+
+def edge_pairs(faces: NDArray[np.int32]) -> EdgePairs:
     """Match the edges of all faces.
 
     Parameters
     ----------
     faces
         Vertex indices after merging coinciding positions, shape (m, 3).
-    vertex_count
-        Number of vertices.
     """
-    start = faces.reshape(-1).astype(np.int64)
-    end = faces[:, (1, 2, 0)].reshape(-1).astype(np.int64)
-    key = np.minimum(start, end) * vertex_count + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    key = key[order]
-    first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
-    uses = np.diff(np.append(first, len(key)))
-    pair = first[uses == 2]
-    corners = np.stack([order[pair], order[pair + 1]], axis=1).astype(np.int32)
+    edges = mesh_edges(faces)
+    start, _ = _corner_vertices(faces)
+    corners = edges.corners[edges.uses == 2].astype(np.int32)
     rim = np.zeros(len(faces), dtype=np.bool_)
-    rim[order[np.repeat(uses != 2, uses)] // 3] = True
+    rim[edges.order[np.repeat(edges.uses != 2, edges.uses)] // 3] = True
     return EdgePairs(
         corners=corners,
         same_direction=start[corners[:, 0]] == start[corners[:, 1]],
         rim=rim,
-        open_edges=int(np.count_nonzero(uses == 1)),
-        nonmanifold_edges=int(np.count_nonzero(uses > 2)),
+        open_edges=int(np.count_nonzero(edges.uses == 1)),
+        nonmanifold_edges=int(np.count_nonzero(edges.uses > 2)),
     )
+
+
+def _corner_vertices(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The vertices at which the edge of each corner begins and ends, shape (3·m,)."""
+    return faces.reshape(-1).astype(np.int64), faces[:, (1, 2, 0)].reshape(-1).astype(np.int64)
 
 
 @kernel

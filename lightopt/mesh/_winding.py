@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from lightopt.errors import counted
 from lightopt.kernels import kernel
 from lightopt.mesh._topology import EdgePairs, edge_pairs
+from lightopt.mesh._triangle_mesh import TriangleMesh
 
-__all__ = ["Repaired", "repair_winding", "winding_number"]
+__all__ = ["Repaired", "points_inside", "repair_winding", "winding_number"]
 
 # Closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside.
 _NO_VOLUME = 1e-9
@@ -52,7 +53,7 @@ def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> R
     faces
         Vertex indices, all of them with an area, shape (m, 3).
     """
-    pairs = edge_pairs(faces, len(vertices))
+    pairs = edge_pairs(faces)
     label, turn = _flood(len(faces), pairs.corners, pairs.same_direction)
     components = int(label.max()) + 1
     size = np.bincount(label, minlength=components)
@@ -64,7 +65,7 @@ def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> R
             f"{np.count_nonzero(turn)} of {len(faces)} triangles wound against their neighbours: turned"
         )
         faces = _turned(faces, turn)
-        pairs = edge_pairs(faces, len(vertices))
+        pairs = edge_pairs(faces)
     twisted = pairs.corners[pairs.same_direction, 0] // 3
     if len(twisted):
         warnings.append(
@@ -81,7 +82,7 @@ def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> R
             f"({counted(int(np.count_nonzero(turn)), 'triangle')}) inside out: turned"
         )
         faces = _turned(faces, turn)
-        pairs = edge_pairs(faces, len(vertices))
+        pairs = edge_pairs(faces)
     return Repaired(faces, pairs, components, tuple(warnings))
 
 
@@ -159,6 +160,30 @@ def _flood(
     return label, turn
 
 
+def points_inside(points: NDArray[np.float64], mesh: TriangleMesh) -> NDArray[np.bool_]:
+    """Whether points lie inside a surface: one that is mostly closed, around which it winds more than half a time.
+
+    Parameters
+    ----------
+    points
+        [mm], shape (k, 3), frame of the mesh.
+    mesh
+        Its faces wind alike, whichever way.
+
+    Returns
+    -------
+    ndarray
+        Shape (k,).
+    """
+    low, high = mesh.bounds
+    inside = np.all((points >= low) & (points <= high), axis=1)
+    if inside.any():
+        triangles = mesh.vertices[mesh.faces]
+        for i in np.flatnonzero(inside):
+            inside[i] = abs(winding_number(triangles, points[i])) > 0.5
+    return inside
+
+
 @kernel
 def winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -> float:
     """How often closed surfaces surround a point.
@@ -172,12 +197,16 @@ def winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -
     point
         [mm], shape (3,).
     """
+    x, y, z = point[0], point[1], point[2]
     total = 0.0
     for t in range(len(triangles)):
-        a, b, c = triangles[t, 0] - point, triangles[t, 1] - point, triangles[t, 2] - point
-        la, lb, lc = np.sqrt((a * a).sum()), np.sqrt((b * b).sum()), np.sqrt((c * c).sum())
-        bc = np.cross(b, c)
-        over = (a * bc).sum()
-        under = la * lb * lc + (a * b).sum() * lc + (b * c).sum() * la + (c * a).sum() * lb
-        total += 2.0 * np.arctan2(over, under)
+        ax, ay, az = triangles[t, 0, 0] - x, triangles[t, 0, 1] - y, triangles[t, 0, 2] - z
+        bx, by, bz = triangles[t, 1, 0] - x, triangles[t, 1, 1] - y, triangles[t, 1, 2] - z
+        cx, cy, cz = triangles[t, 2, 0] - x, triangles[t, 2, 1] - y, triangles[t, 2, 2] - z
+        la = np.sqrt(ax * ax + ay * ay + az * az)
+        lb = np.sqrt(bx * bx + by * by + bz * bz)
+        lc = np.sqrt(cx * cx + cy * cy + cz * cz)
+        over = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
+        total += 2.0 * np.arctan2(over, la * lb * lc + ab * lc + bc * la + ca * lb)
     return total / (4.0 * np.pi)

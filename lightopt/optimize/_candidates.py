@@ -14,7 +14,6 @@ from lightopt.config import RigConfig
 from lightopt.errors import InputError, counted
 from lightopt.optimize._angles import can_move, common_elevations, light_angles
 from lightopt.optimize._space import Rows, Space
-from lightopt.raycast import RayCaster
 from lightopt.rendering import panels_in_part
 from lightopt.scene import (
     PanelLight,
@@ -96,7 +95,6 @@ def find_candidates(
     places: Sequence[Angles] | None = None,
     alone: bool = False,
     scene: Scene | None = None,
-    caster: RayCaster | None = None,
 ) -> Candidates:
     """The positions that a rig's lights can take.
 
@@ -118,8 +116,8 @@ def find_candidates(
         One position of each light [°] that was chosen before, and no others.
     alone
         Whether one light will do, its images being of several postures that share it.
-    scene, caster
-        The part in its postures and its ray caster; without them the part is not in the way.
+    scene
+        The part in its postures; without it the part is not in the way.
 
     Raises
     ------
@@ -139,7 +137,7 @@ def find_candidates(
             else [places[index]]
         )
         for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
-            reason = _reason(panel, camera) or _part_in_the_way(panel, scene, caster)
+            reason = _reason(panel, camera) or _part_in_the_way(panel, scene)
             if reason is None:
                 standing.append((at, panel))
             else:
@@ -247,10 +245,10 @@ def _reason(panel: PanelLight, camera: PinholeCamera) -> Reason | None:
     return None
 
 
-def _part_in_the_way(panel: PanelLight, scene: Scene | None, caster: RayCaster | None) -> Reason | None:
-    if scene is None or caster is None:
+def _part_in_the_way(panel: PanelLight, scene: Scene | None) -> Reason | None:
+    if scene is None:
         return None
-    inside = panels_in_part(replace(scene, lights=(panel,)), caster)
+    inside = panels_in_part(replace(scene, lights=(panel,)))
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from lightopt.config import points_problem
 from lightopt.errors import InputError
 from lightopt.optimize._contrast import DEFAULT_CONTRAST, threshold_problem
 from lightopt.optimize._detectability import seen_in_problem
@@ -98,9 +98,8 @@ def check_options(options: OptimizeOptions) -> None:
         Anything out of range.
     """
     problems: list[str] = []
-    points = options.points
-    if isinstance(points, int) and (not 1 <= points <= 65536 or math.isqrt(points) ** 2 != points):
-        problems.append(f"points: expected a square (1, 4, 9, 16, …) or auto, found {points}")
+    if options.points is not None and (problem := points_problem(options.points)):
+        problems.append(f"points: {problem}")
     for name, value in (
         ("patch budget", options.patch_budget),
         ("ranking rows", options.rows),

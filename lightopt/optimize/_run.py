@@ -162,7 +162,7 @@ def optimize(
     # a light that moves may find its way out of the part: only its candidates count
     still = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
     refuse_hopeless(replace(scene, lights=still), rig, part, caster)
-    candidates = find(scene=scene, caster=caster)
+    candidates = find(scene=scene)
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
         say(text)
     defects = next((objective for objective in objectives if isinstance(objective, Detectability)), None)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError
-from lightopt.raycast import RayCaster
 from lightopt.rendering import panels_in_part
 from lightopt.scene import PanelLight, Scene, frame_part, part_postures, view_from_part
 from lightopt.transforms import Posture
@@ -80,7 +79,7 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
 
 
 def usable_postures(
-    scene: Scene, panels: Sequence[PanelLight], caster: RayCaster
+    scene: Scene, panels: Sequence[PanelLight]
 ) -> tuple[tuple[Posture, ...], tuple[LeftOutPosture, ...]]:
     """Those of a scene's postures that keep the part in view and clear of the lights, and the others with the reason.
 
@@ -90,8 +89,6 @@ def usable_postures(
         With the postures to look at; its own lights do not matter.
     panels
         Every place where a light may stand, world frame.
-    caster
-        Of the scene's part.
 
     Raises
     ------
@@ -101,7 +98,7 @@ def usable_postures(
     kept: list[Posture] = []
     left_out: list[LeftOutPosture] = []
     for posture in scene.postures:
-        found = _out_of_view(scene, posture) or _in_the_way(scene, posture, panels, caster)
+        found = _out_of_view(scene, posture) or _in_the_way(scene, posture, panels)
         if found is None:
             kept.append(posture)
         else:
@@ -159,9 +156,7 @@ def _out_of_view(scene: Scene, posture: Posture) -> tuple[str, str] | None:
     return f"the part leaves the view by {', '.join(leaves) or 'less than a pixel'}", "view"
 
 
-def _in_the_way(
-    scene: Scene, posture: Posture, panels: Sequence[PanelLight], caster: RayCaster
-) -> tuple[str, str] | None:
+def _in_the_way(scene: Scene, posture: Posture, panels: Sequence[PanelLight]) -> tuple[str, str] | None:
     alone = replace(scene, lights=tuple(panels), postures=(posture,))
-    inside = panels_in_part(alone, caster)
+    inside = panels_in_part(alone)
     return (f"a place of {inside[0].light} is inside the part", "part") if inside else None

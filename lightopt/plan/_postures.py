@@ -70,7 +70,7 @@ def plan_postures(
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
     places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
-    postures, left_out = usable_postures(replace(scene, postures=grid), places, caster)
+    postures, left_out = usable_postures(replace(scene, postures=grid), places)
     if tell is not None:
         few = wanted.postures is not None and len(postures) < wanted.postures
         asked = f", fewer than the {wanted.postures} that were asked for" if few else ""

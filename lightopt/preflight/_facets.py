@@ -22,8 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import TriangleMesh, face_normals
-from lightopt.preflight._edges import edges
+from lightopt.mesh import TriangleMesh, face_normals, mesh_edges
 from lightopt.preflight._report import Finding
 from lightopt.preflight._subject import SceneSubject
 
@@ -68,7 +67,7 @@ def facet_angles(mesh: TriangleMesh, *, bent: float, crease: float) -> NormalErr
     bent, crease
         Edges with an angle between these two count [rad]: above, they are edges of the part.
     """
-    found = edges(mesh.faces)
+    found = mesh_edges(mesh.faces)
     pair = found.uses == 2
     normals = face_normals(mesh)
     chord = np.linalg.norm(normals[found.faces[pair, 0]] - normals[found.faces[pair, 1]], axis=1)
@@ -88,7 +87,7 @@ def interpolation_errors(mesh: TriangleMesh, *, bent: float) -> NormalErrors | N
         Edges along which the normal turns by more count [rad].
     """
     assert mesh.normals is not None
-    ends = edges(mesh.faces).ends
+    ends = mesh_edges(mesh.faces).ends
     along = mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]]
     length = np.linalg.norm(along, axis=1)
     first, second = mesh.normals[ends[:, 0]], mesh.normals[ends[:, 1]]

@@ -43,7 +43,7 @@ def check_hidden_part(subject: SceneSubject) -> Iterator[Finding]:
 def check_lights_in_part(subject: SceneSubject) -> Iterator[Finding]:
     """Panels that are inside the part, wholly or in places."""
     index = {light.name: i for i, light in enumerate(subject.rig.lights)}
-    for found in panels_in_part(subject.scene, subject.caster):
+    for found in panels_in_part(subject.scene):
         yield Finding(
             "error",
             "light in part",

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.errors import counted
-from lightopt.preflight._edges import coinciding_vertices, edges
+from lightopt.mesh import merge_rows, mesh_edges
 from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
 
@@ -27,7 +27,7 @@ def check_mesh(subject: SceneSubject) -> Iterator[Finding]:
         if not text.startswith(framing):
             yield Finding("warning", "mesh", text, where)
     mesh = subject.scene.mesh
-    found = edges(coinciding_vertices(mesh.vertices)[mesh.faces])
+    found = mesh_edges(merge_rows(mesh.vertices)[1][mesh.faces])
     open_edges = int(np.count_nonzero(found.uses == 1))
     tangled = int(np.count_nonzero(found.uses > 2))
     values = {"triangles": len(mesh.faces), "open_edges": open_edges, "nonmanifold_edges": tangled}

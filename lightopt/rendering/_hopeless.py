@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import InputError, counted
-from lightopt.mesh import face_normals
+from lightopt.mesh import points_inside
 from lightopt.raycast import RayCaster
 from lightopt.rendering._surface import trace_hits
 from lightopt.scene import (
@@ -72,25 +71,12 @@ class TooFewPixels:
     text: str
 
 
-def panels_in_part(scene: Scene, caster: RayCaster) -> tuple[PanelInPart, ...]:
-    """Panels that are inside the part, posture by posture.
-
-    Parameters
-    ----------
-    scene, caster
-        The scene, and its part's ray caster.
-    """
-    normals: NDArray[np.float64] | None = None
-    low, high = scene.mesh.bounds
+def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
+    """Panels that are inside the part, posture by posture."""
     found: list[PanelInPart] = []
     for posture in scene.postures:
         for light in view_from_part(scene, posture).lights:
-            points = panel_grid(light, PANEL_POINTS)
-            points = points[np.all((points >= low) & (points <= high), axis=1)]
-            if not len(points):
-                continue
-            normals = face_normals(scene.mesh) if normals is None else normals
-            inside = sum(_enclosed(caster, point, normals) for point in points)
+            inside = int(np.count_nonzero(points_inside(panel_grid(light, PANEL_POINTS), scene.mesh)))
             if inside:
                 text = (
                     f"posture {posture}: {inside} of {PANEL_POINTS} points all over {light.name}'s panel are "
@@ -137,22 +123,13 @@ def refuse_hopeless(scene: Scene, rig: RigConfig, part: PartConfig, caster: RayC
     """
     index = {light.name: i for i, light in enumerate(rig.lights)}
     problems = [
-        f"{rig.source.at('lights', index[panel.light])}: {panel.text}"
-        for panel in panels_in_part(scene, caster)
+        f"{rig.source.at('lights', index[panel.light])}: {panel.text}" for panel in panels_in_part(scene)
     ]
     unseen = too_few_pixels(scene, caster)
     if unseen is not None:
         problems += [f"{part.source.at('mesh', 'file')}: {unseen.text}", *unit_hint(part, scene)]
     if problems:
         raise InputError(*problems)
-
-
-def _enclosed(caster: RayCaster, point: NDArray[np.float64], normals: NDArray[np.float64]) -> bool:
-    # inside a surface that faces outwards, every way out meets a back; directions that are not along the axes pass
-    # less often exactly through edges
-    directions = np.array([[x, y, z] for x in (-1.0, 1.1) for y in (-1.2, 1.3) for z in (-1.4, 1.5)])
-    face = caster.first_hit(point, directions)
-    return bool(np.all(face >= 0) and np.all(np.einsum("ij,ij->i", normals[face], directions) > 0.0))
 
 
 def _pixels(scene: Scene, view: PartView, caster: RayCaster) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt import __version__
-from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load_rig
+from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load_rig, points_problem
 from lightopt.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.provenance import provenance
@@ -265,9 +265,8 @@ def _check_options(options: RenderOptions) -> None:
         problems.append(f"noise: expected a seed of 0 or more, found {options.noise}")
     if options.postures is not None and len(set(options.postures)) < len(options.postures):
         problems.append("posture: the same posture was given twice")
-    points = options.points
-    if isinstance(points, int) and (not 1 <= points <= 65536 or math.isqrt(points) ** 2 != points):
-        problems.append(f"points: expected a square (1, 4, 9, 16, …) or auto, found {points}")
+    if options.points is not None and (problem := points_problem(options.points)):
+        problems.append(f"points: {problem}")
     if problems:
         raise InputError(*problems)
 

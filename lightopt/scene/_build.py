@@ -17,13 +17,14 @@ from lightopt.config import (
     RigConfig,
     load_part,
     load_rig,
+    points_problem,
 )
 from lightopt.errors import InputError
-from lightopt.mesh import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, transformed
+from lightopt.mesh import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
 from lightopt.reflectance import Reflectance
 from lightopt.scene._camera import Distortion, PinholeCamera, pixel_directions, pixel_footprint, place_camera
 from lightopt.scene._defects import outside_stage_range, place_defects
-from lightopt.scene._framing import frame_part, inside_mesh
+from lightopt.scene._framing import frame_part
 from lightopt.scene._light import PanelLight, place_light
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
@@ -89,7 +90,7 @@ def build_scene(
             sigma=reflectance.sigma_rad,
             full_scale=reflectance.full_scale,
         ),
-        sensor=_sensor(rig.camera),
+        sensor=build_sensor(rig.camera),
         pivot=np.array(rig.stage.pivot_mm, dtype=np.float64),
         postures=chosen,
         placement=placement,
@@ -135,7 +136,8 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
     return camera
 
 
-def _sensor(camera: CameraConfig) -> Sensor:
+def build_sensor(camera: CameraConfig) -> Sensor:
+    """The sensor of a rig's camera."""
     s = camera.sensor
     full = 2**s.bit_depth - 1
     return Sensor(
@@ -200,10 +202,8 @@ def build_lights(
 def _light(light: LightConfig, shared: LightSourceConfig, points: int | Literal["auto"] | None) -> PanelLight:
     own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
     source = shared.model_copy(update=own)
-    if points is not None and points != "auto" and not _is_square(points):
-        raise InputError(
-            f"points of {light.name}: expected auto or a square number (1, 4, 9, …), found {points!r}"
-        )
+    if points is not None and (problem := points_problem(points)):
+        raise InputError(f"points of {light.name}: {problem}")
     return place_light(
         name=light.name,
         distance=light.distance_mm,
@@ -216,10 +216,6 @@ def _light(light: LightConfig, shared: LightSourceConfig, points: int | Literal[
         inverse_square=source.falloff == "inverse_square",
         emission_exponent=source.emission_exponent,
     )
-
-
-def _is_square(points: object) -> bool:
-    return isinstance(points, int) and points > 0 and math.isqrt(points) ** 2 == points
 
 
 def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, tuple[str, ...]]:
@@ -299,7 +295,7 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
     hint = unit_hint(part, scene)
     for posture in scene.postures:
         camera = view_from_part(scene, posture).camera
-        if inside_mesh(camera.position, scene.mesh):
+        if points_inside(camera.position[None], scene.mesh)[0]:
             raise InputError(
                 f"{where}: the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, which "
                 f"measures {size} mm; check the mesh's units and the part's placement",

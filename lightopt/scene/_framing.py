@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import TriangleMesh, winding_number
+from lightopt.mesh import TriangleMesh
 from lightopt.scene._camera import PinholeCamera, pixel_footprint, project
 
-__all__ = ["Framing", "frame_part", "inside_mesh", "screen_window"]
+__all__ = ["Framing", "frame_part", "screen_window"]
 
 Float64 = NDArray[np.float64]
 
@@ -96,17 +96,3 @@ def screen_window(camera: PinholeCamera, mesh: TriangleMesh) -> tuple[int, int, 
     right = min(camera.width, int(np.ceil(columns.max())) + _WINDOW_MARGIN_PX)
     bottom = min(camera.height, int(np.ceil(rows.max())) + _WINDOW_MARGIN_PX)
     return left, top, max(left, right), max(top, bottom)
-
-
-def inside_mesh(point: Float64, mesh: TriangleMesh) -> bool:
-    """Whether a point lies inside a (mostly) closed surface: its winding number exceeds one half.
-
-    Parameters
-    ----------
-    point
-        [mm], shape (3,), frame of the mesh.
-    """
-    low, high = mesh.bounds
-    if np.any(point < low) or np.any(point > high):
-        return False
-    return abs(winding_number(mesh.vertices[mesh.faces], point)) > 0.5

@@ -154,7 +154,7 @@ def test_nothing_waits_for_a_mute_controller(bench, rig_on):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("points: ", "points: 6, zzz: ", "expected a square number"),
+        ("points: ", "points: 6, zzz: ", "expected a square"),
         ("name:", "nmae:", "unknown key"),
         ("camera:", "camera: [", "expected"),
         ("level: 200", "level: bright", "lights.light1.level"),

@@ -87,7 +87,7 @@ def test_cylinder_is_smooth_round_and_sharp_at_the_rim(tmp_path):
 
 def test_two_faces_at_a_smooth_edge_share_both_ends(tmp_path):
     mesh = load(stl(tmp_path, trimesh.creation.torus(5, 1))).mesh
-    assert edge_pairs(mesh.faces, len(mesh.vertices)).open_edges == 0  # not even a vertex is split
+    assert edge_pairs(mesh.faces).open_edges == 0  # not even a vertex is split
     assert merge_rows(mesh.vertices)[0].shape == (len(mesh.vertices),)
 
 
@@ -106,7 +106,7 @@ def test_smoothing_matches_the_plain_reference(seed, crease):
     ball = trimesh.creation.icosphere(subdivisions=1)
     vertices = ball.vertices * (1 + 0.3 * rng.random((len(ball.vertices), 1)))
     faces = ball.faces[rng.random(len(ball.faces)) < 0.9].astype(np.int32)  # holes: fans that do not close
-    pairs = edge_pairs(faces, len(vertices))
+    pairs = edge_pairs(faces)
     mesh, cancelled = smooth_normals(vertices, faces, pairs, crease_angle=crease)
     assert cancelled == 0
     assert (mesh.vertices[mesh.faces] == vertices[faces]).all()
@@ -117,7 +117,7 @@ def test_smoothing_matches_the_plain_reference(seed, crease):
 def test_normals_that_cancel_out_become_a_faces(tmp_path):
     # two sides of one triangle, all edges smooth at π: their sum has no direction
     vertices, faces = np.eye(3), np.array([[0, 1, 2], [0, 2, 1]], dtype=np.int32)
-    mesh, cancelled = smooth_normals(vertices, faces, edge_pairs(faces, 3), crease_angle=math.pi)
+    mesh, cancelled = smooth_normals(vertices, faces, edge_pairs(faces), crease_angle=math.pi)
     assert cancelled == 3
     assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1.0)
 

@@ -9,7 +9,6 @@ import pytest
 from lightopt.config import load_part, load_rig
 from lightopt.errors import InputError
 from lightopt.plan import posture_grid, usable_postures
-from lightopt.rendering import cast_rays_at
 from lightopt.scene import build_scene
 from lightopt.transforms import Posture
 
@@ -86,7 +85,7 @@ def test_bad_steps_are_refused(bench, step, expected):
 
 def usable(bench, postures):
     scene = replace(build_scene(load_rig(bench.rig), load_part(bench.part)), postures=postures)
-    return usable_postures(scene, scene.lights, cast_rays_at(scene))
+    return usable_postures(scene, scene.lights)
 
 
 def test_postures_that_leave_the_view_are_left_out_with_the_reason(bench):

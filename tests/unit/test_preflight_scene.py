@@ -13,10 +13,9 @@ from test_preflight_rig import find, make_rig, only
 
 from lightopt.config import PartConfig, load_part, load_rig
 from lightopt.errors import InputError
-from lightopt.mesh import TriangleMesh
+from lightopt.mesh import TriangleMesh, merge_rows, mesh_edges
 from lightopt.preflight import Report, check_scene
 from lightopt.preflight._coverage import facing
-from lightopt.preflight._edges import coinciding_vertices, edges
 from lightopt.preflight._facets import facet_angles, interpolation_errors
 from lightopt.scene._part_size import likely_units
 
@@ -206,12 +205,12 @@ def test_repairs_are_told_once(check):
 
 
 def test_edges_of_a_box():
-    corners, number = BLOCK.reshape(-1, 3), coinciding_vertices(BLOCK.reshape(-1, 3))
+    corners, number = BLOCK.reshape(-1, 3), merge_rows(BLOCK.reshape(-1, 3))[1]
     assert number.max() == 7
     assert all(
         (number[i] == number[j]) == (corners[i] == corners[j]).all() for i in range(36) for j in range(36)
     )
-    found = edges(number.reshape(-1, 3))
+    found = mesh_edges(number.reshape(-1, 3))
     assert len(found.ends) == 18
     assert set(found.uses.tolist()) == {2}
     shared = [
@@ -384,7 +383,7 @@ def spheroid(n, *, height, radius=20.0):
 
 def true_errors(mesh, scale, normals_at):
     """Interpolated normal in the middle of each edge against the surface's, where the chord's middle projects to it."""
-    ends = edges(mesh.faces).ends
+    ends = mesh_edges(mesh.faces).ends
     p, q = mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]]
     middle = mesh.normals[ends].sum(axis=1)
     middle /= np.linalg.norm(middle, axis=1)[:, None]
@@ -400,7 +399,7 @@ def true_errors(mesh, scale, normals_at):
 def test_interpolation_error_of_a_spheroid(n):
     mesh, scale, normals_at = spheroid(n, height=8.0)
     found = interpolation_errors(mesh, bent=0.0)
-    length = np.linalg.norm(np.diff(mesh.vertices[edges(mesh.faces).ends], axis=1)[:, 0], axis=1)
+    length = np.linalg.norm(np.diff(mesh.vertices[mesh_edges(mesh.faces).ends], axis=1)[:, 0], axis=1)
     actual = true_errors(mesh, scale, normals_at)
     order = np.argsort(actual)
     share = np.cumsum(length[order]) / length.sum()

@@ -212,7 +212,7 @@ def test_points_asked_for_replace_all_others(block):
     ] * 2
     assert [light.points for light in build_scene(block.rig, block.part, points=1).lights] == [1, 1]
     for wrong in (5, 0, -4, 4.0, "foo"):
-        with pytest.raises(InputError, match="expected auto or a square number"):
+        with pytest.raises(InputError, match="expected a square"):
             build_scene(block.rig, block.part, points=wrong)
 
 
