@@ -79,7 +79,7 @@ def check_folder(
         make_folder(folder)  # which says so
     _refuse_set(folder, resume=resume, force=force)
     if resume and (folder / MANIFEST_NAME).exists():
-        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks])
+        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
         resumable_manifest(folder, _header(rig, part, scene, plan))
 
 

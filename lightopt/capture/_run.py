@@ -110,7 +110,7 @@ def capture(
     folder, timing, begun = Path(folder), Timing(), time.monotonic()
     with timing.spent("opening_s"):
         plan = make_plan(rig, part, options)
-        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks])
+        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
     # the devices are made safe first, then what is still being written is finished
     with locked(folder), ExitStack() as after, ExitStack() as safe:
 

@@ -78,7 +78,9 @@ def open_world(
     observations = read_observations(image_set, rig, part, threads=options.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
-    scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points)
+    scene = build_scene(
+        rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
+    )
     world = World(scene, cast_rays_at(scene), observations)
     if not options.shift:
         return world

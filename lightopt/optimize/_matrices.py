@@ -32,6 +32,16 @@ COARSE_SHARE = 0.15
 
 MATRIX_NAME = "matrix.npz"
 
+_NOT_OF_LEVELS: Any = {
+    "name": True,
+    "postures": True,
+    "mesh": {"file"},
+    "defects": True,
+    "defect_catalogue": True,
+    "inspection": True,
+}
+"""What of a part no level depends on; of the catalogue's defects the trials have a key of their own."""
+
 
 class Matrices:
     """Makes the luminance matrices, or takes kept ones where that was asked for; patches are cut only when needed.
@@ -214,7 +224,7 @@ def _matrix_facts(
         "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
         "angles_deg": [list(map(list, angles)) for angles in candidates.angles],
         "pivot_mm": list(rig.stage.pivot_mm),
-        "part": part.model_dump(mode="json", exclude={"name": True, "postures": True, "mesh": {"file"}}),
+        "part": part.model_dump(mode="json", exclude=_NOT_OF_LEVELS),
         # of the file's name only what says how it is read
         "mesh": {"sha256": file_sha256(mesh), "suffix": mesh.suffix.lower()},
         # the patches are refined for all postures together

@@ -247,6 +247,7 @@ def _render(
             points=options.points,
             shadows=options.shadows,
             patch_budget=options.patch_budget,
+            defects=False,
             threads=options.threads,
         ),
         force=force,

@@ -148,7 +148,7 @@ def optimize(
     find()  # what is wrong with the rig alone is told before the part is loaded
     check_editable(rig)
     objectives = _objectives(rig, part, options, say)
-    scene = build_scene(rig, part, postures=options.postures, points=options.points)
+    scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
     thresholds = Thresholds.of_sensor(
         shade_share=options.shade_below,
         max_level=scene.sensor.max_level,
