@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable
+from typing import Any, TextIO
 
 from lightopt.cli._unexpected import DEFECT, report_unexpected
 
@@ -34,7 +35,7 @@ class _Output(io.FileIO):
         super().__init__(number, "wb", closefd=False)
         self._may_fail = may_fail
 
-    def write(self, data: bytes, /) -> int:
+    def write(self, data: Any, /) -> int:
         """Write, or drop."""
         try:
             return super().write(data)
@@ -96,7 +97,7 @@ def _protect_streams() -> None:
     sys.stderr = _protected(sys.stderr, 2, may_fail=False)
 
 
-def _protected(stream: io.TextIOBase | None, number: int, *, may_fail: bool) -> io.TextIOWrapper:
+def _protected(stream: TextIO | None, number: int, *, may_fail: bool) -> io.TextIOWrapper:
     if isinstance(stream, io.TextIOWrapper) and stream.isatty():
         return stream  # Windows' console is no file
     output = io.BufferedWriter(_Output(number, may_fail=may_fail))

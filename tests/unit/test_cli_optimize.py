@@ -62,7 +62,7 @@ def result_of(folder: Path):
 def test_result_says_angles_scores_proof_and_provenance(optimized):
     result = result_of(optimized.out)
     assert result["format"] == "lightopt-optimum/1"
-    assert result["rig"]["sha256"] == load_rig(optimized.rig).source.sha256
+    assert result["provenance"]["inputs"]["rig"]["sha256"] == load_rig(optimized.rig).source.sha256
     assert result["thresholds"] == {"black": 0, "shaded_below": 10, "saturated_from": 255}
     assert [len(light["positions_deg"]) for light in result["candidates"]] == [3, 2, 2]
     assert str(optimized.folder) not in json.dumps(result)

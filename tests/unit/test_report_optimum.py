@@ -171,9 +171,9 @@ def test_all_that_it_rests_on_is_told(done, blocks):
     assert rows["reflectance"].startswith("R_d 45, R_s 12500, σ 0.0475 rad")
     assert rows["patches"] == draft.table.message
     result = result_of(bench.out)
-    assert result["rig"]["sha256"] in rows["rig"]
-    assert result["part"]["sha256"] in rows["part"]
-    assert result["provenance"]["inputs"]["mesh"]["sha256"] in rows["mesh"]
+    for name, found in result["provenance"]["inputs"].items():
+        assert found["sha256"] in rows[name]
+    assert result["provenance"]["code_sha256"] in rows["code"]
     assert f"numpy {result['provenance']['versions']['numpy']}" in rows["versions"]
     gallery = next(block for block in blocks if isinstance(block, Gallery))
     assert [len(pictures) for _, pictures in gallery.rows] == [4, 4]
@@ -323,11 +323,15 @@ def test_defects_seen_are_those_of_the_result(inspected):
         assert shown["walls seen worst lean to"] == f"{answer['worst_direction_deg']:g}°"
 
 
+def with_options(draft, options):
+    return {**draft.document, "provenance": {**draft.document["provenance"], "options": options}}
+
+
 def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done):
     _, draft = inspected
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
-    options = {**draft.document["options"], "tolerances": tolerances}
-    told = assumed(replace(draft, document={**draft.document, "options": options}))
+    options = {**draft.document["provenance"]["options"], "tolerances": tolerances}
+    told = assumed(replace(draft, document=with_options(draft, options)))
     names = ", ".join(result_of(draft.folder)["results"][0]["objectives"][0]["defects"])
     assert told["defects looked for"].startswith(f"{names}: ")
     assert told["directions of walls"] == "8, evenly around"
@@ -431,8 +435,8 @@ PLANNED = {
 
 def test_a_plan_is_shown_as_the_result_has_it(done):
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
-    options = {**done[1].document["options"], "tolerances": tolerances}
-    draft = replace(done[1], document={**done[1].document, "options": options, **PLANNED})
+    options = {**done[1].document["provenance"]["options"], "tolerances": tolerances}
+    draft = replace(done[1], document={**with_options(done[1], options), **PLANNED})
     sections = {section.heading: section.blocks for section in optimum_page(draft).sections}
     table, facts, left, lead, command = sections["Postures"]
     assert "in the folder of this report" in lead.text
