@@ -14,7 +14,6 @@ from lightopt.config import load_rig
 from lightopt.errors import InputError
 from lightopt.optimize import find_candidates
 from lightopt.optimize._angles import light_angles
-from lightopt.rendering import cast_rays_at
 
 RIG = """\
 format: lightopt-rig/1
@@ -204,7 +203,7 @@ def test_a_panel_inside_the_part_is_left_out_and_the_posture_named(tmp_path):
         encoding="utf-8",
     )
     scene = build_scene(rig, tmp_path / "part.yaml")
-    found = find_candidates(rig, step_deg=45.0, scene=scene, caster=cast_rays_at(scene))
+    found = find_candidates(rig, step_deg=45.0, scene=scene)
     assert found.angles[0] == ((30.0, 45.0),)
     assert [(out.azimuth_deg, out.reason) for out in found.left_out] == [
         (0.0, "is inside the part in posture (0°, 0°)"),
