@@ -35,7 +35,7 @@ PROMISE = 1e-3
 NO_DESCENT_PROMISE = 0.05
 """And where no step lowers the cost, when it promised less than this: a step of 0.3 standard errors."""
 
-LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e8
+LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e5
 WILD = 10.0
 """A pixel that a trial step leaves without a prediction counts as a residual of this many spreads."""
 
@@ -221,7 +221,9 @@ def solve(
     most_iterations
         Steps to try at most.
     """
-    return _Solver(problem, limits, _Loss(loss), least_spread).run(np.asarray(start, np.float64), most_iterations)
+    return _Solver(problem, limits, _Loss(loss), least_spread).run(
+        np.asarray(start, np.float64), most_iterations
+    )
 
 
 @dataclass(frozen=True)
@@ -387,7 +389,9 @@ class _Solver:
         return rows[int(np.sum(values > 1e-9)) :].T
 
     def _clipped(self, x: Float64) -> Float64:
-        return np.clip(x, self._limits.nominal - self._limits.reach, self._limits.nominal + self._limits.reach)
+        return np.clip(
+            x, self._limits.nominal - self._limits.reach, self._limits.nominal + self._limits.reach
+        )
 
     def _bounded(self, x: Float64, change: Float64) -> Float64:
         change = np.where(np.isfinite(change), change, 0.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,9 +99,7 @@ def choose_pixels(
             row, column = _across_outline(pixels)
             if len(row):
                 edges.append(
-                    PixelSet.look_up(
-                        posture, row, column, mine, scene.sensor.black_level, rays=OUTLINE_RAYS
-                    )
+                    PixelSet.look_up(posture, row, column, mine, scene.sensor.black_level, rays=OUTLINE_RAYS)
                 )
     return inner, edges
 
@@ -207,7 +204,9 @@ class Refinement:
     def _levels(self, x: Float64) -> Float64:
         light = self._light_at(x)
         gain = self._scale * np.exp(x[GAINS:-1])[self._light]
-        return np.minimum(gain * (math.exp(x[R_D]) * light[0] + math.exp(x[R_S]) * light[1]) + x[-1], self._top)
+        return np.minimum(
+            gain * (math.exp(x[R_D]) * light[0] + math.exp(x[R_S]) * light[1]) + x[-1], self._top
+        )
 
     def _light_at(self, x: Float64, off: Float64 | None = None) -> Float64:
         # per unit of R_d, and of R_s at σ and to both sides of it, shape (4, n); moved, at σ alone, shape (2, n)
@@ -244,9 +243,7 @@ class Refinement:
                 contrast[begin : begin + size] = _each(pixels, bright)
             begin += size
         edge &= contrast > CLEAR * self._noise
-        self._noise = np.where(
-            edge, np.hypot(OUTLINE_SHARE * contrast, self._noise), self._noise
-        )
+        self._noise = np.where(edge, np.hypot(OUTLINE_SHARE * contrast, self._noise), self._noise)
         self._used &= edge | ~self.correlated
         self.weight = np.where(self.correlated, 0.0, 1.0)
         if not edge.any():

@@ -19,7 +19,14 @@ from lightopt.align._least_squares import Solution, solve
 from lightopt.align._observations import Observation
 from lightopt.align._placement import Placement, place_part
 from lightopt.align._pose import PoseFrame
-from lightopt.align._refinement import OUTLINE_PX, POSE, Refinement, choose_pixels, limits_of, start_parameters
+from lightopt.align._refinement import (
+    OUTLINE_PX,
+    POSE,
+    Refinement,
+    choose_pixels,
+    limits_of,
+    start_parameters,
+)
 from lightopt.raycast import RayCaster
 from lightopt.reflectance import Reflectance
 from lightopt.scene import Scene
@@ -105,13 +112,16 @@ def register(
 
     sets = coarse_pixels(scene, observations)
     refuse_useless_images(scene, sets, observations, caster=caster)
-    start = search_placement(
-        scene, sets, caster=caster, threads=threads, progress=stage("finding the part")
-    )
+    start = search_placement(scene, sets, caster=caster, threads=threads, progress=stage("finding the part"))
     if reflectance_at is not None:
         scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
     return refine_placement(
-        scene, observations, start, caster=caster, threads=threads, progress=stage("refining the part's place")
+        scene,
+        observations,
+        start,
+        caster=caster,
+        threads=threads,
+        progress=stage("refining the part's place"),
     )
 
 
@@ -218,5 +228,7 @@ def _undetermined_words(directions: Float64, share: Float64) -> tuple[str, ...]:
     for x, y, turn in directions:
         angle = math.degrees(math.atan2(y, x)) % 180.0
         along = f"the shift along {angle:.0f}° from x"
-        words.append(f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a turn {end}")
+        words.append(
+            f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a turn {end}"
+        )
     return tuple(words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +30,7 @@ from lightopt.reflectance import Reflectance
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
 
-__all__ = ["World", "collect", "open_world", "registered"]
+__all__ = ["World", "collect", "find_part", "open_world"]
 
 Float64 = NDArray[np.float64]
 
@@ -94,10 +95,54 @@ def open_world(
     world = World(part, scene, cast_rays_at(scene), observations)
     if not options.shift:
         return world
-    return registered(world, options, progress)
+    return _registered(world, options, progress)
 
 
-def registered(world: World, options: FitOptions, progress: Progress | None = None) -> World:
+def find_part(
+    scene: Scene,
+    observations: Sequence[Observation],
+    *,
+    caster: RayCaster,
+    freed: Freed | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Registration:
+    """Register the part, its place refined with a first fit of the reflectance.
+
+    Parameters
+    ----------
+    scene
+        The part where its file has it.
+    observations
+        The images.
+    caster
+        Of the scene's part.
+    freed
+        What the first fit may change.
+    threads
+        Number of threads; the result does not depend on it.
+    progress
+        Called as the search goes on.
+    """
+
+    def first_reflectance(moved: Scene) -> Reflectance:
+        samples = collect_samples(
+            moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
+        )
+        first = estimate(samples, freed=freed, threads=threads)
+        return replace(moved.reflectance, R_d=first.R_d, R_s=first.R_s, sigma=first.sigma)
+
+    return register(
+        scene,
+        observations,
+        caster=caster,
+        reflectance_at=first_reflectance,
+        threads=threads,
+        progress=progress,
+    )
+
+
+def _registered(world: World, options: FitOptions, progress: Progress | None = None) -> World:
     """The same images, with the part where they show it; its place refined with a first fit of the reflectance.
 
     Parameters
@@ -109,25 +154,12 @@ def registered(world: World, options: FitOptions, progress: Progress | None = No
     progress
         Called as the search goes on.
     """
-    threads = options.threads
-
-    def first_reflectance(moved: Scene) -> Reflectance:
-        samples = collect_samples(
-            moved,
-            world.observations,
-            caster=cast_rays_at(moved),
-            budget=PLACING_PER_OCTAVE,
-            threads=threads,
-        )
-        first = estimate(samples, freed=Freed(gain=options.gain, dark=options.dark), threads=threads)
-        return replace(moved.reflectance, R_d=first.R_d, R_s=first.R_s, sigma=first.sigma)
-
-    found = register(
+    found = find_part(
         world.scene,
         world.observations,
         caster=world.caster,
-        reflectance_at=first_reflectance,
-        threads=threads,
+        freed=Freed(gain=options.gain, dark=options.dark),
+        threads=options.threads,
         progress=progress,
     )
     moved = place_part(world.scene, found.placement)

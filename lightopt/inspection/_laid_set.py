@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._predictions import Predictions, lights_of
 from lightopt.inspection._register import Progress, good_part, lay_over
 from lightopt.inspection._shots import Shots, shots_of
-from lightopt.inspection._slopes import node_steps
 from lightopt.inspection._view import PostureView, posture_view
 from lightopt.scene import Scene
 

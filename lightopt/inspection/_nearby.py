@@ -112,9 +112,7 @@ class NearbyPlace:
         """Where the part lies, given the placement that was predicted."""
         x, y, turn = self.off * node_steps(scene)
         ex, ey, et = (float(e) for e in self.errors * node_steps(scene))
-        return replace(
-            before, x=before.x + x, y=before.y + y, turn=before.turn + turn, errors=(ex, ey, et)
-        )
+        return replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn, errors=(ex, ey, et))
 
 
 def sample_of(scene: Scene, placement: Placement, known: Known, light: str) -> Sample:
