@@ -427,11 +427,13 @@ class _Solver:
         unit, weight = self._units(), self._weights()
         u = here.residual / unit
         normal, pull = self._normal(here, slopes)
-        bend = weight * self._loss.bend(u) / np.square(unit)
+        # rows that are off together are not bent one by one
+        correlated = self._problem.correlated
+        bend = weight * np.where(correlated, self._loss.weight(u), self._loss.bend(u)) / np.square(unit)
         inner = (slopes * bend[:, None]).T @ slopes + self._precision
         shown = np.square(weight * self._loss.weight(u) * u / unit)
         said = weight * self._loss.weight(u) / np.square(unit)
-        scatter = np.where(self._problem.correlated, said, shown)
+        scatter = np.where(correlated, said, shown)
         middle = (slopes * scatter[:, None]).T @ slopes + self._precision
         basis = self._basis(here.x, np.zeros_like(pull))
         covariance = np.zeros((self._size, self._size))

@@ -18,6 +18,10 @@ __all__ = ["PixelSet", "light_at", "sensor_scale", "view_of_placed"]
 
 Float64 = NDArray[np.float64]
 
+_LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
+_SHIFTS = np.array([0.6180339887498949, 0.4142135623730951])
+"""Additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSet:
@@ -36,7 +40,7 @@ class PixelSet:
     saturated
         Where those are lower bounds, same shape.
     rays
-        Rays along each side of a pixel: 1 for one at its centre, more for a mean over its area.
+        Of each pixel: 1 for one at its centre, more for a mean over its area.
     """
 
     posture: Posture
@@ -70,10 +74,13 @@ class PixelSet:
 
     @property
     def positions(self) -> tuple[Float64, Float64]:
-        """Columns and rows of the rays [px], pixel after pixel; shape (n · rays²,)."""
-        inside = (np.arange(self.rays) + 0.5) / self.rays
-        x, y = (a.ravel() for a in np.meshgrid(inside, inside))
-        return (self.column[:, None] + x).ravel(), (self.row[:, None] + y).ravel()
+        """Columns and rows of the rays [px], pixel after pixel; shape (n · rays,)."""
+        if self.rays == 1:
+            return self.column + 0.5, self.row + 0.5
+        # a lattice shifted from pixel to pixel: an edge along rows meets its rays one after another and not in threes
+        x, y = (np.arange(self.rays)[:, None] * _LATTICE).T
+        along, down = (np.arange(len(self.row))[:, None] * _SHIFTS).T[:, :, None]
+        return (self.column[:, None] + (x + along) % 1.0).ravel(), (self.row[:, None] + (y + down) % 1.0).ravel()
 
 
 def view_of_placed(scene: Scene, posture: Posture, x: float, y: float, turn: float) -> PartView:

@@ -28,8 +28,8 @@ OUTLINE_PIXELS = 800
 """Pixels per posture: away from silhouettes and creases, and across silhouettes."""
 
 OUTLINE_HALF_WIDTH_PX = 2
-OUTLINE_RAYS = 3
-"""Rays along each side of a pixel that the outline crosses."""
+OUTLINE_RAYS = 9
+"""Rays of a pixel that the outline crosses."""
 
 OUTLINE_SHARE = 0.3
 """An edge pixel is this share of the contrast off its prediction, since images are sampled at points or blurred."""

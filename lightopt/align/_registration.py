@@ -186,6 +186,8 @@ def refine_placement(
 def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outline: bool) -> Registration:
     directions = solution.undetermined[:, POSE]
     share = np.sum(np.square(directions), axis=0)
+    # exactly as in the part file, not but for rounding
+    pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[POSE])
     words = _undetermined_words(directions, share)
     converged = solution.converged
     if len(directions) < 3:
@@ -203,7 +205,7 @@ def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outl
             )
     return Registration(
         placement=replace(
-            frame.placement(solution.x[POSE], solution.covariance[POSE, POSE]),
+            frame.placement(pose, solution.covariance[POSE, POSE]),
             observable=(bool(share[0] < 0.5), bool(share[1] < 0.5), bool(share[2] < 0.5)),
         ),
         converged=converged or len(directions) == 3,

@@ -93,8 +93,8 @@ def refuse_other_images(
             raise InputError(
                 "the images do not look like this part where its file has it: with the part shifted by "
                 f"{shift.pixels:.1f} px ({shift.mm:.2f} mm) and turned by {math.degrees(shift.turn):.1f}°, the model "
-                f"explains {100.0 * shift.explains:.0f} % of what the fit misses. Use --free shift, or correct the part's "
-                "placement or the camera"
+                f"explains {100.0 * shift.explains:.0f} % of what the fit misses. Use --free shift, or correct the "
+                "part's placement or the camera"
             )
     own = _agreement(samples, found, threads)
     if not own.foreign:
@@ -105,8 +105,8 @@ def refuse_other_images(
     )
     raise InputError(
         f"the images do not look like this part on this rig: {100.0 * quality.epsilon:.0f} % of the pixels are "
-        f"unexplained, and the residual is {own.residual:.3g} sensor levels rms where noise makes {quality.floor:.2g} and "
-        f"the model {own.level:.3g}; {hint}"
+        f"unexplained, and the residual is {own.residual:.3g} sensor levels rms where noise makes {quality.floor:.2g} "
+        f"and the model {own.level:.3g}; {hint}"
     )
 
 
