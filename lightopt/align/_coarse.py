@@ -12,7 +12,7 @@ from scipy import optimize
 from lightopt.align._observations import Observation
 from lightopt.align._pixels import PixelSet, light_at, sensor_scale, view_of_placed
 from lightopt.align._placement import Placement
-from lightopt.align._pose import GREATEST_SHIFT_MM, PoseFrame
+from lightopt.align._pose import PoseFrame
 from lightopt.errors import InputError, counted
 from lightopt.raycast import RayCaster
 from lightopt.scene import Scene, screen_window, view_from_part
@@ -194,9 +194,7 @@ def search_placement(
         return off + TURN_PULL * float(pose[2] / LIKELY_TURN_RAD) ** 2
 
     around = [
-        FIRST_SHIFT_MM * np.array([math.cos(a), math.sin(a), 0.0])
-        for a in np.arange(8) * (math.pi / 4.0)
-        if FIRST_SHIFT_MM < GREATEST_SHIFT_MM
+        FIRST_SHIFT_MM * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(8) * (math.pi / 4.0)
     ]
     values = [misfit(np.zeros(3)), *(misfit(pose) for pose in around)]
     best = [np.zeros(3), *around][int(np.argmin(values))]

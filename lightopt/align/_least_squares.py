@@ -148,7 +148,7 @@ class _Loss:
         # of residuals in units of their spread
         if self.kind == "tukey":
             inner = np.clip(1.0 - np.square(u / TUKEY), 0.0, None)
-            return TUKEY**2 / 6.0 * (1.0 - inner**3)
+            return TUKEY**2 / 6.0 * (1.0 - inner * inner * inner)
         size = np.abs(u)
         return np.where(size <= HUBER, 0.5 * u * u, HUBER * (size - 0.5 * HUBER))
 
@@ -226,7 +226,7 @@ def solve(
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Point:
     x: Float64
     residual: Float64
@@ -244,12 +244,16 @@ class _Solver:
         self._rows = np.zeros(0, np.bool_)
         self._tried = 0
         self._last: tuple[Float64, Float64] | None = None
+        self._raw: Float64 | None = None
+        self._last_normal: tuple[_Point, tuple[Float64, Float64]] | None = None
+        self._fixed_weight = np.zeros(0)
 
     def run(self, start: Float64, most_iterations: int) -> Solution:
         start = self._clipped(np.where(np.isfinite(start), start, self._limits.nominal))
         with np.errstate(over="ignore", invalid="ignore"):
             first = np.asarray(self._problem.residuals(start), np.float64)
         self._rows = np.isfinite(first) & np.isfinite(self._problem.weight) & (self._problem.weight > 0.0)
+        self._fixed_weight = np.where(self._rows, self._problem.weight, 0.0)
         here = self._point(start)
         before = start
         converged = False
@@ -303,18 +307,20 @@ class _Solver:
     def _point(self, x: Float64) -> _Point:
         with np.errstate(over="ignore", invalid="ignore"):
             residual = np.asarray(self._problem.residuals(x), np.float64)
-        residual = np.where(self._rows, residual, 0.0)
-        residual = np.where(np.isfinite(residual), np.clip(residual, -_HUGE, _HUGE), WILD * self._units())
-        costs = self._loss.cost(residual / self._units()) * self._weights()
+        finite = np.isfinite(residual)
+        if not finite.all():
+            residual = np.where(self._rows, np.where(finite, residual, WILD * self._units()), 0.0)
+        residual = np.clip(residual, -_HUGE, _HUGE)
+        cost = float(self._loss.cost(residual / self._units()) @ self._weights())
         known = (x - self._limits.nominal) @ self._precision @ (x - self._limits.nominal)
-        return _Point(x, residual, float(np.sum(costs[self._rows])) + 0.5 * float(known))
+        return _Point(x, residual, cost + 0.5 * float(known))
 
     def _units(self) -> Float64:
         # spread of each row
         return np.where(self._problem.correlated, 1.0, self._spread)
 
     def _weights(self) -> Float64:
-        return np.where(self._rows, self._problem.weight, 0.0)
+        return self._fixed_weight
 
     def _spread_of(self, residual: Float64) -> float:
         own = residual[self._rows & ~self._problem.correlated]
@@ -325,6 +331,9 @@ class _Solver:
             return self._last[1]
         with np.errstate(over="ignore", invalid="ignore"):
             slopes = np.asarray(self._problem.slopes(x), np.float64)
+        if self._last is not None and slopes is self._raw:
+            return self._last[1]  # a linear problem's
+        self._raw = slopes
         known = self._rows & np.isfinite(slopes).all(axis=1)
         if not known.all():
             slopes = np.where(known[:, None], slopes, 0.0)
@@ -333,11 +342,15 @@ class _Solver:
         return slopes
 
     def _normal(self, here: _Point, slopes: Float64) -> tuple[Float64, Float64]:
+        # asked for more than once at a point; a point is made anew where the spread is another
+        if self._last_normal is not None and self._last_normal[0] is here:
+            return self._last_normal[1]
         unit = self._units()
         weight = self._weights() * self._loss.weight(here.residual / unit) / np.square(unit)
         weighted = slopes * weight[:, None]
         normal = weighted.T @ slopes + self._precision
         pull = weighted.T @ here.residual - self._precision @ (here.x - self._limits.nominal)
+        self._last_normal = here, (normal, pull)
         return normal, pull
 
     def _hold(self, here: _Point) -> bool:

@@ -80,7 +80,9 @@ class PixelSet:
         # a lattice shifted from pixel to pixel: an edge along rows meets its rays one after another and not in threes
         x, y = (np.arange(self.rays)[:, None] * _LATTICE).T
         along, down = (np.arange(len(self.row))[:, None] * _SHIFTS).T[:, :, None]
-        return (self.column[:, None] + (x + along) % 1.0).ravel(), (self.row[:, None] + (y + down) % 1.0).ravel()
+        return (self.column[:, None] + (x + along) % 1.0).ravel(), (
+            self.row[:, None] + (y + down) % 1.0
+        ).ravel()
 
 
 def view_of_placed(scene: Scene, posture: Posture, x: float, y: float, turn: float) -> PartView:

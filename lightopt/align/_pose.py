@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from lightopt.align._placement import Placement
 from lightopt.scene import Scene, pixel_footprint
 
-__all__ = ["GREATEST_SHIFT_MM", "GREATEST_TURN_RAD", "MOST_ERROR_PX", "MOST_TURN_ERROR_RAD", "PoseFrame"]
+__all__ = ["PoseFrame"]
 
 Float64 = NDArray[np.float64]
 
 GREATEST_SHIFT_MM = 5.0
 GREATEST_TURN_RAD = math.radians(6.0)
-"""A part is looked for up to so far from where its file has it, along x, along y, and turned."""
+GREATEST_SHIFT_PX = 16.0
+"""A part is looked for up to so far from where its file has it, along x, along y (the larger of both), and turned."""
 
 MOST_ERROR_PX = 1.0
 MOST_TURN_ERROR_RAD = math.radians(0.5)
@@ -59,7 +60,8 @@ class PoseFrame:
     @property
     def reach(self) -> Float64:
         """Greatest distance from nominal, shape (3,)."""
-        return np.array([GREATEST_SHIFT_MM, GREATEST_SHIFT_MM, GREATEST_TURN_RAD])
+        shift = max(GREATEST_SHIFT_MM, GREATEST_SHIFT_PX * self.pixel)
+        return np.array([shift, shift, GREATEST_TURN_RAD])
 
     @property
     def pixel_steps(self) -> Float64:

@@ -40,6 +40,7 @@ TURN = "the turn about the rotary axis cannot be determined from these images; a
 def scene_of(tmp_path_factory):
     folder = tmp_path_factory.mktemp("limits")
     rig = RIG.replace("[160, 120]", "[320, 240]").replace("pixel_size_um: 44", "pixel_size_um: 22")
+    rig = rig.replace("[-45, 45]", "[-90, 90]")
     (folder / "rig.yaml").write_text(rig, encoding="utf-8")
 
     def build(name, postures=FLAT):
@@ -132,8 +133,9 @@ def test_what_a_plate_larger_than_the_view_hides_stays_nominal(scene_of, name, o
     place = found.placement
     assert place.observable == observable
     assert len(found.warnings) == 1
-    assert place.x == 0.0
+    assert abs(place.x) < 0.1
     if observable[1]:
+        assert place.y == pytest.approx(AWAY.y, abs=0.1)
         assert found.warnings[0].startswith("the shift along ")
         assert place.turn == pytest.approx(AWAY.turn, abs=math.radians(0.5))
 
@@ -163,7 +165,7 @@ def ball(scene_of):
 def test_another_reflectance_is_not_blamed_on_the_place(ball, R_d):
     """An exact sphere whose highlights have two lobes with tails: the fit is poor, and the sphere is where it is."""
     scene, centre = ball
-    images = photograph_sphere(scene, centre, 15.0, R_d=R_d)
+    images = photograph_sphere(scene, centre, 15.0, R_d=R_d, wide=(3500.0, 0.12))
     world = World(None, scene, cast_rays_at(scene), images)
     samples = collect_samples(scene, images, caster=world.caster, budget=1500)
     found = estimate(samples)
