@@ -107,16 +107,16 @@ def refuse_useless_images(
         shown.append(~np.isfinite(light) | (light > 0.0))
     if not any(lit.any() for lit in shown):
         raise InputError(
-            f"{where}: no pixel of the {images} shows a lit surface of the part where its file has it; check the part's "
-            "placement, the postures, and where the rig's camera and lights look"
+            f"{where}: no pixel of the {images} shows a lit surface of the part where its file has it; check the "
+            "part's placement, the postures, and where the rig's camera and lights look"
         )
     lit = [np.any(s, axis=0) for s in shown]
     if all(bool(p.saturated[:, on].all()) for p, on in zip(sets, lit, strict=True)):
         shortest = _all_saturated(sets, lit, observations)
         if shortest:
             raise InputError(
-                f"{where}: every pixel of the part is saturated in each of {images}: they show nothing; take them with a "
-                "shorter exposure or less light"
+                f"{where}: every pixel of the part is saturated in each of {images}: they show nothing; take them with "
+                "a shorter exposure or less light"
             )
     sensor = scene.sensor
     above = CLEAR * math.sqrt(sensor.noise_variance(0.0)) + 0.5
@@ -124,8 +124,8 @@ def refuse_useless_images(
     if max(share) < BLACK_SHARE:
         brightest = max(float(p.levels.mean()) for p in sets)
         raise InputError(
-            f"{where}: the {images} are black where the part is expected: {max(brightest, 0.0):.3g} sensor levels above "
-            "the black level on the mean; check the lens cap, that the lights burn, and the exposure"
+            f"{where}: the {images} are black where the part is expected: {max(brightest, 0.0):.3g} sensor levels "
+            "above the black level on the mean; check the lens cap, that the lights burn, and the exposure"
         )
 
 

@@ -55,8 +55,15 @@ class Problem(Protocol):
         residuals are in units of their own spread.
     """
 
-    weight: Float64
-    correlated: Bool
+    @property
+    def weight(self) -> Float64:
+        """See above."""
+        ...
+
+    @property
+    def correlated(self) -> Bool:
+        """See above."""
+        ...
 
     def residuals(self, x: Float64) -> Float64:
         """Measured minus predicted in standard deviations, shape (n,); not finite where nothing is predicted."""
@@ -175,7 +182,7 @@ class _Linear:
     def residuals(self, x: Float64) -> Float64:
         return self.measured - self.slope @ x
 
-    def slopes(self, x: Float64) -> Float64:
+    def slopes(self, x: Float64) -> Float64:  # noqa: ARG002 - the same everywhere
         return self.slope
 
 
@@ -280,29 +287,27 @@ class _Solver:
 
     def _descend(self, here: _Point, most_iterations: int) -> tuple[_Point, bool]:
         damping = FIRST_DAMPING
-        slopes: Float64 | None = None
-        promise = np.inf
         while True:
-            if slopes is None:
-                slopes = self._slopes(here.x)
-                normal, pull = self._normal(here, slopes)
-                basis = self._basis(here.x, pull)
-                if basis.shape[1] == 0 or not self._rows.any():
-                    return here, bool(self._rows.any())
-                scale, inner, outer = _scaled(basis.T @ normal @ basis, basis.T @ pull)
-                promise = 0.5 * float(outer @ _damped(inner, outer, LEAST_DAMPING))
-                if promise < PROMISE:
-                    return here, True
-            if self._tried >= most_iterations or damping > MOST_DAMPING:
-                return here, promise < NO_DESCENT_PROMISE
-            self._tried += 1
-            change = basis @ (_damped(inner, outer, damping) / scale)
-            there = self._point(self._bounded(here.x, change))
-            if there.cost < here.cost:
-                here, slopes = there, None
-                damping = max(LEAST_DAMPING, 0.1 * damping)
-            else:
-                damping *= 10.0
+            normal, pull = self._normal(here, self._slopes(here.x))
+            basis = self._basis(here.x, pull)
+            if basis.shape[1] == 0 or not self._rows.any():
+                return here, bool(self._rows.any())
+            scale, inner, outer = _scaled(basis.T @ normal @ basis, basis.T @ pull)
+            promise = 0.5 * float(outer @ _damped(inner, outer, LEAST_DAMPING))
+            if promise < PROMISE:
+                return here, True
+            before = here
+            while here is before:
+                if self._tried >= most_iterations or damping > MOST_DAMPING:
+                    return here, promise < NO_DESCENT_PROMISE
+                self._tried += 1
+                change = basis @ (_damped(inner, outer, damping) / scale)
+                there = self._point(self._bounded(here.x, change))
+                if there.cost < here.cost:
+                    here = there
+                    damping = max(LEAST_DAMPING, 0.1 * damping)
+                else:
+                    damping *= 10.0
 
     def _point(self, x: Float64) -> _Point:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -475,4 +480,5 @@ def _scaled(normal: Float64, pull: Float64) -> tuple[Float64, Float64, Float64]:
 
 
 def _damped(normal: Float64, pull: Float64, damping: float) -> Float64:
-    return np.linalg.solve(normal + damping * np.eye(len(pull)), pull)
+    found = np.linalg.solve(normal + damping * np.eye(len(pull)), pull)
+    return np.asarray(found, np.float64)

@@ -143,8 +143,8 @@ def refuse_mismatch(
     else:
         return
     raise InputError(
-        f"{where}: the images do not look like this part on this rig: measured minus predicted is {own.residual:.3g} grey "
-        f"levels rms where noise makes {own.noise:.2g} and the prediction is {own.level:.3g}; {hint}"
+        f"{where}: the images do not look like this part on this rig: measured minus predicted is {own.residual:.3g} "
+        f"grey levels rms where noise makes {own.noise:.2g} and the prediction is {own.level:.3g}; {hint}"
     )
 
 

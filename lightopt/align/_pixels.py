@@ -76,7 +76,7 @@ class PixelSet:
     def positions(self) -> tuple[Float64, Float64]:
         """Columns and rows of the rays [px], pixel after pixel; shape (n · rays,)."""
         if self.rays == 1:
-            return self.column + 0.5, self.row + 0.5
+            return self.column.astype(np.float64) + 0.5, self.row.astype(np.float64) + 0.5
         # a lattice shifted from pixel to pixel: an edge along rows meets its rays one after another and not in threes
         x, y = (np.arange(self.rays)[:, None] * _LATTICE).T
         along, down = (np.arange(len(self.row))[:, None] * _SHIFTS).T[:, :, None]

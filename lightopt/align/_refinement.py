@@ -156,21 +156,21 @@ class Refinement:
     ) -> None:
         self._scene, self._frame, self._caster, self._threads = scene, frame, caster, threads
         self._sets = [*inner, *edges]
-        self._light = _joined([_number(scene, p) for p in self._sets], np.intp)
+        self._light = _joined([_number(scene, p) for p in self._sets]).astype(np.intp)
         self._scale = _joined([_each(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets])
         self._measured = _joined([p.levels.ravel() for p in self._sets])
         frames = _joined([_each(p, [float(o.frames) for o in p.images]) for p in self._sets])
         taken = _joined([_subtracted(p) for p in self._sets])
-        self.correlated = _joined([np.full(p.levels.size, p.rays > 1) for p in self._sets], np.bool_)
+        self.correlated = _flags([np.full(p.levels.size, p.rays > 1) for p in self._sets])
         self.weight = np.ones(len(self._measured))
-        self._last: tuple[Float64, list[tuple[Float64, Float64]]] | None = None
+        self._last: tuple[Float64, Float64] | None = None
         self._used = np.ones(len(self._measured), np.bool_)
         self._noise = np.ones(len(self._measured))
         sensor = scene.sensor
         self._top = sensor.saturated_from - sensor.black_level - taken
         here = self._levels(start)
         noise = np.sqrt(sensor.noise_variance(np.where(np.isfinite(here), here, 0.0), frames=frames))
-        full = _joined([p.saturated.ravel() for p in self._sets], np.bool_)
+        full = _flags([p.saturated.ravel() for p in self._sets])
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
         self._used = np.isfinite(here) & ~full & (inside | self.correlated)
         self._noise = noise
@@ -262,17 +262,21 @@ class Refinement:
             self.weight = np.where(self.correlated, min(1.0, 1.0 / (OUTLINE_PX**2 * most)), 1.0)
 
 
-def _joined(parts: Sequence[NDArray[np.generic]], kind: type = np.float64) -> NDArray:
-    return np.concatenate(parts).astype(kind) if parts else np.zeros(0, kind)
+def _joined(parts: Sequence[Float64]) -> Float64:
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _flags(parts: Sequence[Bool]) -> Bool:
+    return np.concatenate(parts) if parts else np.zeros(0, np.bool_)
 
 
 def _each(pixels: PixelSet, values: Sequence[float]) -> Float64:
     return np.repeat(np.asarray(values, np.float64), len(pixels.row))
 
 
-def _number(scene: Scene, pixels: PixelSet) -> NDArray[np.intp]:
+def _number(scene: Scene, pixels: PixelSet) -> Float64:
     names = [light.name for light in scene.lights]
-    return np.repeat([names.index(o.light) for o in pixels.images], len(pixels.row))
+    return _each(pixels, [names.index(o.light) for o in pixels.images])
 
 
 def _subtracted(pixels: PixelSet) -> Float64:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +109,7 @@ def register(
     """
 
     def stage(name: str) -> Callable[[float], None] | None:
-        return None if progress is None else lambda share: progress(name, share)
+        return None if progress is None else partial(progress, name)
 
     sets = coarse_pixels(scene, observations)
     refuse_useless_images(scene, sets, observations, caster=caster)
@@ -136,9 +137,9 @@ def refine_placement(
 ) -> Registration:
     """Refine a placement that is good to about a pixel, highlights included; to a small part of a pixel.
 
-    R_d, R_s, σ, the lights' gains and the dark level are adjusted along, since those of a misplaced part are never quite
-    right. A pixel counts by the sensor's variance of its level. Which pixels count at all is decided by the model and
-    not by what noise made of them: those just below saturation that are not saturated are the darker ones.
+    R_d, R_s, σ, the lights' gains and the dark level are adjusted along, since those of a misplaced part are never
+    quite right. A pixel counts by the sensor's variance of its level. Which pixels count at all is decided by the model
+    and not by what noise made of them: those just below saturation that are not saturated are the darker ones.
 
     Parameters
     ----------
@@ -193,16 +194,12 @@ def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outl
     if len(directions) < 3:
         if solution.at_limit[POSE].any():
             converged = False
-            words += (
-                "the part was looked for up to "
-                f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}° from where its file has it, and seems to "
-                "lie further off; correct its placement in the part file",
-            )
+            limit = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
+            word = f"the part was looked for up to {limit} from where its file has it, and seems to lie further off; "
+            words = (*words, word + "correct its placement in the part file")
         elif not converged:
-            words += (
-                "the search for the part's place did not converge; the place found is the best of "
-                f"{iterations} steps, and its errors may be larger than stated",
-            )
+            word = f"the search for the part's place did not converge; the place is the best of {iterations} steps, "
+            words = (*words, word + "and its errors may be larger than stated")
     return Registration(
         placement=replace(
             frame.placement(pose, solution.covariance[POSE, POSE]),
