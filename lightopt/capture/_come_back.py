@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.align import HUBER, Limits, linear_problem, solve
 from lightopt.capture._lit import Predictions, cells, predict
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
@@ -44,8 +45,10 @@ LIT = 0.2
 HIGHLIGHT = 1.5
 """Cells brighter than this multiple of the brightest diffuse light show something else."""
 
+MOST_DEG = 10.0
+"""Greatest angle that is found: predictions are straight lines through half a degree to both sides."""
+
 LEAST_CELLS = 50
-ROUNDS = 10
 BOUNDED = 0.1
 """Differences beyond this share of the part's brightness pull no more than these: highlights are not well predicted."""
 
@@ -150,29 +153,26 @@ def came_back(
     # a few edges, which are steep and nowhere just where they were predicted, would outweigh all the rest
     steep = np.abs(slopes[0]) + np.abs(slopes[1])
     weight = np.minimum(1.0, typical / np.maximum(steep, 1e-12)) ** 2
-    change, errors = _robust_fit(columns, (after - before)[usable], weight, bound=BOUNDED * typical)
-    return CameBack(
-        tilt_deg=float(change[0]),
-        turn_deg=float(change[1]),
-        tilt_error_deg=float(errors[0]),
-        turn_error_deg=float(errors[1]),
+    unit = BOUNDED * typical / HUBER
+    reach = np.array([MOST_DEG, MOST_DEG, 1.0, typical])
+    limits = Limits(
+        nominal=np.zeros(4),
+        reach=reach,
+        step=reach,
+        prior=np.full(4, np.inf),
+        # an angle that could be UNSEEN_DEG off stays 0
+        resolution=np.array([UNSEEN_DEG / CERTAIN, UNSEEN_DEG / CERTAIN, np.inf, np.inf]),
     )
-
-
-def _robust_fit(
-    columns: Float64, values: Float64, weight: Float64, *, bound: float
-) -> tuple[Float64, Float64]:
-    """Least squares with bounded pull (Huber 1964, doi:10.1214/aoms/1177703732); the parameters, and their errors."""
-    scale = np.sqrt(np.maximum(np.mean(columns**2, axis=0), 1e-12))
-    unit = columns / scale
-    little = 1e-9 * len(values) * np.eye(unit.shape[1])
-    found = np.zeros(columns.shape[1])
-    counts = weight
-    for _ in range(ROUNDS):
-        weighed = (unit * counts[:, None]).T
-        found = np.linalg.solve(weighed @ unit + little, weighed @ values)
-        counts = weight * np.minimum(1.0, bound / np.maximum(np.abs(values - unit @ found), 1e-12))
-    pull = counts * (values - unit @ found)
-    inner = np.linalg.inv((unit * counts[:, None]).T @ unit + little)
-    spread = inner @ ((unit * np.square(pull)[:, None]).T @ unit) @ inner
-    return found / scale, np.sqrt(np.maximum(np.diag(spread), 0.0)) / scale
+    found = solve(
+        linear_problem(columns / unit, (after - before)[usable] / unit, weight),
+        limits.nominal,
+        limits,
+        loss="huber",
+        least_spread=1.0,
+    )
+    return CameBack(
+        tilt_deg=float(found.x[0]),
+        turn_deg=float(found.x[1]),
+        tilt_error_deg=float(found.errors[0]),
+        turn_error_deg=float(found.errors[1]),
+    )

@@ -59,9 +59,8 @@ def show_inspection(result: Inspection, verdict: Verdict) -> None:
     if result.defects:
         table = defect_table(result, verdict)
         show_table(table.header, table.rows, numbers_from=table.numbers_from)
-    if result.placement is not None:
-        x, y, turn = placement_told(result.placement)
-        say(f"the part lies {x} in x, {y} in y and {turn} from where its file has it")
+    if result.placement is not None and (place := placement_told(result.placement)):
+        say(f"the part lies off where its file has it by {place}")
     table = surface_table(result)
     show_table(table.header, table.rows, numbers_from=table.numbers_from)
     for sentence in surface_told(result):

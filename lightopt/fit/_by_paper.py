@@ -30,7 +30,7 @@ def paper_result(
             "--method paper knows no --free and no --joint: it fits what sections 4.2 and 4.3 fit"
         )
     own = world.scene.reflectance
-    said = paper_words(samples, R_d=r_d, specular=specular, threads=options.threads)
+    said = paper_words(world, samples, R_d=r_d, specular=specular, threads=options.threads)
     r_s, sigma = specular or (own.R_s, own.sigma)
     values = (("R_d", own.R_d if r_d is None else r_d), ("R_s", r_s), ("sigma_rad", sigma))
     return FitResult(

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.fit._estimate import Estimate, Freed
+from lightopt.fit._mismatch import refuse_other_images
 from lightopt.fit._quality import appraise, poor_fit
 from lightopt.fit._samples import Samples, evenly_lit, thinned
 from lightopt.fit._search import estimate
-from lightopt.fit._strangers import refuse_strangers
+from lightopt.fit._world import World
 from lightopt.raycast import RayCaster
 
 __all__ = ["evenly_lit_words", "paper_words"]
@@ -71,6 +72,7 @@ def evenly_lit_words(
 
 
 def paper_words(
+    world: World,
     samples: Samples,
     *,
     R_d: float | None,
@@ -81,7 +83,7 @@ def paper_words(
 
     Parameters
     ----------
-    samples
+    world, samples
         Those that the answer comes from.
     R_d
         As section 4.2 has it [grey level]; None where it was not asked for.
@@ -98,7 +100,8 @@ def paper_words(
     few = thinned(samples, BUDGET)
     whole = estimate(few, freed=Freed(), threads=threads)
     quality = appraise(few, whole)
-    said = [*refuse_strangers(few, whole, quality, threads=threads), *poor_fit(quality)]
+    refuse_other_images(world, few, whole, quality, threads=threads)
+    said = [*poor_fit(quality)]
     pairs = [("R_d", R_d, whole.R_d)]
     if specular is not None:
         pairs += [("R_s", specular[0], whole.R_s), ("σ", specular[1], whole.sigma)]

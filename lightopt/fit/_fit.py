@@ -17,6 +17,7 @@ from lightopt.fit._cross_check import evenly_lit_words
 from lightopt.fit._estimate import Freed
 from lightopt.fit._highlights import LEAST_R_S, WIDENINGS, diffuse_only
 from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._mismatch import refuse_other_images
 from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._paper import paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, poor_fit, words
@@ -24,7 +25,6 @@ from lightopt.fit._regions import PointsRow, compare_regions
 from lightopt.fit._result import FitResult, FittedValue, below_zero, fitted_dark, fitted_gains, fitted_values
 from lightopt.fit._samples import Samples
 from lightopt.fit._search import estimate
-from lightopt.fit._strangers import refuse_strangers
 from lightopt.fit._validate import leave_lights_out, unseen
 from lightopt.fit._world import World, collect, open_world
 from lightopt.images import ImageSet
@@ -74,16 +74,14 @@ def fit_diffuse(
     samples = collect(world, options, progress)
     freed = Freed(gain=options.gain, dark=options.dark)
     whole = estimate(samples, freed=freed, threads=options.threads, progress=progress)
-    shifted = refuse_strangers(
-        samples, whole, appraise(samples, whole), placed=world.placement is not None, threads=options.threads
-    )
+    refuse_other_images(world, samples, whole, appraise(samples, whole), threads=options.threads)
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
     found = estimate(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
     quality = appraise(plain, found)
-    said = [*shifted, *poor_fit(quality)]
+    said = [*world.warnings, *poor_fit(quality)]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
@@ -203,14 +201,12 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
         samples, freed=options.freed, held=world.held, threads=options.threads, progress=progress
     )
     quality = appraise(samples, found)
-    shifted = refuse_strangers(
-        samples, found, quality, placed=world.placement is not None, threads=options.threads
-    )
+    refuse_other_images(world, samples, found, quality, threads=options.threads)
     refuse_no_highlight(samples, found)
     values = fitted_values(found, full_scale=reflectance.full_scale)
     low, high = next(v.interval for v in values if v.name == "R_s") or (found.R_s, found.R_s)
     exposures = {o.exposure for o in world.observations}
-    said = [*shifted, *words(found, quality, low, high, shorter=len(exposures) > 1), *held_r_d(found)]
+    said = [*world.warnings, *words(found, quality, low, high, shorter=len(exposures) > 1), *held_r_d(found)]
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)
     said += [text for text in panels if text is not None]
     dark = fitted_dark(world.scene, found) if options.dark else None

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,12 @@ from lightopt.align import (
     Observation,
     Placement,
     PlacementInFile,
-    find_placement,
+    Registration,
     observed_postures,
     place_part,
     placement_in_file,
     read_observations,
-    refine_placement,
+    register,
 )
 from lightopt.config import PartConfig, RigConfig
 from lightopt.fit._estimate import Freed
@@ -27,10 +26,11 @@ from lightopt.fit._samples import OCTAVES, Samples, collect_samples
 from lightopt.fit._search import estimate
 from lightopt.images import ImageSet
 from lightopt.raycast import RayCaster
+from lightopt.reflectance import Reflectance
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
 
-__all__ = ["World", "collect", "open_world"]
+__all__ = ["World", "collect", "find_part", "open_world"]
 
 Float64 = NDArray[np.float64]
 
@@ -46,19 +46,32 @@ class World:
 
     Attributes
     ----------
+    part
+        The part file.
     scene, caster
         With the part where it lies.
     observations
         The images.
-    placement, in_file
-        Where that is, as a move and in the words of the part file; None where it was not looked for.
+    registration, in_file
+        Where that is, as a move and in the words of the part file; None where the part was not registered.
     """
 
+    part: PartConfig
     scene: Scene
     caster: RayCaster
     observations: tuple[Observation, ...]
-    placement: Placement | None = None
+    registration: Registration | None = None
     in_file: PlacementInFile | None = None
+
+    @property
+    def placement(self) -> Placement | None:
+        """Where the part was found; None where it was not registered."""
+        return None if self.registration is None else self.registration.placement
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of the registration, in words."""
+        return () if self.registration is None else self.registration.warnings
 
     @property
     def held(self) -> Float64:
@@ -81,49 +94,87 @@ def open_world(
     scene = build_scene(
         rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
     )
-    world = World(scene, cast_rays_at(scene), observations)
+    world = World(part, scene, cast_rays_at(scene), observations)
     if not options.shift:
         return world
-    placed = _placed(world, options, progress)
-    assert placed.placement is not None
-    in_file = placement_in_file(
-        scene.mesh.vertices,
-        placed.placement,
-        anchor=part.placement.anchor,
-        rotate_deg=part.placement.rotate_deg,
-        translate_mm=part.placement.translate_mm,
-        pivot=scene.pivot,
-    )
-    return replace(placed, in_file=in_file)
+    return _registered(world, options, progress)
 
 
-def _placed(world: World, options: FitOptions, progress: Progress | None) -> World:
-    # find the part by its outline, fit a first reflectance there, refine the place with it
-    def stage(name: str) -> Callable[[float], None] | None:
-        return None if progress is None else partial(progress, name)
+def find_part(
+    scene: Scene,
+    observations: Sequence[Observation],
+    *,
+    caster: RayCaster,
+    freed: Freed | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Registration:
+    """Register the part, its place refined with a first fit of the reflectance.
 
-    threads = options.threads
-    scene = world.scene
-    start = find_placement(
-        scene, world.observations, caster=world.caster, threads=threads, progress=stage("finding the part")
-    )
-    moved = place_part(scene, start)
-    caster = cast_rays_at(moved)
-    samples = collect_samples(
-        moved, world.observations, caster=caster, budget=PLACING_PER_OCTAVE, threads=threads
-    )
-    first = estimate(samples, freed=Freed(gain=options.gain, dark=options.dark), threads=threads)
-    reflectance = replace(scene.reflectance, R_d=first.R_d, R_s=first.R_s, sigma=first.sigma)
-    placement = refine_placement(
-        replace(scene, reflectance=reflectance),
-        world.observations,
-        start,
-        caster=world.caster,
+    Parameters
+    ----------
+    scene
+        The part where its file has it.
+    observations
+        The images.
+    caster
+        Of the scene's part.
+    freed
+        What the first fit may change.
+    threads
+        Number of threads; the result does not depend on it.
+    progress
+        Called as the search goes on.
+    """
+
+    def first_reflectance(moved: Scene) -> Reflectance:
+        samples = collect_samples(
+            moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
+        )
+        first = estimate(samples, freed=freed, threads=threads)
+        return replace(moved.reflectance, R_d=first.R_d, R_s=first.R_s, sigma=first.sigma)
+
+    return register(
+        scene,
+        observations,
+        caster=caster,
+        reflectance_at=first_reflectance,
         threads=threads,
-        progress=stage("refining the part's place"),
+        progress=progress,
     )
-    moved = place_part(scene, placement)
-    return World(moved, cast_rays_at(moved), world.observations, placement)
+
+
+def _registered(world: World, options: FitOptions, progress: Progress | None = None) -> World:
+    """The same images, with the part where they show it; its place refined with a first fit of the reflectance.
+
+    Parameters
+    ----------
+    world
+        With the part where its file has it.
+    options
+        How to fit.
+    progress
+        Called as the search goes on.
+    """
+    found = find_part(
+        world.scene,
+        world.observations,
+        caster=world.caster,
+        freed=Freed(gain=options.gain, dark=options.dark),
+        threads=options.threads,
+        progress=progress,
+    )
+    moved = place_part(world.scene, found.placement)
+    placement = world.part.placement
+    in_file = placement_in_file(
+        world.scene.mesh.vertices,
+        found.placement,
+        anchor=placement.anchor,
+        rotate_deg=placement.rotate_deg,
+        translate_mm=placement.translate_mm,
+        pivot=world.scene.pivot,
+    )
+    return replace(world, scene=moved, caster=cast_rays_at(moved), registration=found, in_file=in_file)
 
 
 def collect(

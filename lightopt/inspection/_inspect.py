@@ -80,7 +80,7 @@ def inspect_set(
     placement = laid.placement if options.shift else None
     asked = part_postures(part)
     words = inspection_words(
-        rig, postures, options, asked=asked, placement=placement, calibrated=calibration is not None
+        rig, postures, options, asked=asked, registration=laid.warnings, calibrated=calibration is not None
     )
     coverages = [(p.view.posture, p.coverage) for p in postures]
     return Inspection(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._predictions import Predictions, lights_of
 from lightopt.inspection._register import Progress, good_part, lay_over
 from lightopt.inspection._shots import Shots, shots_of
-from lightopt.inspection._slopes import node_steps
 from lightopt.inspection._view import PostureView, posture_view
 from lightopt.scene import Scene
 
@@ -36,12 +35,15 @@ class LaidSet:
         That the model is predicted from: the part lies where it was found, or nearly there.
     views
         Of each posture, in the set's order, made one at a time; with the exposures of its images.
+    warnings
+        Of the registration, in words.
     """
 
     nominal: Scene
     placement: Placement
     scene: Scene
     views: Iterator[tuple[PostureView, Shots]]
+    warnings: tuple[str, ...] = ()
 
 
 def lay_set(
@@ -74,7 +76,8 @@ def lay_set(
         if options.shift and off is None:
             predictions.measure_misfit(scene, observations)
 
-    return LaidSet(nominal, placement, scene, views())
+    warnings = predictions.warnings if options.shift else ()
+    return LaidSet(nominal, placement, scene, views(), warnings)
 
 
 def _find(
@@ -89,8 +92,9 @@ def _find(
         return *predictions.moved_to(nominal, Placement()), None
     near = predictions.nearby(nominal, observations, threads=options.threads)
     if near is None:
-        scene, placement = lay_over(nominal, observations, threads=options.threads, progress=progress)
-        return *predictions.moved_to(scene, placement), None
-    scene, before, off = near
-    x, y, turn = off * node_steps(scene)
-    return scene, replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn), off
+        scene, found = lay_over(nominal, observations, threads=options.threads, progress=progress)
+        scene, placement = predictions.moved_to(scene, found.placement)
+        predictions.warnings = found.warnings
+        return scene, placement, None
+    scene, placement, off = near
+    return scene, placement, off

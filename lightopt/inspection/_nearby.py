@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Observation, Placement
-from lightopt.inspection._photometry import DARK_SPREAD, GAIN_SPREAD
+from lightopt.align import (
+    DARK_SPREAD,
+    GAIN_SPREAD,
+    Limits,
+    Observation,
+    Placement,
+    PoseFrame,
+    linear_problem,
+    solve,
+)
 from lightopt.inspection._predict import Prediction
 from lightopt.inspection._slopes import Slopes, node_steps
 from lightopt.scene import Scene, project, view_from_part
 from lightopt.transforms import rotation_z
 
-__all__ = ["FURTHEST", "Known", "Sample", "fit_place", "sample_of"]
+__all__ = ["FURTHEST", "Known", "NearbyPlace", "Sample", "fit_place", "sample_of"]
 
 Float64 = NDArray[np.float64]
 
@@ -32,9 +40,10 @@ LOOSE, TIGHT = 2.0, 1.3
 """By how much the typical deviation of steep pixels may exceed that of the part that was predicted: with the slopes of
 shifted images, which only tell whether it is worth while to render better ones, and with those."""
 
+REACH = 4.0
+"""Node steps that a part is looked for up to; beyond :data:`FURTHEST` it is not near."""
+
 CLEAR = 3.5
-TUKEY = 4.685
-ROUNDS = 8
 _LEAST_PIXELS = 200
 
 
@@ -74,6 +83,36 @@ class Sample:
     steep: NDArray[np.bool_]
     level: Float64
     slope: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class NearbyPlace:
+    """How far a part lies from where it was predicted.
+
+    Attributes
+    ----------
+    off
+        Node steps in x, y and turn about the part's middle, shape (3,).
+    errors
+        Standard errors, same shape.
+    converged
+        Whether the fit has converged.
+    """
+
+    off: Float64
+    errors: Float64
+    converged: bool
+
+    @property
+    def near(self) -> bool:
+        """Whether the predictions can be moved so far."""
+        return self.converged and bool(np.all(np.abs(self.off) <= FURTHEST))
+
+    def placement(self, scene: Scene, before: Placement) -> Placement:
+        """Where the part lies, given the placement that was predicted."""
+        x, y, turn = self.off * node_steps(scene)
+        ex, ey, et = (float(e) for e in self.errors * node_steps(scene))
+        return replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn, errors=(ex, ey, et))
 
 
 def sample_of(scene: Scene, placement: Placement, known: Known, light: str) -> Sample:
@@ -134,20 +173,21 @@ def _image_shifts(
 
 def fit_place(
     scene: Scene,
+    placement: Placement,
     observations: Sequence[Observation],
     samples: Sequence[Sample],
     *,
     moves: bool,
-) -> tuple[Float64, float]:
-    """How many node steps a part lies from where it was predicted, shape (3,), and the misfit of the steep pixels.
+) -> tuple[NearbyPlace, float]:
+    """How far a part lies from where it was predicted, and the misfit of the steep pixels.
 
-    Gains of the lights and a dark level are fitted along, by least squares with Tukey's weights. The misfit is the
-    median deviation of the steep pixels in standard deviations of the sensor's noise.
+    Gains of the lights and a dark level are fitted along. The misfit is the median deviation of the steep pixels in
+    standard deviations of the sensor's noise.
 
     Parameters
     ----------
-    scene
-        For the sensor and the names of the lights.
+    scene, placement
+        The part where it was predicted.
     observations, samples
         Each image and its pixels.
     moves
@@ -181,16 +221,19 @@ def fit_place(
     a, b = np.concatenate(columns), np.concatenate(targets)
     noise, steep = np.concatenate(noises), np.concatenate(steeps)
     if np.count_nonzero(steep) < _LEAST_PIXELS:
-        return np.full(3, np.inf), np.inf
-    held = np.array([1.0 / GAIN_SPREAD**2] * n + [1.0 / DARK_SPREAD**2] + [1e-6] * 3)
-    nominal = np.array([1.0] * n + [0.0] * 4)
-    x = nominal.copy()
-    weighted = a / noise[:, None]
-    for _ in range(ROUNDS):
-        off = np.abs(b - a @ x) / noise
-        spread = max(1.4826 * float(np.median(off)), 1.0)
-        weight = np.square(np.clip(1.0 - np.square(off / (TUKEY * spread)), 0.0, None))
-        normal = (weighted * weight[:, None]).T @ weighted + np.diag(held)
-        x = np.linalg.solve(normal, (weighted * weight[:, None]).T @ (b / noise) + held * nominal)
-    misfit = float(np.median(np.abs(b - a @ x)[steep] / noise[steep]))
-    return x[n + 1 :], misfit
+        return NearbyPlace(np.full(3, REACH), np.full(3, REACH), converged=False), np.inf
+    lights = [GAIN_SPREAD] * n
+    resolution = np.maximum(PoseFrame.of(scene).resolution / node_steps(scene), 1.0)
+    reach = np.array([*[3.0] * n, 10.0 * DARK_SPREAD, *[REACH] * 3])
+    limits = Limits(
+        nominal=np.array([*[1.0] * n, *[0.0] * 4]),
+        reach=reach,
+        step=reach,
+        prior=np.array([*lights, DARK_SPREAD, *[np.inf] * 3]),
+        resolution=np.array([*[np.inf] * (n + 1), *(resolution if moves else [np.inf] * 3)]),
+    )
+    # what the images of the first part did not determine stays as it was
+    a[:, n + 1 :] *= np.array(placement.observable)
+    found = solve(linear_problem(a / noise[:, None], b / noise), limits.nominal, limits, least_spread=1.0)
+    misfit = float(np.median(np.abs(b - a @ found.x)[steep] / noise[steep]))
+    return NearbyPlace(found.x[n + 1 :], found.errors[n + 1 :], found.converged), misfit

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Observation
+from lightopt.align import DARK_SPREAD, GAIN_SPREAD, Observation
 from lightopt.kernels import kernel
 from lightopt.rendering import in_threads
 from lightopt.scene import Scene
 
-__all__ = ["DARK_SPREAD", "GAIN_SPREAD", "Photometry", "fit_photometry", "some_pixels"]
+__all__ = ["Photometry", "fit_photometry", "some_pixels"]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -24,11 +24,6 @@ PIXELS_PER_IMAGE = 40_000
 
 HUBER = 1.5
 ROUNDS = 12
-GAIN_SPREAD = 0.3
-DARK_SPREAD = 3.0
-"""Lights are about as bright as the rig says, within this share, and black is as black within these sensor levels: only
-images that say so move them."""
-
 MOST_GAIN = 4.0
 """Lights that seem to be further from what the rig says, up or down, are not believed."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation, Placement
-from lightopt.inspection._nearby import FURTHEST, LOOSE, TIGHT, Known, Sample, fit_place, sample_of
+from lightopt.inspection._nearby import LOOSE, TIGHT, Known, NearbyPlace, Sample, fit_place, sample_of
 from lightopt.inspection._predict import Prediction, predict
 from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, shifted
 from lightopt.inspection._surface import SurfaceMap, map_surface
@@ -49,6 +49,8 @@ class Predictions:
         What was rendered, by posture and lights.
     slopes
         How that changes with the part's place.
+    warnings
+        Of that part's registration, in words.
     misfit
         Of that part's images to its predictions, by the postures and lights of its set.
     samples
@@ -63,6 +65,7 @@ class Predictions:
     caster: RayCaster | None = None
     by_posture: dict[Key, Prediction] = field(default_factory=dict)
     slopes: dict[Key, Slopes] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
     misfit: float | None = None
     samples: dict[tuple[Key, str, bool], Sample] = field(default_factory=dict)
     surface: dict[tuple[Posture, ...], SurfaceMap] = field(default_factory=dict)
@@ -118,7 +121,8 @@ class Predictions:
     ) -> tuple[Scene, Placement, NDArray[np.float64]] | None:
         """Where a part lies that lies nearly where the one before lay; None where it does not, or none was before.
 
-        The scene and place of the predictions, and how many node steps further the part lies, shape (3,).
+        The scene of the predictions, the part's place, and how many node steps off the predictions that is, shape (3,).
+        What the images do not determine is as for the part before.
 
         Parameters
         ----------
@@ -139,8 +143,8 @@ class Predictions:
             pixels = sum(len(key[1]) for key in keys.values()) * scene.camera.width * scene.camera.height
             if 6 * 4 * pixels > MOST_BYTES:
                 return None
-            off, misfit = self._fit(scene, observations, keys, moves=True)
-            if not _near(off) or misfit > LOOSE * self.misfit:
+            found, misfit = self._fit(scene, observations, keys, moves=True)
+            if not found.near or misfit > LOOSE * self.misfit:
                 return None
             for key in keys.values():
                 if key not in self.slopes:
@@ -152,10 +156,10 @@ class Predictions:
                         self._caster(scene),
                         threads=threads,
                     )
-        off, misfit = self._fit(scene, observations, keys, moves=True)
-        if not _near(off) or misfit > TIGHT * self.misfit:
+        found, misfit = self._fit(scene, observations, keys, moves=True)
+        if not found.near or misfit > TIGHT * self.misfit:
             return None
-        return scene, self.placement, off
+        return scene, found.placement(scene, self.placement), found.off
 
     def measure_misfit(self, scene: Scene, observations: Sequence[Observation]) -> None:
         """Remember how well a part's images fit the predictions that were made for it."""
@@ -187,7 +191,7 @@ class Predictions:
 
     def _fit(
         self, scene: Scene, observations: Sequence[Observation], keys: dict[Posture, Key], *, moves: bool
-    ) -> tuple[NDArray[np.float64], float]:
+    ) -> tuple[NearbyPlace, float]:
         assert self.placement is not None
         place = self.placement
         samples: list[Sample] = []
@@ -198,7 +202,7 @@ class Predictions:
             if mine not in self.samples:
                 self.samples[mine] = sample_of(scene, place, Known(self.by_posture[key], slopes), o.light)
             samples.append(self.samples[mine])
-        return fit_place(scene, observations, samples, moves=moves)
+        return fit_place(scene, place, observations, samples, moves=moves)
 
 
 def lights_of(scene: Scene, observations: Sequence[Observation]) -> tuple[str, ...]:
@@ -212,10 +216,6 @@ def _keys(scene: Scene, observations: Sequence[Observation]) -> dict[Posture, Ke
         posture: (posture, lights_of(scene, [o for o in observations if o.posture == posture]))
         for posture in scene.postures
     }
-
-
-def _near(off: NDArray[np.float64]) -> bool:
-    return bool(np.all(np.abs(off) <= FURTHEST))
 
 
 def _same(a: Placement, b: Placement) -> bool:

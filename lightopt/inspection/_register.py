@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
 
 from lightopt.align import (
     Observation,
-    Placement,
-    find_placement,
+    Registration,
     observed_postures,
     place_part,
     read_observations,
-    refine_placement,
+    register,
 )
 from lightopt.config import PartConfig, RigConfig
 from lightopt.images import ImageSet
@@ -62,7 +59,7 @@ def lay_over(
     *,
     threads: int | None = None,
     progress: Progress | None = None,
-) -> tuple[Scene, Placement]:
+) -> tuple[Scene, Registration]:
     """The scene with its part where the images show it, and how far that is from where its file has it.
 
     Parameters
@@ -74,20 +71,5 @@ def lay_over(
     progress
         Called as the search goes on.
     """
-
-    def stage(name: str) -> Callable[[float], None] | None:
-        return None if progress is None else partial(progress, name)
-
-    caster = cast_rays_at(scene)
-    start = find_placement(
-        scene, observations, caster=caster, threads=threads, progress=stage("finding the part")
-    )
-    found = refine_placement(
-        scene,
-        observations,
-        replace(start, errors=(0.0, 0.0, 0.0)),
-        caster=caster,
-        threads=threads,
-        progress=stage("refining the part's place"),
-    )
-    return place_part(scene, found), found
+    found = register(scene, observations, caster=cast_rays_at(scene), threads=threads, progress=progress)
+    return place_part(scene, found.placement), found

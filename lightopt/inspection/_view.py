@@ -9,12 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Observation
+from lightopt.align import Observation, refuse_mismatch
 from lightopt.errors import InputError, counted
-from lightopt.inspection._another_part import refuse_another_part
 from lightopt.inspection._exposures import merge_exposures
 from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
-from lightopt.inspection._photometry import Photometry, fit_photometry
+from lightopt.inspection._photometry import Photometry, fit_photometry, some_pixels
 from lightopt.inspection._predict import Prediction
 from lightopt.rendering import in_threads
 from lightopt.scene import Scene
@@ -162,7 +161,7 @@ def posture_view(
 
     in_threads(merge, range(len(pieces)), threads)
     posture = observations[0].posture
-    refuse_another_part(level, predicted, limit, deviation, clean, f"{where}, posture {posture}")
+    refuse_mismatch(level, predicted, limit, deviation, some_pixels(clean), f"{where}, posture {posture}")
     return PostureView(
         posture=posture,
         lights=lights,

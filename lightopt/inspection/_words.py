@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from lightopt.align import Placement
+from lightopt.align import DARK_SPREAD
 from lightopt.config import RigConfig
 from lightopt.inspection._inspection import InspectedPosture
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._photometry import DARK_SPREAD
 from lightopt.transforms import Posture
 
 __all__ = ["inspection_words"]
 
 MOST_DARK_SHARE = 0.01
 """A black level that is further off than this share of the sensor's range is told."""
-
-UNKNOWN_TURN_RAD = math.radians(0.5)
-"""Beyond this standard error the images do not tell how the part is turned."""
 
 
 def inspection_words(
@@ -27,7 +22,7 @@ def inspection_words(
     options: InspectOptions,
     *,
     asked: Sequence[Posture] = (),
-    placement: Placement | None = None,
+    registration: Sequence[str] = (),
     calibrated: bool = False,
 ) -> tuple[str, ...]:
     """What to tell a person, one sentence each.
@@ -42,14 +37,15 @@ def inspection_words(
         How they were.
     asked
         Postures that there should be images of.
-    placement
-        Where the part was found; None where it was not looked for.
+    registration
+        Warnings of the registration.
     calibrated
         Whether thresholds are those of good parts.
     """
     there = {p.view.posture for p in postures}
     return (
-        *_of_the_way(rig, options, placement=placement, calibrated=calibrated),
+        *_of_the_way(rig, options, calibrated=calibrated),
+        *registration,
         *(word for p in postures for word in _of_posture(rig, p, options)),
         *(
             f"posture {posture}: no images; what only it shows was not inspected"
@@ -59,9 +55,7 @@ def inspection_words(
     )
 
 
-def _of_the_way(
-    rig: RigConfig, options: InspectOptions, *, placement: Placement | None, calibrated: bool
-) -> list[str]:
+def _of_the_way(rig: RigConfig, options: InspectOptions, *, calibrated: bool) -> list[str]:
     # of how the set was inspected
     words: list[str] = []
     sensor = rig.camera.sensor
@@ -74,12 +68,6 @@ def _of_the_way(
         words.append(
             f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
             "is all the noise there is; good parts may show regions; give what the sensor has"
-        )
-    if placement is not None and placement.errors[2] > UNKNOWN_TURN_RAD:
-        words.append(
-            "the images do not tell how the part is turned about the stage's axis "
-            f"(± {math.degrees(placement.errors[2]):.2g}°): it is taken to lie as its file has it, and places on it "
-            "are by that; a body of revolution has no other"
         )
     return words
 

@@ -39,8 +39,8 @@ def inspection_facts(result: Inspection, verdict: Verdict, provenance: Mapping[s
         ("calibration", inputs.get("calibration", {}).get("file", "none: by the noise of the sensor")),
     ]
     if result.placement is not None:
-        x, y, turn = placement_told(result.placement)
-        rows.append(("the part lies off its place by", f"{x} in x, {y} in y, turned by {turn}"))
+        place = placement_told(result.placement) or "cannot be determined; assumed as in the part file"
+        rows.append(("the part lies off its place by", place))
     for posture in result.postures:
         view = posture.view
         gains = ", ".join(f"{name} ×{view.photometry.gains[name]:.4f}" for name in view.lights)

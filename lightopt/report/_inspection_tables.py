@@ -103,9 +103,18 @@ def dark_told(verdict: Verdict) -> str:
     return f"; {percent(verdict.glints)} is dark and shows only glints" if verdict.glints > 0.0 else ""
 
 
-def placement_told(placement: Placement) -> tuple[str, str, str]:
-    """How far a part lies off its place in x, in y [mm] and turned [°], with signs."""
+def placement_told(placement: Placement) -> str:
+    """How far a part lies off its place, of what the images determine: in x, in y [mm] and turned [°], with signs."""
     told = placement.as_dict()
-    # adding 0 makes a nought of what is rounded to minus nought
-    x, y, turn = (f"{round(told[key], 3) + 0.0:+.3f}" for key in ("x_mm", "y_mm", "turn_deg"))
-    return f"{x} mm", f"{y} mm", f"{turn}°"
+    words = [
+        # adding 0 makes a nought of what is rounded to minus nought
+        form.format(f"{round(float(f'{told[key]}'), 3) + 0.0:+.3f}")
+        for key, form, seen in zip(
+            ("x_mm", "y_mm", "turn_deg"),
+            ("{} mm in x", "{} mm in y", "turned by {}°"),
+            placement.observable,
+            strict=True,
+        )
+        if seen
+    ]
+    return ", ".join(words)

@@ -27,7 +27,7 @@ def test_a_placement_is_known_well_enough_for_the_reflectance(tmp_path):
     scene = build_scene(tmp_path / "rig.yaml", tmp_path / "part.yaml")
     truth = Placement(x=0.8, y=-0.6, turn=math.radians(1.0))
     images = captured(place_part(scene, truth), exposures=(1.0, 1 / 16))
-    found = refine_placement(scene, images, truth, caster=cast_rays_at(scene))
+    found = refine_placement(scene, images, truth, caster=cast_rays_at(scene)).placement
 
     def fit(x, y, turn):
         placed = place_part(scene, Placement(x=x, y=y, turn=turn))

@@ -18,8 +18,9 @@ from lightopt import build_scene
 from lightopt.align import Placement, place_part
 from lightopt.errors import InputError
 from lightopt.fit import appraise, collect_samples, estimate
+from lightopt.fit._mismatch import refuse_other_images
 from lightopt.fit._quality import poor_fit
-from lightopt.fit._strangers import refuse_strangers
+from lightopt.fit._world import World
 from lightopt.rendering import cast_rays_at
 
 pytestmark = pytest.mark.slow
@@ -49,7 +50,9 @@ def judged(scene, images):
     samples = collect_samples(scene, images, caster=cast_rays_at(scene), budget=1500)
     found = estimate(samples)
     quality = appraise(samples, found)
-    return refuse_strangers(samples, found, quality), found, quality
+    world = World(None, scene, cast_rays_at(scene), images)  # the part file is for registered ones
+    refuse_other_images(world, samples, found, quality)
+    return found, quality
 
 
 def rolled(images, pixels, axis):
@@ -84,16 +87,14 @@ def test_a_part_that_lies_a_millimetre_off_is_refused(scene):
 
 def test_good_images_and_garbage_are_not_refused(scene):
     for garbage in (0.0, 0.05):
-        said, found, quality = judged(scene, captured(scene, exposures=TWO, garbage=garbage))
-        assert said == ()
+        found, quality = judged(scene, captured(scene, exposures=TWO, garbage=garbage))
         assert quality.poor == (garbage > 0.02)
         assert found.R_s == pytest.approx(12500.0, rel=0.01)
 
 
 def test_normals_guessed_from_facets_are_not_refused(folder, scene):
     coarse = build_scene(folder / "rig.yaml", folder / "stl.yaml")
-    said, _, quality = judged(coarse, captured(scene, exposures=TWO))
-    assert said == ()
+    _, quality = judged(coarse, captured(scene, exposures=TWO))
     assert quality.poor
 
 
@@ -106,8 +107,7 @@ def test_noise_that_the_rig_does_not_give_is_not_held_against_the_images(scene, 
     matte = replace(scene.reflectance, R_d=R_d, R_s=0.0)
     images = captured(noisy, reflectance=matte)
     silent = replace(scene, sensor=replace(scene.sensor, read_noise_levels=0.0, electrons_per_level=None))
-    said, found, quality = judged(silent, images)
-    assert said == ()
+    found, quality = judged(silent, images)
     assert not quality.poor
     assert quality.image_noise == pytest.approx(2.1, abs=0.4)
     text = " ".join(poor_fit(quality))

@@ -108,8 +108,9 @@ def test_a_part_nearly_in_the_same_place_is_found_without_a_search(first, shared
     near = first.nearby(nominal, observations)
     assert near is not None
     scene, place, off = near
-    assert place is PLACE
     x, y, turn = off * node_steps(scene)
+    assert (place.x - PLACE.x, place.y - PLACE.y, place.turn - PLACE.turn) == pytest.approx((x, y, turn))
+    assert 0.0 < max(place.errors[:2]) < 0.006
     assert (x, y) == pytest.approx((0.06, -0.04), abs=0.006)
     assert math.degrees(turn) == pytest.approx(0.05, abs=0.02)
 
@@ -119,6 +120,16 @@ def test_a_part_further_off_is_looked_for_anew(first, shared_bench, tmp_path, sh
     rig, part, images = images_of(shared_bench, tmp_path / "other", shift, seed=2)
     nominal, observations = good_part(rig, part, images, known=first.nominal)
     assert first.nearby(nominal, observations) is None
+
+
+def test_what_the_first_part_did_not_determine_stays(first, shared_bench, tmp_path):
+    rig, part, images = images_of(shared_bench, tmp_path / "second", (0.46, -0.34, 0.5), seed=2)
+    nominal, observations = good_part(rig, part, images, known=first.nominal)
+    first.placement = replace(PLACE, observable=(True, True, False))
+    near = first.nearby(nominal, observations)
+    assert near is not None
+    assert near[1].turn == PLACE.turn
+    assert near[1].x == pytest.approx(0.46, abs=0.01)
 
 
 def test_slopes_too_large_to_keep_are_not_rendered(first, shared_bench, tmp_path, monkeypatch):

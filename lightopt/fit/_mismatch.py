@@ -1,0 +1,221 @@
+"""Refuse images that do not show this part on this rig, and say what would fit better."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.align import FLIPS, Agreement, PoseFrame, agreement, place_part
+from lightopt.errors import InputError
+from lightopt.fit._estimate import Estimate
+from lightopt.fit._likelihood import predicted
+from lightopt.fit._quality import Quality
+from lightopt.fit._samples import Samples, collect_samples, thinned
+from lightopt.fit._search import estimate
+from lightopt.fit._world import World, find_part
+from lightopt.rendering import cast_rays_at
+
+__all__ = ["refuse_other_images"]
+
+Float64 = NDArray[np.float64]
+
+LEAST_SHIFT_PX = 0.5
+LEAST_EXPLAINED = 0.5
+"""A part is said to be displaced when moving it by half a pixel or more takes away half of the squared residual beyond
+the noise: a wrong reflectance is not blamed on the place."""
+
+LEAST_CERTAIN = 3.0
+"""And when the displacement is so many of its standard errors."""
+
+BUDGET = 250
+"""Pixels per octave, light and posture that are compared at both places."""
+
+LEVEL_CAP = 0.15
+"""Residuals count as at most this share of the sensor's full scale, dust and all."""
+
+LEAST_IMPROVEMENT = 1.0
+FLIP_BUDGET = 150
+MOST_LIGHTS = 8
+"""Lights are only exchanged with each other, in trials, where there are no more than these."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Displacement:
+    """Where else the part may lie.
+
+    Attributes
+    ----------
+    pixels, mm, turn
+        Shift of its middle, in the image [px] and on the stage [mm], and its turn [rad].
+    explains
+        Share of the mean squared residual beyond the noise that is gone with the part there.
+    """
+
+    pixels: float
+    mm: float
+    turn: float
+    explains: float
+
+
+def refuse_other_images(
+    world: World,
+    samples: Samples,
+    found: Estimate,
+    quality: Quality,
+    *,
+    threads: int | None = None,
+) -> None:
+    """Refuse images that do not show this part on this rig where its file has it.
+
+    Parameters
+    ----------
+    world
+        What was fitted to what.
+    samples, found, quality
+        The fit.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Raises
+    ------
+    InputError
+        With what would fit better: the part displaced, mirrored or turned images, exchanged lights.
+    """
+    if not quality.poor:
+        return
+    if world.registration is None:
+        shift = find_displacement(world, samples, found, quality, threads=threads)
+        if shift is not None and shift.explains > LEAST_EXPLAINED:
+            raise InputError(
+                "the images do not look like this part where its file has it: with the part shifted by "
+                f"{shift.pixels:.1f} px ({shift.mm:.2f} mm) and turned by {math.degrees(shift.turn):.1f}°, the model "
+                f"explains {100.0 * shift.explains:.0f} % of what the fit misses. Use --free shift, or correct the "
+                "part's placement or the camera"
+            )
+    own = _agreement(samples, found, threads)
+    if not own.foreign:
+        return
+    hint = _what_fits_better(samples, threads) or (
+        "check that rig, part, placement and postures are those of the images, or try --free shift where the part lies "
+        "a little off"
+    )
+    raise InputError(
+        f"the images do not look like this part on this rig: {100.0 * quality.epsilon:.0f} % of the pixels are "
+        f"unexplained, and the residual is {own.residual:.3g} sensor levels rms where noise makes {quality.floor:.2g} "
+        f"and the model {own.level:.3g}; {hint}"
+    )
+
+
+def find_displacement(
+    world: World,
+    samples: Samples,
+    found: Estimate,
+    quality: Quality,
+    *,
+    threads: int | None = None,
+) -> Displacement | None:
+    """Where else the part may lie, and how much of the residual that explains; None where the images do not tell.
+
+    The part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one. Parameters
+    as for :func:`refuse_other_images`.
+    """
+    registration = find_part(world.scene, world.observations, caster=world.caster, threads=threads)
+    frame, place = PoseFrame.of(world.scene), registration.placement
+    x, y, turn = frame.pose(place)
+    mm = math.hypot(x, y)
+    pixels = mm / frame.pixel
+    certain = (
+        mm > LEAST_CERTAIN * math.hypot(*place.errors[:2]) or abs(turn) > LEAST_CERTAIN * place.errors[2]
+    )
+    if not certain or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
+        return None
+    moved = place_part(world.scene, place)
+    there = collect_samples(
+        moved, world.observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads
+    )
+    again = estimate(there, threads=threads)
+    noise = quality.floor**2
+    before = _misfit(thinned(samples, BUDGET), found, threads) - noise
+    after = _misfit(there, again, threads) - noise
+    explains = 1.0 - after / before if before > 0.0 else 0.0
+    return Displacement(pixels=pixels, mm=mm, turn=abs(float(turn)), explains=min(explains, 1.0))
+
+
+def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Float64, Float64]:
+    # measured and predicted, clipped where the camera clips
+    top = samples.sensor.saturated_from
+    model = predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
+    return np.minimum(samples.level.astype(np.float64), top), np.clip(model, 0.0, top)
+
+
+def _misfit(samples: Samples, found: Estimate, threads: int | None) -> float:
+    level, model = _levels(samples, found, threads)
+    return float(np.mean(np.minimum(np.square(level - model), (LEVEL_CAP * samples.sensor.max_level) ** 2)))
+
+
+def _agreement(samples: Samples, found: Estimate, threads: int | None) -> Agreement:
+    level, model = _levels(samples, found, threads)
+    black = samples.sensor.black_level
+    frames = samples.facts.frames[samples.image]
+    noise = np.sqrt(samples.sensor.noise_variance(model - black, frames=frames))
+    return agreement(level - black, model - black, noise)
+
+
+def _what_fits_better(samples: Samples, threads: int | None) -> str | None:
+    # each fitted again: the reflectance that was fitted to flipped images is another one
+    few = thinned(samples, FLIP_BUDGET)
+    own = _value_per_pixel(few, threads)
+    better = {
+        f"{name}: {remedy}": _value_per_pixel(_flipped(few, flip), threads) - own
+        for name, (flip, remedy) in FLIPS.items()
+    }
+    swaps, gain = _swaps(few, own, threads)
+    if swaps:
+        exchanged = " and ".join(f"{a} and {b} exchanged" for a, b in swaps)
+        better[f"with {exchanged}: check which light is plugged in where"] = gain
+    name = max(better, key=lambda key: better[key])
+    return f"they fit far better {name}" if better[name] > LEAST_IMPROVEMENT else None
+
+
+def _value_per_pixel(samples: Samples, threads: int | None) -> float:
+    return estimate(samples, threads=threads).maximum.evaluation.value / len(samples.level)
+
+
+def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
+    levels = [image.levels[flip] for image in samples.images]
+    saturated = [image.saturated[flip] for image in samples.images]
+    return samples.remeasured(levels, saturated)
+
+
+def _swaps(samples: Samples, own: float, threads: int | None) -> tuple[list[tuple[str, str]], float]:
+    # pairs of lights whose images fit better exchanged, the best first, and what all of them gain
+    swaps: list[tuple[str, str]] = []
+    gain = 0.0
+    seen = {image.light for image in samples.images}
+    lights = [light for light in samples.lights if light in seen]
+    while 2 <= len(lights) <= MOST_LIGHTS:
+        values = {
+            pair: _value_per_pixel(_exchanged(samples, [*swaps, pair]), threads) - own
+            for pair in itertools.combinations(lights, 2)
+        }
+        best = max(values, key=lambda pair: values[pair])
+        if values[best] <= gain:
+            break
+        swaps.append(best)
+        gain = values[best]
+        lights = [light for light in lights if light not in best]
+    return swaps, gain
+
+
+def _exchanged(samples: Samples, pairs: list[tuple[str, str]]) -> Samples:
+    other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
+    by_key = {(image.light, image.posture, image.exposure): image for image in samples.images}
+    taken = [
+        by_key.get((other.get(image.light, image.light), image.posture, image.exposure), image)
+        for image in samples.images
+    ]
+    return samples.remeasured([image.levels for image in taken], [image.saturated for image in taken])
