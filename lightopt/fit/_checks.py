@@ -6,7 +6,7 @@ import math
 
 from lightopt.errors import InputError
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import R_D
+from lightopt.fit._criterion import R_D
 from lightopt.fit._samples import Samples
 
 __all__ = ["held_r_d", "refuse_no_highlight"]

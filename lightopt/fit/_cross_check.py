@@ -55,7 +55,7 @@ def evenly_lit_words(
     few = thinned(samples, BUDGET)
     even = evenly_lit(few, caster, threads=threads)
     points, panels = (estimate(some, freed=freed, held=held, threads=threads) for some in (few, even))
-    count = len(points.likelihood.samples.level)
+    count = len(few.level)
     ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
     moved = max(abs(math.log(panels.R_s / found.R_s)), abs(math.log(panels.sigma / found.sigma)))
     if ratio < LEAST_RATIO or moved < LEAST_DIFFERENCE:

@@ -16,7 +16,7 @@ from lightopt.fit._checks import held_r_d, refuse_no_highlight
 from lightopt.fit._cross_check import evenly_lit_words
 from lightopt.fit._estimate import Freed
 from lightopt.fit._highlights import LEAST_R_S, WIDENINGS, diffuse_only
-from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._paper import paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, poor_fit, words

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.fit._criterion import LOG_R_S, LOG_SIGMA
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, predicted
+from lightopt.fit._likelihood import predicted
+from lightopt.fit._noise import image_noise
 from lightopt.fit._samples import Samples
 
 __all__ = ["Quality", "appraise", "poor_fit", "words"]
@@ -82,7 +84,7 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
     frames = samples.facts.frames[samples.image[seen]]
     variance = sensor.noise_variance(mean[seen] - sensor.black_level, frames=frames)
     noise = math.sqrt(float(np.median(variance))) if seen.any() else 0.0
-    shown = _image_noise(samples)
+    shown = image_noise(samples)
     spread = float(np.var(level[seen])) - max(noise, shown) ** 2 if seen.any() else 0.0
     missed = float(np.mean(residual**2)) - max(noise, shown) ** 2 if seen.any() else 0.0
     return Quality(
@@ -145,25 +147,6 @@ def poor_fit(quality: Quality) -> tuple[str, ...]:
             "reason; intervals are widened for it, but do not hold what they promise"
         )
     return tuple(said)
-
-
-def _image_noise(samples: Samples) -> float:
-    # Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle
-    row = np.concatenate([group.row for group in samples.groups])[samples.sample]
-    column = np.concatenate([group.column for group in samples.groups])[samples.sample]
-    stack = np.stack([image.levels for image in samples.images])
-    height, width = stack.shape[1:]
-    use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
-    use &= (samples.diffuse[samples.sample] > 0.0) & (samples.level > 0.0) & ~samples.saturated
-    image, row, column = samples.image[use], row[use], column[use]
-    if not len(row):
-        return 0.0
-    response = np.zeros(len(row))
-    for y, x, factor in (*((y, x, 1.0) for y in (-1, 1) for x in (-1, 1)), (0, 0, 4.0)):
-        response += factor * stack[image, row + y, column + x]
-    for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        response -= 2.0 * stack[image, row + y, column + x]
-    return 1.4826 * float(np.median(np.abs(response))) / 6.0
 
 
 def _rms(values: NDArray[np.float64]) -> float:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from lightopt.align import Placement, PlacementInFile
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._paper import PaperDiffuse, PaperSpecular
 from lightopt.fit._profile import profile_interval
 from lightopt.fit._quality import Quality

@@ -101,7 +101,7 @@ def _shifted(shift: ImageShift) -> str:
 
 
 def _value_per_pixel(samples: Samples, threads: int | None) -> float:
-    return estimate(samples, threads=threads).maximum.evaluation.value / len(samples.level)
+    return estimate(samples, threads=threads).mean_log_likelihood
 
 
 def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
