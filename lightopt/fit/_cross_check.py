@@ -98,7 +98,7 @@ def paper_words(
     few = thinned(samples, BUDGET)
     whole = estimate(few, freed=Freed(), threads=threads)
     quality = appraise(few, whole)
-    said = [*refuse_strangers(few, whole, quality, threads=threads), *poor_fit(quality)]
+    said = [*refuse_strangers(few, whole, quality, threads=threads), *poor_fit(whole, quality)]
     pairs = [("R_d", R_d, whole.R_d)]
     if specular is not None:
         pairs += [("R_s", specular[0], whole.R_s), ("σ", specular[1], whole.sigma)]

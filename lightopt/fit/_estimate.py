@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,12 @@ from lightopt.fit._criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion
 from lightopt.fit._lack_of_fit import LackOfFit
 from lightopt.fit._maximise import Maximum
 
-__all__ = ["CHI2_95", "Estimate", "Freed", "Optimum", "ScanPoint"]
+__all__ = ["CHI2_95", "Estimate", "Freed", "Interval", "Optimum", "ScanPoint"]
 
 Float64 = NDArray[np.float64]
+
+Interval = tuple[float | None, float | None]
+"""95 %; None for an end that the images do not bound."""
 
 CHI2_95 = 3.841458820694124
 """95 % quantile of χ² with one degree of freedom: twice the log-likelihood may fall by this (Wilks 1938)."""
@@ -84,6 +88,13 @@ class Optimum:
     R_s: float
     value: float
     converged: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            name: value if isinstance(value, bool) else float(f"{value:.8g}")
+            for name, value in vars(self).items()
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,6 +27,7 @@ LEAST_PIXELS = 200
 
 LEAST_R_S = 1e-3
 
+
 def diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
     """The observations that a lobe wider than the one found leaves dark, and how much wider it was taken.
 

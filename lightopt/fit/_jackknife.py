@@ -63,9 +63,7 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     numbers = np.unique(label)
     count = len(numbers)
     index = list(free)
-    found = np.array(
-        [maximise(criterion.without(label == number), x, free).x[index] for number in numbers]
-    )
+    found = np.array([maximise(criterion.without(label == number), x, free).x[index] for number in numbers])
     off = found - found.mean(axis=0)
     return Jackknife(
         covariance=(count - 1.0) / count * off.T @ off,
@@ -80,11 +78,13 @@ def _groups(samples: Samples) -> tuple[NDArray[np.intp], str]:
     light = samples.facts.light[samples.image].astype(np.intp)
     postures = list(dict.fromkeys(image.posture for image in samples.images))
     posture = np.array([postures.index(image.posture) for image in samples.images])[samples.image]
-    for label, of in (
+    number, count, of = light, 0, ""
+    for label, what in (
         (light, "lights"),
         (light * len(postures) + posture, "lights and postures"),
         (samples.block[samples.sample].astype(np.intp), "pieces of the images"),
     ):
+        of = what
         _, number = np.unique(label, return_inverse=True)
         count = int(number.max(initial=0)) + 1
         if count >= LEAST_GROUPS:

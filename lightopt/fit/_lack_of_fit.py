@@ -43,7 +43,7 @@ class LackOfFit:
     Attributes
     ----------
     ratio
-        Residual over noise, both rms over the lit pixels of the images.
+        Residual over noise, both rms over the lit pixels of the images of one exposure; that of the worst exposure.
     dust
         Share of the observations that were left out as dust.
     """
@@ -106,8 +106,11 @@ def measure_lack_of_fit(criterion: LeastSquares, x: Float64, *, dust: float) -> 
     signal = np.minimum(mean, top) - sensor.black_level - x[DARK]
     variance = sensor.noise_variance(signal, frames=s.facts.frames[s.image])
     variance = np.maximum(variance, image_noise(s) ** 2)
-    weight = criterion.weight[seen]
-    ratio = math.sqrt(float(weight @ residual[seen] ** 2) / float(weight @ variance[seen]))
+    exposure = np.unique(s.facts.factor, return_inverse=True)[1][s.image]
+    weight = criterion.weight * seen
+    squares = np.bincount(exposure, weights=weight * residual**2)
+    floors = np.bincount(exposure, weights=weight * variance)
+    ratio = math.sqrt(float(np.max(squares[floors > 0.0] / floors[floors > 0.0])))
     return LackOfFit(ratio=ratio, dust=dust)
 
 

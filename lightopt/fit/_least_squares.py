@@ -23,7 +23,7 @@ __all__ = ["LeastSquares", "SpecularTable"]
 Float64 = NDArray[np.float64]
 
 LEAST_SIGMA, MOST_SIGMA = 0.0007, 0.3
-"""Widths of lobes that are tried [rad]: somewhat beyond the range of the paper, so that an edge of it is seen as one."""
+"""Widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one."""
 
 NODES = 121
 WINDOW = 5

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._estimate import Estimate
 from lightopt.fit._criterion import LOG_SIGMA, R_D
+from lightopt.fit._estimate import Estimate
 from lightopt.fit._maximise import maximise
 
 __all__ = ["fall", "profile_interval"]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.fit._criterion import LOG_R_S, LOG_SIGMA
-from lightopt.fit._estimate import Estimate
+from lightopt.fit._estimate import Estimate, Interval
 from lightopt.fit._likelihood import predicted
 from lightopt.fit._noise import image_noise
 from lightopt.fit._samples import Samples
@@ -22,6 +22,10 @@ MORE_NOISE = 1.5
 """Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are worth a word."""
 
 WIDE_INTERVAL = 0.02
+REASONS = (
+    "Possible reasons: another shape of the lobe or of the diffuse reflection, dirt, the mesh's normals, the part's "
+    "place (--free shift), a light's gain (--free gain), the dark level (--free dark), the number of points of the panels"
+)
 STRONG_CORRELATION = 0.95
 
 
@@ -48,6 +52,11 @@ class Quality:
         Deviation beside the sensor's noise [sensor level].
     saturated
         Share of the observations that are saturated.
+    misfit
+        Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not looked at.
+    describes
+        Whether the model describes the images within that: else values are those of least squares, and intervals come
+        from the scatter between lights.
     """
 
     rms: float
@@ -58,6 +67,8 @@ class Quality:
     epsilon: float
     tau: float
     saturated: float
+    misfit: float = 0.0
+    describes: bool = True
 
     @property
     def floor(self) -> float:
@@ -69,9 +80,12 @@ class Quality:
         """Whether the model describes the images badly."""
         return self.epsilon > POOR_EPSILON or self.typical > POOR_NOISE * self.floor
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, float | bool]:
         """JSON form."""
-        return {name: float(f"{value:.6g}") for name, value in vars(self).items()}
+        return {
+            name: value if isinstance(value, bool) else float(f"{value:.6g}")
+            for name, value in vars(self).items()
+        }
 
 
 def appraise(samples: Samples, found: Estimate) -> Quality:
@@ -96,29 +110,33 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
         epsilon=found.unexplained,
         tau=found.tau,
         saturated=float(np.mean(samples.saturated)),
+        misfit=0.0 if found.lack_of_fit is None else found.lack_of_fit.ratio,
+        describes=found.describes,
     )
 
 
-def words(
-    found: Estimate, quality: Quality, lowest: float, highest: float, *, shorter: bool
-) -> tuple[str, ...]:
+def words(found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool) -> tuple[str, ...]:
     """What a person should know about a fit of R_s and σ beside its numbers.
 
     Parameters
     ----------
     found, quality
         The fit.
-    lowest, highest
-        95 % interval of R_s [grey level].
+    interval
+        95 % of R_s [grey level].
     shorter
         Whether the images have more than one exposure already.
     """
-    said: list[str] = list(poor_fit(quality))
+    said: list[str] = list(poor_fit(found, quality))
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
-        width = math.log(max(highest, 1e-9) / max(lowest, 1e-9))
+        low, high = interval or (found.R_s, found.R_s)
+        width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
         correlation = found.correlation(LOG_R_S, LOG_SIGMA)
-        if abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL:
-            what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
+        what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
+        if math.isinf(width):
+            side = "upper" if high is None else "lower"
+            said.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
+        elif abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL and found.describes:
             said.append(
                 f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s known to "
                 f"±{50.0 * width:.1f} %): add {what}"
@@ -130,7 +148,7 @@ def words(
     return tuple(said)
 
 
-def poor_fit(quality: Quality) -> tuple[str, ...]:
+def poor_fit(found: Estimate, quality: Quality) -> tuple[str, ...]:
     """What to say where the model does not describe the images, or the rig file their noise."""
     said: list[str] = []
     if quality.image_noise > MORE_NOISE * quality.noise:
@@ -138,13 +156,16 @@ def poor_fit(quality: Quality) -> tuple[str, ...]:
             f"the images show about {quality.image_noise:.2g} sensor levels of noise, the rig file's figures make "
             f"{quality.noise:.2g}: give read_noise_levels and electrons_per_level of the sensor"
         )
-    if quality.poor:
+    if not quality.describes:
+        said.append(
+            f"the model describes these images badly: its best fit leaves {quality.misfit:.1f} times the noise "
+            f"({quality.rms:.3g} sensor levels rms). The values are those of least squares over all pixels, which "
+            f"predict such images best, and the intervals come from the scatter between {found.scatter}. {REASONS}"
+        )
+    elif quality.poor:
         said.append(
             f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are unexplained, "
-            f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. Dirt on "
-            "the part, the mesh's normals, the part's place (--free shift), a light's gain (--free gain), the dark "
-            "level (--free dark), the number of points of the panels or a lobe that is not a Gaussian may be the "
-            "reason; intervals are widened for it, but do not hold what they promise"
+            f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. {REASONS}"
         )
     return tuple(said)
 

@@ -1,4 +1,4 @@
-"""The best of all other parameters at each of a row of σ, from several starts: no optimum is missed for another's basin."""
+"""The profile over σ: the best of all other parameters at each of a row of σ, from several starts."""
 
 from __future__ import annotations
 
@@ -71,9 +71,7 @@ def peaks(profile: Sequence[Maximum]) -> list[Maximum]:
 
 
 def _best(criterion: Criterion, starts: Sequence[Float64], fixed: Sequence[int]) -> Maximum:
-    found = [
-        maximise(criterion, x, fixed, most_steps=SCAN_STEPS, tolerance=SCAN_TOLERANCE) for x in starts
-    ]
+    found = [maximise(criterion, x, fixed, most_steps=SCAN_STEPS, tolerance=SCAN_TOLERANCE) for x in starts]
     return max(found, key=lambda one: one.evaluation.value)
 
 

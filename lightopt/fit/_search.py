@@ -153,11 +153,11 @@ def estimate(
     )
     if squares.lack_of_fit.significant:
         report("refining", 0.5)
-        return _by_least_squares(samples, few, squares, free, threads)
+        return _by_least_squares(samples, squares, free, threads)
     found = _by_likelihood(samples, few, row, columns, starts, squares, free, threads, report)
     ratio = squares.criterion.mean_square(found.x) / squares.criterion.mean_square(squares.best.x)
     if ratio > WORSE_PREDICTION**2:
-        return _by_least_squares(samples, few, squares, free, threads)
+        return _by_least_squares(samples, squares, free, threads)
     return found
 
 
@@ -226,9 +226,7 @@ def _least_squares(
     return _Squares(criterion, profile, climbs, lack)
 
 
-def _climbed(
-    profile: Sequence[Maximum], climb: Callable[[Float64], Maximum]
-) -> list[tuple[float, Maximum]]:
+def _climbed(profile: Sequence[Maximum], climb: Callable[[Float64], Maximum]) -> list[tuple[float, Maximum]]:
     # from each peak of a profile to its top; σ of the peak and the top, the best first
     tops: list[tuple[float, Maximum]] = []
     for peak in peaks(profile)[:MOST_PEAKS]:
@@ -239,7 +237,7 @@ def _climbed(
 
 
 def _by_least_squares(
-    samples: Samples, few: Samples, squares: _Squares, free: Sequence[int], threads: int | None
+    samples: Samples, squares: _Squares, free: Sequence[int], threads: int | None
 ) -> Estimate:
     best, criterion = squares.best, squares.criterion
     plain = tuple(free[:-2])
@@ -363,7 +361,9 @@ def _profile_on_samples(
 
     def best_at(some: Samples, x: Float64) -> Maximum:
         light = some.specular(math.exp(x[LOG_SIGMA]), threads=threads)
-        return maximise(Likelihood(some, x[LOG_SIGMA : LOG_SIGMA + 1], light[:, None], threads=threads), x, fixed)
+        return maximise(
+            Likelihood(some, x[LOG_SIGMA : LOG_SIGMA + 1], light[:, None], threads=threads), x, fixed
+        )
 
     here = best_at(few, final.maximum.x)
     value = here.evaluation.value
@@ -440,9 +440,7 @@ def _places(samples: Samples, freed: Freed) -> list[int]:
     return [*places, size - 2, size - 1]
 
 
-def _climb(
-    samples: Samples, x: Float64, free: Sequence[int], width: float, threads: int | None
-) -> _Climbed:
+def _climb(samples: Samples, x: Float64, free: Sequence[int], width: float, threads: int | None) -> _Climbed:
     # the specular light is tabulated around σ; where the climb leaves the table, around the place that it left for
     moves = 0
     while True:

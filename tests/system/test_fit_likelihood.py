@@ -129,5 +129,5 @@ def test_normals_guessed_from_facets_are_noticed(world, tmp_path):
     print(f"interval of R_s {low:+.2%} to {high:+.2%}, unexplained {quality.epsilon:.1%}")
     assert_recovers(found, TRUTH, R_d=0.01, R_s=0.05, sigma=0.01)
     assert quality.epsilon > 0.02
-    assert any("describes these images badly" in text for text in poor_fit(quality))
+    assert any("describes these images badly" in text for text in poor_fit(found, quality))
     assert high - low > 0.02
