@@ -49,14 +49,14 @@ def refuse_out_of_range(found: Estimate) -> None:
     if found.sigma < low * EDGE:
         raise InputError(
             f"σ: the best fit is at {found.sigma:.3g} rad, at or below the lower end {low:g} of the range: the "
-            "highlights are as sharp as mirror images of the panels, and nothing tells how much sharper. Check the panels' sizes, "
-            "the part's shape and its place, or add images at a shorter exposure"
+            "highlights are as sharp as mirror images of the panels, and nothing tells how much sharper. Check the "
+            "panels' sizes, the part's shape and its place, or add images at a shorter exposure"
         )
     if found.sigma > high / EDGE:
         raise InputError(
             f"σ: the best fit is at {found.sigma:.3g} rad, at or beyond the upper end {high:g} of the range: the "
-            "images show no highlight, or a haze that the model has no lobe for. Add images under lights that the surface "
-            "mirrors into the camera, and check the part's shape and its place"
+            "images show no highlight, or a haze that the model has no lobe for. Add images under lights that the "
+            "surface mirrors into the camera, and check the part's shape and its place"
         )
     if found.R_s > MOST_R_S:
         raise InputError(

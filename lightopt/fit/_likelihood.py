@@ -98,8 +98,11 @@ class Likelihood:
 
     @property
     def sigma_range(self) -> tuple[float, float]:
-        """Values of ln σ for which it can be evaluated: all, though it is only exact near the columns."""
-        return -math.inf, math.inf
+        """Values of ln σ for which it can be evaluated: up to half the columns' span beyond them; any for one column."""
+        if len(self.log_sigmas) == 1:
+            return -math.inf, math.inf
+        low, high = float(self.log_sigmas[0]), float(self.log_sigmas[-1])
+        return low - 0.5 * (high - low), high + 0.5 * (high - low)
 
     def specular_weights(self, log_sigma: float) -> tuple[Float64, Float64]:
         """Weights of the columns for the light at ln σ, and for its derivative by ln σ; each of shape (m,)."""

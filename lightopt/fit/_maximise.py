@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightopt.fit._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion, Evaluation
 
-__all__ = ["Maximum", "bounds", "maximise"]
+__all__ = ["Maximum", "bounds", "maximise", "newton_step"]
 
 Float64 = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def maximise(
             converged = True
             break
         gradient = here.gradient[moving]
-        step = _newton_step(here, moving, damping)
+        step = newton_step(here, moving, damping)
         # a step that is damped promises little because it is short
         if float(gradient @ step) < tolerance and (
             damping <= FREE_DAMPING or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
@@ -146,12 +146,14 @@ def _movable(
     return index[~stuck]
 
 
-def _newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> Float64:
+def newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> Float64:
+    """Step of the parameters at `moving`; a damping of 1 halves it, or shortens it more along a ridge."""
     matrix = here.curvature[np.ix_(moving, moving)]
     diagonal = np.maximum(np.diag(matrix), 1e-9)
-    return np.linalg.solve(matrix + np.diag(damping * diagonal), here.gradient[moving])
+    step: Float64 = np.linalg.solve(matrix + np.diag(damping * diagonal), here.gradient[moving])
+    return step
 
 
 def _promise(here: Evaluation, moving: NDArray[np.intp]) -> float:
     # what a step that is hardly damped promises [nat]
-    return float(here.gradient[moving] @ _newton_step(here, moving, 1e-6))
+    return float(here.gradient[moving] @ newton_step(here, moving, 1e-6))

@@ -24,7 +24,8 @@ MORE_NOISE = 1.5
 WIDE_INTERVAL = 0.02
 REASONS = (
     "Possible reasons: another shape of the lobe or of the diffuse reflection, dirt, the mesh's normals, the part's "
-    "place (--free shift), a light's gain (--free gain), the dark level (--free dark), the number of points of the panels"
+    "place (--free shift), a light's gain (--free gain), the dark level (--free dark), the number of points of the "
+    "panels"
 )
 STRONG_CORRELATION = 0.95
 

@@ -20,7 +20,7 @@ from lightopt.fit._jackknife import leave_groups_out
 from lightopt.fit._lack_of_fit import LackOfFit, find_dust, measure_lack_of_fit
 from lightopt.fit._least_squares import LeastSquares, SpecularTable
 from lightopt.fit._likelihood import Likelihood, predicted
-from lightopt.fit._maximise import Maximum, maximise
+from lightopt.fit._maximise import Maximum, maximise, newton_step
 from lightopt.fit._profile import fall
 from lightopt.fit._samples import Samples, thinned
 from lightopt.fit._scan import peaks, profile_over_sigma
@@ -54,13 +54,16 @@ CLOSE_CALL = 20.0
 
 MOST_RESTARTS = 3
 
+SETTLED = 0.1
+"""Least squares have converged where no parameter has a step left of more than this share of its standard error."""
+
 HELD_SIGMA = 0.05
 """Width of a lobe that is not fitted and not said."""
 
-TABLE_NODES = 5
+TABLE_NODES, WIDE_TABLE_NODES = 5, 9
 MOST_TABLES = 8
-WIDEST_TABLE = 0.06
-NARROWEST_TABLE = 0.003
+USUAL_TABLE = 0.06
+NARROWEST_TABLE, WIDEST_TABLE = 0.003, 0.24
 TABLE_DEVIATIONS, TABLE_INTERVALS = 6.0, 3.0
 """The likelihood's specular light is tabulated at ln σ this many standard errors around the estimate, without and with
 what the model gets wrong, so that it is a smooth function of σ whatever quadrature is behind it."""
@@ -82,7 +85,7 @@ class _Climbed:
     def width(self) -> float:
         """That a table around this maximum should have."""
         if LOG_SIGMA not in self.free:
-            return WIDEST_TABLE
+            return USUAL_TABLE
         i = self.free.index(LOG_SIGMA)
         error = math.sqrt(self.covariance[i, i])
         wanted = error * max(TABLE_DEVIATIONS, TABLE_INTERVALS * math.sqrt(self.inflation[i]))
@@ -180,7 +183,7 @@ def refine(
     size = start.criterion.size
     free = tuple(p for p in start.free if not only_reflectance or p < DARK or p >= size - 2)
     if start.describes:
-        return _of_likelihood(_climb(samples, start.x, free, WIDEST_TABLE, threads), start.scan)
+        return _of_likelihood(_climb(samples, start.x, free, USUAL_TABLE, threads), start.scan)
     criterion = LeastSquares(samples, SpecularTable(samples, threads=threads), threads=threads)
     criterion = criterion.without(find_dust(samples, predicted(samples, criterion.light(start.x), start.x)))
     return replace(start, x=maximise(criterion, start.x, free).x, free=free, criterion=criterion)
@@ -248,6 +251,11 @@ def _by_least_squares(
     scale = errors / np.sqrt(np.maximum(np.diag(scatter.covariance), 1e-300))
     covariance = scatter.covariance * np.outer(scale, scale)
     np.fill_diagonal(covariance, errors**2)
+    if not best.converged:
+        # a clipped level bends the criterion at single pixels: what counts is the step that is left, in standard errors
+        moving = np.array([place for place in plain if place != R_D or best.x[R_D] > 0.0])
+        left = np.abs(newton_step(best.evaluation, moving, 1e-6)) / errors[np.isin(plain, moving)]
+        best = replace(best, converged=bool(np.all(left < SETTLED)))
     # the noise that the likelihood would see around this reflectance, for figures that are compared
     log_sigma = np.array([best.x[LOG_SIGMA]])
     light = samples.specular(math.exp(log_sigma[0]), threads=threads)
@@ -262,7 +270,7 @@ def _by_least_squares(
         criterion=criterion,
         maximum=best,
         scan=_scan_points(squares.profile, best),
-        optima=_optima(squares.climbs),
+        optima=_optima([(squares.climbs[0][0], best), *squares.climbs[1:]]),
         mean_log_likelihood=noise.evaluation.value / max(1, len(samples.sample)),
         unexplained=_share(noise.x),
         lack_of_fit=squares.lack_of_fit,
@@ -311,7 +319,7 @@ def _by_likelihood(
     coarse: dict[int, _Climbed] = {}
 
     def climb(x: Float64) -> Maximum:
-        climbed = _climb(few, x, free, WIDEST_TABLE, threads)
+        climbed = _climb(few, x, free, USUAL_TABLE, threads)
         coarse[id(climbed.maximum)] = climbed
         return climbed.maximum
 
@@ -327,7 +335,7 @@ def _by_likelihood(
     for _ in range(MOST_RESTARTS):
         if better is None:
             break
-        final = _final(samples, _climb(few, better, free, WIDEST_TABLE, threads), threads, start=better)
+        final = _final(samples, _climb(few, better, free, USUAL_TABLE, threads), threads, start=better)
         found = _of_likelihood(final, ())
         scan, better = _profile_on_samples(samples, few, profile, final, threads)
     report("refining", 1.0)
@@ -444,7 +452,8 @@ def _climb(samples: Samples, x: Float64, free: Sequence[int], width: float, thre
     # the specular light is tabulated around σ; where the climb leaves the table, around the place that it left for
     moves = 0
     while True:
-        offsets = width * np.linspace(-1.0, 1.0, TABLE_NODES) if LOG_SIGMA in free else np.zeros(1)
+        count = TABLE_NODES if width <= USUAL_TABLE else WIDE_TABLE_NODES
+        offsets = width * np.linspace(-1.0, 1.0, count) if LOG_SIGMA in free else np.zeros(1)
         nodes = x[LOG_SIGMA] + offsets
         table = np.stack([samples.specular(math.exp(node), threads=threads) for node in nodes], axis=1)
         likelihood = Likelihood(samples, nodes, table, threads=threads)
