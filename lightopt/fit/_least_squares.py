@@ -32,7 +32,7 @@ WINDOW = 5
 LEAST_MEAN_SQUARE = 1.0 / 12.0
 """That of rounding to whole levels: no model can be nearer."""
 
-_PIECE = 16_384
+_PIECE = 65_536
 
 
 class SpecularTable:

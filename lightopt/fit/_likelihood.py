@@ -98,7 +98,7 @@ class Likelihood:
 
     @property
     def sigma_range(self) -> tuple[float, float]:
-        """Values of ln σ for which it can be evaluated: up to half the columns' span beyond them; any for one column."""
+        """Values of ln σ for which it can be evaluated: half the columns' span beyond them, any for one."""
         if len(self.log_sigmas) == 1:
             return -math.inf, math.inf
         low, high = float(self.log_sigmas[0]), float(self.log_sigmas[-1])

@@ -25,6 +25,7 @@ def profile_over_sigma(
     log_sigmas: Sequence[float],
     free: Sequence[int],
     *,
+    neighbours: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> list[Maximum]:
     """The best fit at each σ, from its own starts and from the best at its neighbours on both sides.
@@ -39,6 +40,8 @@ def profile_over_sigma(
         ln σ, ascending.
     free
         Places of the parameters that are fitted; σ is not, whether or not it is among them.
+    neighbours
+        Whether to start from the neighbours as well.
     progress
         Called with the share that is done.
     """
@@ -47,12 +50,12 @@ def profile_over_sigma(
     best: list[Maximum] = []
     for number, criterion in enumerate(criteria):
         starts = [*starts_at(number, criterion)]
-        if best:
+        if best and neighbours:
             starts.append(_moved(best[-1].x, log_sigmas[number]))
         best.append(_best(criterion, starts, fixed))
         if progress is not None:
             progress((number + 1) / len(criteria))
-    for number in range(len(criteria) - 2, -1, -1):
+    for number in range(len(criteria) - 2, -1, -1) if neighbours else ():
         start = _moved(best[number + 1].x, log_sigmas[number])
         other = _best(criteria[number], [start], fixed)
         best[number] = max(best[number], other, key=lambda one: one.evaluation.value)

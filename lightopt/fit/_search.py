@@ -34,7 +34,8 @@ Progress = Callable[[str, float], None]
 """Called with what is going on and the share of it that is done, 0 to 1."""
 
 SCAN_SAMPLES = 50_000
-"""Pixels of the scan over σ, in all."""
+LIKELIHOOD_SHARE = 4
+"""Pixels of the scan over σ, in all, and by how much fewer the likelihood scans: it starts where least squares end."""
 
 SCAN_STRIDE = 5
 """The scan looks at each fifth node of the specular table: 25 σ, each 1.29 times the one before."""
@@ -104,6 +105,11 @@ class _Squares:
     def best(self) -> Maximum:
         return self.climbs[0][1]
 
+    def mean_square(self, number: int) -> float:
+        # of the profile at one of its σ [sensor level²], from the value of the criterion
+        count = max(1, len(self.criterion.samples.sample))
+        return math.exp(-2.0 * self.profile[number].evaluation.value / count - 1.0) / (2.0 * math.pi)
+
 
 def estimate(
     samples: Samples,
@@ -135,7 +141,8 @@ def estimate(
     """
     report = progress or (lambda _stage, _share: None)
     freed = freed or Freed()
-    few = thinned(samples, max(50, SCAN_SAMPLES // (8 * len(samples.groups))))
+    budget = max(50, SCAN_SAMPLES // (8 * len(samples.groups)))
+    few = thinned(samples, budget)
     free = _places(samples, freed)
     guess = first_guess(few)
     r_d = guess if freed.diffuse or held is None else float(held[0])
@@ -157,7 +164,8 @@ def estimate(
     if squares.lack_of_fit.significant:
         report("refining", 0.5)
         return _by_least_squares(samples, squares, free, threads)
-    found = _by_likelihood(samples, few, row, columns, starts, squares, free, threads, report)
+    fewer = thinned(few, max(50, budget // LIKELIHOOD_SHARE))
+    found = _by_likelihood(samples, fewer, row, starts, squares, free, threads, report)
     ratio = squares.criterion.mean_square(found.x) / squares.criterion.mean_square(squares.best.x)
     if ratio > WORSE_PREDICTION**2:
         return _by_least_squares(samples, squares, free, threads)
@@ -292,28 +300,30 @@ def _by_likelihood(
     samples: Samples,
     few: Samples,
     row: Sequence[float],
-    columns: Sequence[Float64],
     starts: Sequence[Float64],
     squares: _Squares,
     free: Sequence[int],
     threads: int | None,
     report: Progress,
 ) -> Estimate:
-    by_sigma = {
-        at: Likelihood(few, np.array([at]), column[:, None], threads=threads)
-        for at, column in zip(row, columns, strict=True)
-    }
+    def criterion_at(at: float) -> Likelihood:
+        light = few.specular(math.exp(at), threads=threads)
+        return Likelihood(few, np.array([at]), light[:, None], threads=threads)
 
     def starts_at(number: int) -> list[Float64]:
-        other = starts[number].copy()
-        other[:-2] = squares.profile[number].x[:-2]
-        return [starts[number], other]
+        # what least squares leave at this σ, and the usual start with its wide shoulders
+        at = squares.profile[number].x
+        other = at.copy()
+        other[-2] = math.log(squares.mean_square(number))
+        other[-1] = starts[number][-1]
+        return [other, starts[number]]
 
     profile = profile_over_sigma(
-        by_sigma.__getitem__,
+        criterion_at,
         lambda number, _: starts_at(number),
         row,
         free,
+        neighbours=False,
         progress=lambda share: report("scanning σ", 0.5 + 0.5 * share),
     )
     coarse: dict[int, _Climbed] = {}
