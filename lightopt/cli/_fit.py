@@ -10,10 +10,18 @@ import typer
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, make_folder, parse_points
 from lightopt.cli._terminal import say, say_warning, show_share, show_table
-from lightopt.errors import InputError
+from lightopt.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
-    from lightopt.fit import FitFolder, FitOptions, FitResult, FittedValue, PaperOptions
+    from lightopt.fit import (
+        FitFolder,
+        FitOptions,
+        FitResult,
+        FittedValue,
+        Interval,
+        MeasuredNoise,
+        PaperOptions,
+    )
 
 __all__ = ["fit_diffuse", "fit_specular"]
 
@@ -33,6 +41,14 @@ Free = Annotated[
 ]
 Pixels = Annotated[
     int, typer.Option(metavar="N", help="About how many pixels to look at, over all images. [1500000]")
+]
+WriteNoise = Annotated[
+    bool,
+    typer.Option("--write-noise", help="Write the noise that the images show into rig.fitted.yaml."),
+]
+AllowUnconverged = Annotated[
+    bool,
+    typer.Option("--allow-unconverged", help="Exit with 0 even where the optimiser did not converge."),
 ]
 Threads = Annotated[
     int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
@@ -60,6 +76,8 @@ def fit_diffuse(
         float,
         typer.Option(metavar="DEG", help="Paper: diffuse only this far from mirroring a panel, in normals."),
     ] = 20.0,
+    write_noise: WriteNoise = False,
+    allow_unconverged: AllowUnconverged = False,
     threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -74,7 +92,23 @@ def fit_diffuse(
     from lightopt.fit import PaperOptions
 
     paper = PaperOptions(lambda_d=lambda_d, R_d_start=start, away=math.radians(away))
-    _run("diffuse", rig, part, images, out, method, free, points, pixels, paper, threads, force, quiet)
+    _run(
+        "diffuse",
+        rig,
+        part,
+        images,
+        out,
+        method,
+        free,
+        points,
+        pixels,
+        paper,
+        threads,
+        force,
+        quiet,
+        write_noise=write_noise,
+        allow_unconverged=allow_unconverged,
+    )
 
 
 def fit_specular(
@@ -106,6 +140,8 @@ def fit_specular(
     sigma_step: Annotated[float, typer.Option(metavar="RAD", help="Paper's σ_step.")] = 0.0025,
     sigma_start: Annotated[float, typer.Option(metavar="RAD", help="Paper's starting σ.")] = 0.01,
     start: Annotated[float, typer.Option(metavar="LEVEL", help="Paper's starting R_s.")] = 255.0,
+    write_noise: WriteNoise = False,
+    allow_unconverged: AllowUnconverged = False,
     threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -142,6 +178,8 @@ def fit_specular(
         quiet,
         joint=joint,
         validate=not no_validation,
+        write_noise=write_noise,
+        allow_unconverged=allow_unconverged,
     )
 
 
@@ -162,11 +200,13 @@ def _run(
     *,
     joint: bool = False,
     validate: bool = True,
+    write_noise: bool,
+    allow_unconverged: bool,
 ) -> None:
     from lightopt import fit
     from lightopt.images import read_image_set
 
-    options = _options(kind, method, free, points, pixels, paper, threads, joint, validate)
+    options = _options(kind, method, free, points, pixels, paper, threads, joint, validate, write_noise)
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
     image_set = read_image_set(images)
@@ -191,11 +231,14 @@ def _run(
     written = folder.write(result, loaded_rig, loaded_part)
     for text in result.words:
         say_warning(text)
-    if quiet:
-        return
-    _show(result)
-    for path in (*written, *([chart] if chart else [])):
-        say(f"{path}")
+    if not quiet:
+        _show(result)
+        for path in (*written, *([chart] if chart else [])):
+            say(f"{path}")
+    if not result.converged and not allow_unconverged:
+        raise CheckFailed(
+            "the fit did not converge; its files are written all the same. --allow-unconverged takes it as it is"
+        )
 
 
 def _options(
@@ -208,6 +251,7 @@ def _options(
     threads: int | None,
     joint: bool,
     validate: bool,
+    write_noise: bool,
 ) -> FitOptions:
     from lightopt.config import points_problem
     from lightopt.fit import OPTION_NAMES, FitOptions, PaperOptions
@@ -235,6 +279,8 @@ def _options(
         problems += [f"{name}: belongs to --method paper, which was not asked for" for name in changed]
     if method == "paper" and (free or joint):
         problems.append("--method paper: takes neither --free nor --joint")
+    if method == "paper" and write_noise:
+        problems.append("--method paper: knows no noise, so that --write-noise has nothing to write")
     if problems:
         raise InputError(*problems)
     return FitOptions(
@@ -246,6 +292,7 @@ def _options(
         points=chosen,
         pixels=pixels,
         validate=validate,
+        write_noise=write_noise,
         paper=paper,
         threads=threads,
     )
@@ -276,7 +323,7 @@ def _show(result: FitResult) -> None:
     for value in result.values:
         held = "as in the file" if value.name not in (*result.fitted, "half_angle_rad") else ""
         error = f"{value.standard_error:.2g}" if value.standard_error else ""
-        interval = "" if value.interval is None else "{:.6g} to {:.6g}".format(*value.interval)
+        interval = "" if value.interval is None else _in_words(value.interval)
         rows.append([value.name, f"{value.value:.6g}", error, interval or held])
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
@@ -292,6 +339,8 @@ def _show(result: FitResult) -> None:
         say("gains: " + ", ".join(_with_error(gain) for gain in result.gains.values()))
     if result.dark is not None:
         say(_with_error(result.dark).replace("black_level", "black level:"))
+    if result.write_noise and result.noise is not None:
+        _show_noise(result.noise)
     if result.placement is not None:
         p = result.placement
         turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
@@ -311,10 +360,31 @@ def _show(result: FitResult) -> None:
         _show_left_out(result)
 
 
+def _in_words(interval: Interval) -> str:
+    low, high = interval
+    if low is None and high is None:
+        return "no bounds"
+    if high is None:
+        return f"from {low:.6g}, no upper bound"
+    if low is None:
+        return f"up to {high:.6g}, no lower bound"
+    return f"{low:.6g} to {high:.6g}"
+
+
 def _with_error(value: FittedValue) -> str:
     if value.interval is None:
         return f"{value.name} {value.value:.4g} (held)"
     return f"{value.name} {value.value:.6g} ± {value.standard_error:.2g}"
+
+
+def _show_noise(noise: MeasuredNoise) -> None:
+    figures = (
+        ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
+        ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
+    )
+    said = [text.format(value, error) for text, value, error in figures if value is not None]
+    if said:
+        say("noise written: " + ", ".join(said))
 
 
 def _show_points(result: FitResult) -> None:

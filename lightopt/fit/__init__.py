@@ -1,8 +1,10 @@
 """Reflection coefficients from images: maximum likelihood, the paper's procedure, and how far to trust either."""
 
-from lightopt.fit._estimate import Estimate, Freed, ScanPoint
+from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._estimate import Estimate, Freed, Interval, Optimum, ScanPoint
 from lightopt.fit._fit import fit_diffuse, fit_specular
-from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Likelihood, predicted
+from lightopt.fit._likelihood import Likelihood, predicted
+from lightopt.fit._noise import MeasuredNoise
 from lightopt.fit._options import FitOptions
 from lightopt.fit._paper import (
     OPTION_NAMES,
@@ -36,8 +38,11 @@ __all__ = [
     "FitResult",
     "FittedValue",
     "Freed",
+    "Interval",
     "LeftOut",
     "Likelihood",
+    "MeasuredNoise",
+    "Optimum",
     "PaperDiffuse",
     "PaperOptions",
     "PaperSpecular",

@@ -1,15 +1,24 @@
-"""What speaks against a fit of R_s and σ: no highlight, an R_d that the images do not want."""
+"""What speaks against a fit: no highlight, values out of range, a climb that did not end, an unsuitable R_d."""
 
 from __future__ import annotations
 
 import math
 
 from lightopt.errors import InputError
+from lightopt.fit._criterion import R_D, parameter_name
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import R_D
 from lightopt.fit._samples import Samples
 
-__all__ = ["held_r_d", "refuse_no_highlight"]
+__all__ = ["SIGMA_RANGE", "held_r_d", "refuse_no_highlight", "refuse_out_of_range", "unconverged"]
+
+SIGMA_RANGE = 0.001, 0.2
+"""Widths of lobes that the model is meant for [rad]: Ward found these on real surfaces (paper, section 4.3)."""
+
+MOST_R_S = 1e11
+"""Beyond this, R_s runs away along the ridge [grey level]."""
+
+EDGE = 1.01
+"""A value within this factor of an edge is at it."""
 
 
 def refuse_no_highlight(samples: Samples, found: Estimate) -> None:
@@ -26,6 +35,63 @@ def refuse_no_highlight(samples: Samples, found: Estimate) -> None:
             "no highlight in any image: nothing tells R_s and σ. Add images under lights that the surface mirrors "
             "into the camera, or at a longer exposure"
         )
+
+
+def refuse_out_of_range(found: Estimate) -> None:
+    """Refuse values that no real surface has.
+
+    Raises
+    ------
+    InputError
+        σ at an edge of its range or beyond, or an R_s that runs away.
+    """
+    low, high = SIGMA_RANGE
+    if found.sigma < low * EDGE:
+        raise InputError(
+            f"σ: the best fit is at {found.sigma:.3g} rad, at or below the lower end {low:g} of the range: the "
+            "highlights are as sharp as mirror images of the panels, and nothing tells how much sharper. Check the "
+            "panels' sizes, the part's shape and its place, or add images at a shorter exposure"
+        )
+    if found.sigma > high / EDGE:
+        raise InputError(
+            f"σ: the best fit is at {found.sigma:.3g} rad, at or beyond the upper end {high:g} of the range: the "
+            "images show no highlight, or a haze that the model has no lobe for. Add images under lights that the "
+            "surface mirrors into the camera, and check the part's shape and its place"
+        )
+    if found.R_s > MOST_R_S:
+        raise InputError(
+            f"R_s: the best fit is at {found.R_s:.2g} grey levels and not bounded: nothing but saturated pixels tells "
+            "of the highlights. Add images at a shorter exposure"
+        )
+
+
+def unconverged(found: Estimate, lights: tuple[str, ...]) -> tuple[str, ...]:
+    """What to say where the optimiser did not come to an end.
+
+    Parameters
+    ----------
+    found
+        The fit.
+    lights
+        Names of the scene's lights.
+    """
+    said: list[str] = []
+    if not found.maximum.converged:
+        names = [parameter_name(place, lights) for place in found.maximum.unsettled]
+        along = f" along {', '.join(names)}" if lights and names else ""
+        said.append(
+            f"the fit did not converge: after {found.maximum.steps} steps it still improves{along}; its values and "
+            "intervals are not those of an optimum. Other images, or fewer parameters that are freed, may help"
+        )
+        return tuple(said)
+    best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
+    said += [
+        f"the climb from σ {optimum.start_sigma:.3g} rad did not converge at σ {optimum.sigma:.3g} rad, and is not "
+        "worse than the best: another optimum may lie there"
+        for optimum in found.optima
+        if not optimum.converged and optimum.value >= best
+    ]
+    return tuple(said)
 
 
 def held_r_d(found: Estimate) -> list[str]:

@@ -56,7 +56,7 @@ def evenly_lit_words(
     few = thinned(samples, BUDGET)
     even = evenly_lit(few, caster, threads=threads)
     points, panels = (estimate(some, freed=freed, held=held, threads=threads) for some in (few, even))
-    count = len(points.likelihood.samples.level)
+    count = len(few.level)
     ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
     moved = max(abs(math.log(panels.R_s / found.R_s)), abs(math.log(panels.sigma / found.sigma)))
     if ratio < LEAST_RATIO or moved < LEAST_DIFFERENCE:
@@ -101,7 +101,7 @@ def paper_words(
     whole = estimate(few, freed=Freed(), threads=threads)
     quality = appraise(few, whole)
     refuse_other_images(world, few, whole, quality, threads=threads)
-    said = [*poor_fit(quality)]
+    said = [*poor_fit(whole, quality)]
     pairs = [("R_d", R_d, whole.R_d)]
     if specular is not None:
         pairs += [("R_s", specular[0], whole.R_s), ("σ", specular[1], whole.sigma)]

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, R_D, Likelihood
+from lightopt.fit._criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion
+from lightopt.fit._lack_of_fit import LackOfFit
 from lightopt.fit._maximise import Maximum
 
-__all__ = ["Estimate", "Freed", "ScanPoint"]
+__all__ = ["CHI2_95", "Estimate", "Freed", "Interval", "Optimum", "ScanPoint"]
 
 Float64 = NDArray[np.float64]
+
+Interval = tuple[float | None, float | None]
+"""95 %; None for an end that the images do not bound."""
+
+CHI2_95 = 3.841458820694124
+"""95 % quantile of χ² with one degree of freedom: twice the log-likelihood may fall by this (Wilks 1938)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +55,7 @@ class ScanPoint:
     R_d, R_s
         [grey level].
     value
-        Log-likelihood of the scan's pixels [nat].
+        Criterion at the scan's pixels [nat].
     """
 
     sigma: float
@@ -57,38 +65,91 @@ class ScanPoint:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Optimum:
+    """Where the climb from one peak of the profile over σ ended.
+
+    Attributes
+    ----------
+    start_sigma
+        Of the peak [rad].
+    sigma
+        [rad].
+    R_d, R_s
+        [grey level].
+    value
+        Criterion at the scan's pixels [nat].
+    converged
+        Whether the climb did.
+    """
+
+    start_sigma: float
+    sigma: float
+    R_d: float
+    R_s: float
+    value: float
+    converged: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            name: value if isinstance(value, bool) else float(f"{value:.8g}")
+            for name, value in vars(self).items()
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """Where the likelihood is greatest, and how sharply.
+    """The best fit, and how sharply the images determine it.
 
     Attributes
     ----------
     x
-        Parameters, shape (K,), as :mod:`lightopt.fit._likelihood` orders them.
+        Parameters, shape (K,), as :mod:`lightopt.fit._criterion` orders them.
     free
         Places of the parameters that were fitted.
     covariance
         Of those, shape (k, k), if the model is right.
     inflation
-        By how much the variance of each of those is larger when what the model gets wrong is alike within a piece of
-        the image; at least 1, shape (k,).
-    likelihood
-        Near the maximum.
+        By how much the variance of each of those is larger for what the model gets wrong, shape (k,).
+    critical
+        Square of the standard errors that a 95 % interval has on either side: a quantile of χ², or of Student's t where
+        few groups of images tell the variance.
+    criterion
+        What is greatest at `x`.
     maximum
         How the climb ended.
     scan
-        Along σ.
+        The profile over σ, the estimate's own among them.
+    optima
+        Where the climbs from the peaks of the profile ended, the best first.
+    mean_log_likelihood
+        Of a level, by the likelihood of noise and outliers [nat]: comparable between fits to the same levels.
     unexplained
-        Share of the pixels that the model would have left out if it could.
+        Share of the pixels that the likelihood would leave out as outliers.
+    lack_of_fit
+        Whether the model describes the images; None where that was not looked at.
+    scatter
+        From what the uncertainty is known where it does not, such as "12 lights".
     """
 
     x: Float64
     free: tuple[int, ...]
     covariance: Float64
     inflation: Float64
-    likelihood: Likelihood
+    critical: float = CHI2_95
+    criterion: Criterion
     maximum: Maximum
     scan: tuple[ScanPoint, ...]
+    optima: tuple[Optimum, ...] = ()
+    mean_log_likelihood: float
     unexplained: float
+    lack_of_fit: LackOfFit | None = None
+    scatter: str | None = None
+
+    @property
+    def describes(self) -> bool:
+        """Whether the model describes the images, so that the likelihood was maximised; else least squares."""
+        return self.scatter is None
 
     @property
     def R_d(self) -> float:  # noqa: N802
@@ -114,19 +175,6 @@ class Estimate:
     def epsilon(self) -> float:
         """Share of the pixels that the fit takes for dust, glints and the like."""
         return 1.0 / (1.0 + math.exp(-self.x[-1]))
-
-    @property
-    def mean_log_likelihood(self) -> float:
-        """Of a level, each counting once [nat]."""
-        plain = self.likelihood
-        value = self.maximum.evaluation.value
-        if plain.by_area:
-            value = (
-                Likelihood(plain.samples, plain.log_sigmas, plain.specular, threads=plain.threads)
-                .evaluate(self.x)
-                .value
-            )
-        return value / len(plain.samples.level)
 
     def standard_error(self, place: int) -> float:
         """Standard error of a parameter, for what the model gets wrong as well; 0 for one that was held."""

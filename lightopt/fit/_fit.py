@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from lightopt.align import Observation
 from lightopt.config import PartConfig, RigConfig
 from lightopt.fit._by_paper import paper_result
-from lightopt.fit._checks import held_r_d, refuse_no_highlight
+from lightopt.fit._checks import held_r_d, refuse_no_highlight, refuse_out_of_range, unconverged
+from lightopt.fit._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._cross_check import evenly_lit_words
 from lightopt.fit._estimate import Freed
 from lightopt.fit._highlights import LEAST_R_S, WIDENINGS, diffuse_only
-from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._mismatch import refuse_other_images
+from lightopt.fit._noise import measure_noise, noise_words
 from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._paper import paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, poor_fit, words
@@ -81,7 +82,7 @@ def fit_diffuse(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
     quality = appraise(plain, found)
-    said = [*world.warnings, *poor_fit(quality)]
+    said = [*world.warnings, *unconverged(found, samples.lights), *poor_fit(found, quality)]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
@@ -94,6 +95,9 @@ def fit_diffuse(
     )
     dark = fitted_dark(world.scene, found) if options.dark else None
     said += below_zero(dark)
+    noise = measure_noise(samples)
+    if options.write_noise:
+        said += noise_words(noise, describes=quality.describes)
     return FitResult(
         kind="diffuse",
         method="likelihood",
@@ -102,6 +106,8 @@ def fit_diffuse(
         fitted=("R_d",),
         gains=fitted_gains(world.scene, found) if options.gain else None,
         dark=dark,
+        noise=noise,
+        write_noise=options.write_noise and quality.describes,
         placement=world.placement,
         in_file=world.in_file,
         highlights=(whole.R_s, whole.sigma),
@@ -203,10 +209,15 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
     quality = appraise(samples, found)
     refuse_other_images(world, samples, found, quality, threads=options.threads)
     refuse_no_highlight(samples, found)
+    refuse_out_of_range(found)
     values = fitted_values(found, full_scale=reflectance.full_scale)
-    low, high = next(v.interval for v in values if v.name == "R_s") or (found.R_s, found.R_s)
+    interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in world.observations}
-    said = [*world.warnings, *words(found, quality, low, high, shorter=len(exposures) > 1), *held_r_d(found)]
+    said = [*world.warnings, *unconverged(found, samples.lights)]
+    said += [*words(found, quality, interval, shorter=len(exposures) > 1), *held_r_d(found)]
+    noise = measure_noise(samples)
+    if options.write_noise:
+        said += noise_words(noise, describes=quality.describes)
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)
     said += [text for text in panels if text is not None]
     dark = fitted_dark(world.scene, found) if options.dark else None
@@ -219,6 +230,8 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
         fitted=("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad"),
         gains=fitted_gains(world.scene, found) if options.gain else None,
         dark=dark,
+        noise=noise,
+        write_noise=options.write_noise and quality.describes,
         placement=world.placement,
         in_file=world.in_file,
         correlation=found.correlation(LOG_R_S, LOG_SIGMA),

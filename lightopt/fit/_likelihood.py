@@ -10,23 +10,20 @@ as well, may show anything at all: dust, scratches, glints.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Evaluation
 from lightopt.fit._samples import ImageFacts, Samples
 from lightopt.kernels import kernel
 from lightopt.rendering import in_threads
 from lightopt.sensor import Sensor
 
-__all__ = ["DARK", "FIRST_GAIN", "LOG_R_S", "LOG_SIGMA", "R_D", "Evaluation", "Likelihood", "predicted"]
+__all__ = ["Likelihood", "lagrange", "predicted"]
 
 Float64 = NDArray[np.float64]
-
-R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
-"""Places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε."""
 
 EXTREME_SHARE = 0.05
 """Share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
@@ -59,26 +56,6 @@ def sensor_numbers(sensor: Sensor) -> SensorNumbers:
     )
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """Log-likelihood at a vector of parameters.
-
-    Attributes
-    ----------
-    value
-        [nat].
-    gradient
-        Shape (K,).
-    curvature
-        Positive semi-definite matrix that bounds the likelihood's curvature from above, shape (K, K): that of the
-        pixels that the model explains, weighted by how surely it does.
-    """
-
-    value: float
-    gradient: Float64
-    curvature: Float64
-
-
 class Likelihood:
     """The likelihood of a set of samples, for σ near those that the specular light was worked out for.
 
@@ -90,9 +67,6 @@ class Likelihood:
         ln σ of the columns of `specular`, shape (m,); between them the light is interpolated by a polynomial.
     specular
         Per unit of R_s, shape (n, m).
-    by_area
-        Whether a pixel counts for as many as it stands for. Where the model is right that only loses information; where
-        it is wrong, what fits all pixels of the images alike predicts others best.
     threads
         Number of threads; the result does not depend on it.
     """
@@ -103,17 +77,12 @@ class Likelihood:
         log_sigmas: Float64,
         specular: Float64,
         *,
-        by_area: bool = False,
         threads: int | None = None,
     ) -> None:
         self.samples = samples
         self.log_sigmas = log_sigmas
         self.specular = specular
-        self.by_area = by_area
         self.threads = threads
-        self._weight = np.ones(len(samples.diffuse))
-        if by_area:
-            self._weight = samples.weight / float(np.mean(samples.weight[samples.sample]))
         self.size = FIRST_GAIN + len(samples.lights) + 2
         self._sensor = sensor_numbers(samples.sensor)
 
@@ -126,6 +95,14 @@ class Likelihood:
     def logit_epsilon(self) -> int:
         """Place of logit ε in the vector of parameters."""
         return self.size - 1
+
+    @property
+    def sigma_range(self) -> tuple[float, float]:
+        """Values of ln σ for which it can be evaluated: half the columns' span beyond them, any for one."""
+        if len(self.log_sigmas) == 1:
+            return -math.inf, math.inf
+        low, high = float(self.log_sigmas[0]), float(self.log_sigmas[-1])
+        return low - 0.5 * (high - low), high + 0.5 * (high - low)
 
     def specular_weights(self, log_sigma: float) -> tuple[Float64, Float64]:
         """Weights of the columns for the light at ln σ, and for its derivative by ln σ; each of shape (m,)."""
@@ -141,7 +118,7 @@ class Likelihood:
             curvature = np.zeros((self.size, self.size))
             end = min(start + _PIECE, len(s.sample))
             value = _accumulate(
-                s.sample, s.level, s.saturated, s.image, start, end, self._weight, s.diffuse, self.specular, c, dc,
+                s.sample, s.level, s.saturated, s.image, start, end, s.diffuse, self.specular, c, dc,
                 s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x, gradient,
                 curvature,
             )  # fmt: skip
@@ -167,7 +144,7 @@ class Likelihood:
         curvatures = np.zeros((len(ends), self.size, self.size))
         for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
             _accumulate(
-                sample, level, saturated, image, start, end, self._weight, s.diffuse, self.specular, c, dc,
+                sample, level, saturated, image, start, end, s.diffuse, self.specular, c, dc,
                 s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x,
                 gradients[number], curvatures[number],
             )  # fmt: skip
@@ -220,7 +197,6 @@ def _accumulate(
     image: NDArray[np.int32],
     start: int,
     end: int,
-    weights: Float64,
     diffuse: Float64,
     specular: Float64,
     c: Float64,
@@ -277,11 +253,10 @@ def _accumulate(
         apa = a * pa if pa > 0.0 else 0.0
         bpb = b * pb if pb > 0.0 else 0.0
         p = (1.0 - epsilon) * f + epsilon * outlier
-        weight = float(weights[i])
-        total += weight * math.log(p)
+        total += math.log(p)
         by_mean = (pa - pb) / deviation
         by_variance = (apa - bpb) / (2.0 * variance)
-        inside = weight * (1.0 - epsilon) / p
+        inside = (1.0 - epsilon) / p
         score = inside * (by_mean + shot * by_variance)
         surely = inside * f
         bend = 0.0
@@ -302,6 +277,6 @@ def _accumulate(
         part = tau2 / variance
         gradient[size - 2] += inside * by_variance * tau2
         curvature[size - 2, size - 2] += 0.5 * surely * part * part
-        gradient[size - 1] += weight * (outlier - f) / p * epsilon * (1.0 - epsilon)
-        curvature[size - 1, size - 1] += weight * epsilon * (1.0 - epsilon)
+        gradient[size - 1] += (outlier - f) / p * epsilon * (1.0 - epsilon)
+        curvature[size - 1, size - 1] += epsilon * (1.0 - epsilon)
     return total

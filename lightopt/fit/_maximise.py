@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, R_D, Evaluation, Likelihood
+from lightopt.fit._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion, Evaluation
 
-__all__ = ["Maximum", "bounds", "maximise"]
+__all__ = ["Maximum", "bounds", "maximise", "newton_step"]
 
 Float64 = NDArray[np.float64]
 
@@ -21,6 +21,12 @@ LEAST_LOG_TAU2, MOST_LOG_TAU2 = np.log(1e-4), np.log(1e10)
 LEAST_LOGIT, MOST_LOGIT = -14.0, 2.0
 LEAST_LOG_R_S, MOST_LOG_R_S = np.log(1e-3), np.log(1e12)
 MOST_LOG_GAIN = np.log(100.0)
+FREE_DAMPING = 1e-3
+STALLED = 1e8
+STALL_TOLERANCE = 0.02
+"""A climb whose steps had to be damped this much has nowhere to go. It has converged where an undamped step promises
+less than this [nat], a fifth of a standard error: a clipped level bends the criterion at single pixels."""
+
 LONGEST_STEP = 1.5
 """No logarithm changes by more than this in one step."""
 
@@ -36,7 +42,9 @@ class Maximum:
     evaluation
         There.
     converged
-        Whether the last step promised nothing more.
+        Whether no step promises anything more.
+    unsettled
+        Places of the parameters along which the criterion still rises; none where it converged.
     steps
         Number of evaluations.
     """
@@ -44,23 +52,26 @@ class Maximum:
     x: Float64
     evaluation: Evaluation
     converged: bool
+    unsettled: tuple[int, ...]
     steps: int
 
 
-def bounds(likelihood: Likelihood) -> tuple[Float64, Float64]:
+def bounds(criterion: Criterion) -> tuple[Float64, Float64]:
     """Lowest and highest value of each parameter, two arrays of shape (K,)."""
-    low, high = np.full(likelihood.size, -np.inf), np.full(likelihood.size, np.inf)
+    size = criterion.size
+    low, high = np.full(size, -np.inf), np.full(size, np.inf)
     low[R_D] = 0.0
     low[LOG_R_S], high[LOG_R_S] = LEAST_LOG_R_S, MOST_LOG_R_S
-    low[FIRST_GAIN : likelihood.log_tau2] = -MOST_LOG_GAIN
-    high[FIRST_GAIN : likelihood.log_tau2] = MOST_LOG_GAIN
-    low[likelihood.log_tau2], high[likelihood.log_tau2] = LEAST_LOG_TAU2, MOST_LOG_TAU2
-    low[likelihood.logit_epsilon], high[likelihood.logit_epsilon] = LEAST_LOGIT, MOST_LOGIT
+    low[LOG_SIGMA], high[LOG_SIGMA] = criterion.sigma_range
+    low[FIRST_GAIN : size - 2] = -MOST_LOG_GAIN
+    high[FIRST_GAIN : size - 2] = MOST_LOG_GAIN
+    low[size - 2], high[size - 2] = LEAST_LOG_TAU2, MOST_LOG_TAU2
+    low[size - 1], high[size - 1] = LEAST_LOGIT, MOST_LOGIT
     return low, high
 
 
 def maximise(
-    likelihood: Likelihood,
+    criterion: Criterion,
     x: Float64,
     free: Sequence[int],
     *,
@@ -71,7 +82,7 @@ def maximise(
 
     Parameters
     ----------
-    likelihood
+    criterion
         To maximise.
     x
         Where to start, shape (K,).
@@ -82,43 +93,67 @@ def maximise(
     tolerance
         Promise of a step that is not worth taking [nat].
     """
-    low, high = bounds(likelihood)
+    low, high = bounds(criterion)
     index = np.asarray(free, dtype=np.intp)
-    low[~np.isin(np.arange(len(x)), index)] = -np.inf
-    high[~np.isin(np.arange(len(x)), index)] = np.inf
+    held = ~np.isin(np.arange(len(x)), index)
+    low[held], high[held] = -np.inf, np.inf
     x = np.clip(x, low, high)
-    here = likelihood.evaluate(x)
-    damping = 1e-3
+    here = criterion.evaluate(x)
+    damping = FREE_DAMPING
     steps, converged = 1, False
     while steps < most_steps:
-        gradient = here.gradient[index]
-        # a parameter at its bound that is pushed beyond it stays there
-        stuck = ((x[index] <= low[index]) & (gradient < 0)) | ((x[index] >= high[index]) & (gradient > 0))
-        moving = index[~stuck]
+        moving = _movable(x, here, index, low, high)
         if len(moving) == 0:
             converged = True
             break
         gradient = here.gradient[moving]
-        matrix = here.curvature[np.ix_(moving, moving)]
-        diagonal = np.maximum(np.diag(matrix), 1e-9)
-        step = np.linalg.solve(matrix + np.diag(damping * diagonal), gradient)
-        promise = float(gradient @ step)
-        if promise < tolerance:
+        step = newton_step(here, moving, damping)
+        # a step that is damped promises little because it is short
+        if float(gradient @ step) < tolerance and (
+            damping <= FREE_DAMPING or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+        ):
             converged = True
             break
         limit = np.where(moving == R_D, np.inf, LONGEST_STEP)
-        step = np.clip(step, -limit, limit)
         trial = x.copy()
-        trial[moving] += step
+        trial[moving] += np.clip(step, -limit, limit)
         trial = np.clip(trial, low, high)
-        there = likelihood.evaluate(trial)
+        there = criterion.evaluate(trial)
         steps += 1
         if there.value > here.value:
             x, here = trial, there
             damping = max(1e-6, 0.2 * damping)
         else:
             damping *= 8.0
-            if damping > 1e8:
-                converged = True
+            if damping > STALLED:
                 break
-    return Maximum(x=x, evaluation=here, converged=converged, steps=steps)
+    moving = _movable(x, here, index, low, high)
+    if not converged:
+        converged = len(moving) == 0 or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+    unsettled: tuple[int, ...] = ()
+    if not converged:
+        gains = here.gradient[moving] ** 2 / np.maximum(np.diag(here.curvature)[moving], 1e-9)
+        unsettled = tuple(int(place) for place in moving[gains > 0.1 * np.max(gains, initial=0.0)])
+    return Maximum(x=x, evaluation=here, converged=converged, unsettled=unsettled, steps=steps)
+
+
+def _movable(
+    x: Float64, here: Evaluation, index: NDArray[np.intp], low: Float64, high: Float64
+) -> NDArray[np.intp]:
+    # a parameter at its bound that is pushed beyond it stays there
+    gradient = here.gradient[index]
+    stuck = ((x[index] <= low[index]) & (gradient < 0)) | ((x[index] >= high[index]) & (gradient > 0))
+    return index[~stuck]
+
+
+def newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> Float64:
+    """Step of the parameters at `moving`; a damping of 1 halves it, or shortens it more along a ridge."""
+    matrix = here.curvature[np.ix_(moving, moving)]
+    diagonal = np.maximum(np.diag(matrix), 1e-9)
+    step: Float64 = np.linalg.solve(matrix + np.diag(damping * diagonal), here.gradient[moving])
+    return step
+
+
+def _promise(here: Evaluation, moving: NDArray[np.intp]) -> float:
+    # what a step that is hardly damped promises [nat]
+    return float(here.gradient[moving] @ newton_step(here, moving, 1e-6))

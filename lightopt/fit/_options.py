@@ -34,6 +34,8 @@ class FitOptions:
         About how many pixels to look at, over all images.
     validate
         Whether to leave each light out in turn.
+    write_noise
+        Whether the noise that the images show belongs into the rig file.
     paper
         Of the paper's procedure.
     threads
@@ -48,6 +50,7 @@ class FitOptions:
     points: tuple[Points, ...] = ()
     pixels: int = 1_500_000
     validate: bool = True
+    write_noise: bool = False
     paper: PaperOptions = field(default_factory=PaperOptions)
     threads: int | None = None
 

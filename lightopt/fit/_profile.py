@@ -7,16 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.fit._criterion import LOG_SIGMA, R_D
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import R_D
 from lightopt.fit._maximise import maximise
 
-__all__ = ["CHI2_95", "profile_interval"]
+__all__ = ["fall", "profile_interval"]
 
 Float64 = NDArray[np.float64]
-
-CHI2_95 = 3.841458820694124
-"""95 % quantile of χ² with one degree of freedom: twice the log-likelihood may fall by this (Wilks 1938)."""
 
 ROUNDS = 16
 CLOSE = 0.02
@@ -29,7 +26,7 @@ FARTHEST = 12.0
 def profile_interval(estimate: Estimate, place: int) -> tuple[float, float]:
     """95 % interval of one parameter, in its own coordinate (R_d, ln R_s, ln σ, …); infinite where nothing bounds it.
 
-    The fall of the likelihood that ends it is that of a right model times the inflation of the parameter's variance.
+    The fall of the criterion that ends it is that of a right model times the inflation of the parameter's variance.
 
     Parameters
     ----------
@@ -44,27 +41,31 @@ def profile_interval(estimate: Estimate, place: int) -> tuple[float, float]:
 def _end(estimate: Estimate, place: int, sign: float) -> float:
     best = float(estimate.x[place])
     i = estimate.free.index(place)
-    target = CHI2_95 * float(estimate.inflation[i])
+    target = estimate.critical * float(estimate.inflation[i])
     expected = math.sqrt(target * float(estimate.covariance[i, i]))
+    if place == LOG_SIGMA:
+        edge = estimate.criterion.sigma_range[0 if sign < 0.0 else 1]
+        if math.isfinite(edge) and fall(estimate, place, edge) < target:
+            return sign * math.inf
     # distances from the maximum at which the likelihood has fallen too little and too much
     short, far = 0.0, math.inf
     distance = expected
     for _ in range(ROUNDS):
         if place == R_D and sign < 0.0 and best - distance <= 0.0:
-            if best <= 0.0 or _fall(estimate, place, 0.0) <= target:
+            if best <= 0.0 or fall(estimate, place, 0.0) <= target:
                 return 0.0
             far = min(far, best)
             distance = 0.5 * (short + far)
             continue
-        fall = _fall(estimate, place, best + sign * distance)
-        if abs(fall / target - 1.0) < CLOSE:
+        drop = fall(estimate, place, best + sign * distance)
+        if abs(drop / target - 1.0) < CLOSE:
             return best + sign * distance
-        if fall < target:
+        if drop < target:
             short = distance
         else:
             far = distance
         # a parabola through the maximum and here, unless that leaves what is known to hold the end
-        distance *= min(max(math.sqrt(target / fall), 0.3), 3.0) if fall > 0.0 else 2.0
+        distance *= min(max(math.sqrt(target / drop), 0.3), 3.0) if drop > 0.0 else 2.0
         if not short < distance < far:
             distance = 0.5 * (short + far) if math.isfinite(far) else 2.0 * short
         if short > FARTHEST * expected:
@@ -72,17 +73,30 @@ def _end(estimate: Estimate, place: int, sign: float) -> float:
     return best + sign * 0.5 * (short + far) if math.isfinite(far) else sign * math.inf
 
 
-def _fall(estimate: Estimate, place: int, at: float) -> float:
-    # of twice the log-likelihood, all other parameters making the best of it
-    likelihood = estimate.likelihood
+def fall(estimate: Estimate, place: int, at: float) -> float:
+    """How far twice the criterion falls where a parameter is held at `at` and all others make the best of it [nat].
+
+    Parameters
+    ----------
+    estimate
+        The maximum.
+    place
+        Of a parameter that was fitted.
+    at
+        In its own coordinate; beyond the σ that the criterion knows, it falls without end.
+    """
+    criterion = estimate.criterion
+    low, high = criterion.sigma_range
+    if place == LOG_SIGMA and not low <= at <= high:
+        return math.inf
     column = estimate.covariance[:, estimate.free.index(place)]
     variance = float(column[estimate.free.index(place)])
     start = estimate.x.copy()
     # to first order the others follow along the regression on this one
     for p, c in zip(estimate.free, column, strict=True):
-        if p < likelihood.log_tau2:
+        if p < criterion.size - 2:
             start[p] += c / variance * (at - estimate.x[place])
     start[place] = at
     others = [p for p in estimate.free if p != place]
-    there = maximise(likelihood, start, others, most_steps=12, tolerance=1e-3)
+    there = maximise(criterion, start, others, most_steps=12, tolerance=1e-3)
     return 2.0 * (estimate.maximum.evaluation.value - there.evaluation.value)

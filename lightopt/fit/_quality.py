@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, predicted
+from lightopt.fit._criterion import LOG_R_S, LOG_SIGMA
+from lightopt.fit._estimate import Estimate, Interval
+from lightopt.fit._likelihood import predicted
+from lightopt.fit._noise import image_noise
 from lightopt.fit._samples import Samples
 
 __all__ = ["Quality", "appraise", "poor_fit", "words"]
@@ -20,6 +22,11 @@ MORE_NOISE = 1.5
 """Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are worth a word."""
 
 WIDE_INTERVAL = 0.02
+REASONS = (
+    "Possible reasons: another shape of the lobe or of the diffuse reflection, dirt, the mesh's normals, the part's "
+    "place (--free shift), a light's gain (--free gain), the dark level (--free dark), the number of points of the "
+    "panels"
+)
 STRONG_CORRELATION = 0.95
 
 
@@ -46,6 +53,11 @@ class Quality:
         Deviation beside the sensor's noise [sensor level].
     saturated
         Share of the observations that are saturated.
+    misfit
+        Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not looked at.
+    describes
+        Whether the model describes the images within that: else values are those of least squares, and intervals come
+        from the scatter between lights.
     """
 
     rms: float
@@ -56,6 +68,8 @@ class Quality:
     epsilon: float
     tau: float
     saturated: float
+    misfit: float = 0.0
+    describes: bool = True
 
     @property
     def floor(self) -> float:
@@ -67,9 +81,12 @@ class Quality:
         """Whether the model describes the images badly."""
         return self.epsilon > POOR_EPSILON or self.typical > POOR_NOISE * self.floor
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, float | bool]:
         """JSON form."""
-        return {name: float(f"{value:.6g}") for name, value in vars(self).items()}
+        return {
+            name: value if isinstance(value, bool) else float(f"{value:.6g}")
+            for name, value in vars(self).items()
+        }
 
 
 def appraise(samples: Samples, found: Estimate) -> Quality:
@@ -82,7 +99,7 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
     frames = samples.facts.frames[samples.image[seen]]
     variance = sensor.noise_variance(mean[seen] - sensor.black_level, frames=frames)
     noise = math.sqrt(float(np.median(variance))) if seen.any() else 0.0
-    shown = _image_noise(samples)
+    shown = image_noise(samples)
     spread = float(np.var(level[seen])) - max(noise, shown) ** 2 if seen.any() else 0.0
     missed = float(np.mean(residual**2)) - max(noise, shown) ** 2 if seen.any() else 0.0
     return Quality(
@@ -94,29 +111,33 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
         epsilon=found.unexplained,
         tau=found.tau,
         saturated=float(np.mean(samples.saturated)),
+        misfit=0.0 if found.lack_of_fit is None else found.lack_of_fit.ratio,
+        describes=found.describes,
     )
 
 
-def words(
-    found: Estimate, quality: Quality, lowest: float, highest: float, *, shorter: bool
-) -> tuple[str, ...]:
+def words(found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool) -> tuple[str, ...]:
     """What a person should know about a fit of R_s and σ beside its numbers.
 
     Parameters
     ----------
     found, quality
         The fit.
-    lowest, highest
-        95 % interval of R_s [grey level].
+    interval
+        95 % of R_s [grey level].
     shorter
         Whether the images have more than one exposure already.
     """
-    said: list[str] = list(poor_fit(quality))
+    said: list[str] = list(poor_fit(found, quality))
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
-        width = math.log(max(highest, 1e-9) / max(lowest, 1e-9))
+        low, high = interval or (found.R_s, found.R_s)
+        width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
         correlation = found.correlation(LOG_R_S, LOG_SIGMA)
-        if abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL:
-            what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
+        what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
+        if math.isinf(width):
+            side = "upper" if high is None else "lower"
+            said.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
+        elif abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL and found.describes:
             said.append(
                 f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s known to "
                 f"±{50.0 * width:.1f} %): add {what}"
@@ -128,7 +149,7 @@ def words(
     return tuple(said)
 
 
-def poor_fit(quality: Quality) -> tuple[str, ...]:
+def poor_fit(found: Estimate, quality: Quality) -> tuple[str, ...]:
     """What to say where the model does not describe the images, or the rig file their noise."""
     said: list[str] = []
     if quality.image_noise > MORE_NOISE * quality.noise:
@@ -136,34 +157,18 @@ def poor_fit(quality: Quality) -> tuple[str, ...]:
             f"the images show about {quality.image_noise:.2g} sensor levels of noise, the rig file's figures make "
             f"{quality.noise:.2g}: give read_noise_levels and electrons_per_level of the sensor"
         )
-    if quality.poor:
+    if not quality.describes:
+        said.append(
+            f"the model describes these images badly: its best fit leaves {quality.misfit:.1f} times the noise "
+            f"({quality.rms:.3g} sensor levels rms). The values are those of least squares over all pixels, which "
+            f"predict such images best, and the intervals come from the scatter between {found.scatter}. {REASONS}"
+        )
+    elif quality.poor:
         said.append(
             f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are unexplained, "
-            f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. Dirt on "
-            "the part, the mesh's normals, the part's place (--free shift), a light's gain (--free gain), the dark "
-            "level (--free dark), the number of points of the panels or a lobe that is not a Gaussian may be the "
-            "reason; intervals are widened for it, but do not hold what they promise"
+            f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. {REASONS}"
         )
     return tuple(said)
-
-
-def _image_noise(samples: Samples) -> float:
-    # Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle
-    row = np.concatenate([group.row for group in samples.groups])[samples.sample]
-    column = np.concatenate([group.column for group in samples.groups])[samples.sample]
-    stack = np.stack([image.levels for image in samples.images])
-    height, width = stack.shape[1:]
-    use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
-    use &= (samples.diffuse[samples.sample] > 0.0) & (samples.level > 0.0) & ~samples.saturated
-    image, row, column = samples.image[use], row[use], column[use]
-    if not len(row):
-        return 0.0
-    response = np.zeros(len(row))
-    for y, x, factor in (*((y, x, 1.0) for y in (-1, 1) for x in (-1, 1)), (0, 0, 4.0)):
-        response += factor * stack[image, row + y, column + x]
-    for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        response -= 2.0 * stack[image, row + y, column + x]
-    return 1.4826 * float(np.median(np.abs(response))) / 6.0
 
 
 def _rms(values: NDArray[np.float64]) -> float:

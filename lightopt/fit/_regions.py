@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.align import Observation
-from lightopt.fit._likelihood import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._criterion import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._predict import predict_images
 from lightopt.raycast import RayCaster
 from lightopt.scene import Scene

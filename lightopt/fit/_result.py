@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from lightopt.align import Placement, PlacementInFile
-from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._checks import unconverged
+from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._estimate import Estimate, Interval
+from lightopt.fit._noise import MeasuredNoise
 from lightopt.fit._paper import PaperDiffuse, PaperSpecular
 from lightopt.fit._profile import profile_interval
 from lightopt.fit._quality import Quality
@@ -18,9 +20,6 @@ from lightopt.fit._validate import LeftOut
 from lightopt.scene import Scene
 
 __all__ = ["FitResult", "FittedValue", "below_zero", "fitted_dark", "fitted_gains", "fitted_values"]
-
-MOST_LOG = 700.0
-"""Logarithm of the greatest value that is written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,20 +36,23 @@ class FittedValue:
     standard_error
         0, null in the JSON form, for a value that was held or by a method that knows none.
     interval
-        95 %, by profile likelihood; None for a value that was held or by a method that knows none.
+        95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value that was
+        held or by a method that knows none.
     """
 
     name: str
     value: float
     standard_error: float = 0.0
-    interval: tuple[float, float] | None = None
+    interval: Interval | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {
             "value": float(f"{self.value:.8g}"),
             "standard_error": float(f"{self.standard_error:.4g}") if self.standard_error else None,
-            "interval_95": None if self.interval is None else [float(f"{v:.8g}") for v in self.interval],
+            "interval_95": None
+            if self.interval is None
+            else [None if end is None else float(f"{end:.8g}") for end in self.interval],
         }
 
 
@@ -74,6 +76,8 @@ class FitResult:
         Gain of each light as it belongs into the rig file, where gains were freed; the first light's is held.
     dark
         Black level as it belongs into the rig file [sensor level], where it was freed.
+    noise, write_noise
+        As the images show it, and whether it belongs into the rig file.
     placement, in_file
         Where the part was found to lie, where that was freed, and the same as it belongs into the part file.
     highlights
@@ -103,6 +107,8 @@ class FitResult:
     fitted: tuple[str, ...]
     gains: Mapping[str, FittedValue] | None = None
     dark: FittedValue | None = None
+    noise: MeasuredNoise | None = None
+    write_noise: bool = False
     placement: Placement | None = None
     in_file: PlacementInFile | None = None
     highlights: tuple[float, float] | None = None
@@ -121,6 +127,11 @@ class FitResult:
         return next(v.value for v in self.values if v.name == name)
 
     @property
+    def converged(self) -> bool:
+        """Whether the optimiser found no way to anything better."""
+        return self.estimate is None or not unconverged(self.estimate, ())
+
+    @property
     def not_left_out(self) -> tuple[str, ...]:
         """What validation takes from all images, those of the light that is left out among them."""
         freed = (
@@ -134,6 +145,7 @@ class FitResult:
         """JSON form, without provenance."""
         scan = () if self.estimate is None else self.estimate.scan
         best = max((point.value for point in scan), default=0.0)
+        found = self.estimate
         return {
             "kind": self.kind,
             "method": self.method,
@@ -149,7 +161,12 @@ class FitResult:
             "correlation_ln_R_s_ln_sigma": self.correlation,
             "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
             "black_level": None if self.dark is None else self.dark.as_dict(),
+            "noise": None if self.noise is None else self.noise.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
+            "criterion": None if found is None else ("likelihood" if found.describes else "least squares"),
+            "uncertainty_from": None if found is None else (found.scatter or "profile likelihood"),
+            "converged": self.converged,
+            "optima": [] if found is None else [optimum.as_dict() for optimum in found.optima],
             "observations": self.observations,
             "pixels": self.pixels,
             "quality": None if self.quality is None else self.quality.as_dict(),
@@ -170,6 +187,12 @@ class FitResult:
         }
 
 
+def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Interval:
+    """An interval of a parameter as one of what it stands for; None for an infinite end."""
+    low, high = (value(end) if math.isfinite(end) else None for end in ends)
+    return low, high
+
+
 def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
     """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals.
 
@@ -186,9 +209,8 @@ def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, .
         if place not in found.free:
             values.append(FittedValue(name=name, value=value))
             continue
-        low, high = profile_interval(found, place)
         error = found.standard_error(place) * (value if log else 1.0)
-        interval = (math.exp(low), math.exp(min(high, MOST_LOG))) if log else (low, high)
+        interval = bounded(profile_interval(found, place), math.exp if log else float)
         values.append(FittedValue(name=name, value=value, standard_error=error, interval=interval))
     over = math.log(max(found.R_s / full_scale, 1e-300))
     if over > 0.0:
@@ -213,12 +235,11 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
         if place not in found.free:
             gains[light.name] = FittedValue(name=light.name, value=value)
             continue
-        low, high = profile_interval(found, place)
         gains[light.name] = FittedValue(
             name=light.name,
             value=value,
             standard_error=value * found.standard_error(place),
-            interval=(light.gain * math.exp(low), light.gain * math.exp(high)),
+            interval=bounded(profile_interval(found, place), lambda end, own=light.gain: own * math.exp(end)),
         )
     return gains
 
@@ -237,10 +258,9 @@ def below_zero(dark: FittedValue | None) -> tuple[str, ...]:
 def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
     """Black level of the sensor [sensor level], its own plus what was fitted."""
     black = scene.sensor.black_level
-    low, high = profile_interval(found, DARK)
     return FittedValue(
         name="black_level",
         value=float(black + found.x[DARK]),
         standard_error=found.standard_error(DARK),
-        interval=(black + low, black + high),
+        interval=bounded(profile_interval(found, DARK), lambda end: black + end),
     )

@@ -1,4 +1,9 @@
-"""The default fit: maximum likelihood over all images, from a scan over σ to the last digit."""
+"""The default fit: one criterion over all σ, every peak of it climbed, the best of them down to the last digit.
+
+Least squares of clipped levels come first, over the whole range of σ. They say whether the model describes the images:
+where it does, the likelihood of noise and outliers is maximised, which is sharper and knows dust; where it does not,
+least squares are the answer, since they predict images best, and intervals come from the scatter between lights.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._estimate import Estimate, Freed, ScanPoint
-from lightopt.fit._highlights import share_of_dust, share_of_gross, share_of_shape
-from lightopt.fit._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Likelihood
-from lightopt.fit._maximise import Maximum, maximise
+from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._estimate import Estimate, Freed, Optimum, ScanPoint
+from lightopt.fit._jackknife import leave_groups_out
+from lightopt.fit._lack_of_fit import LackOfFit, find_dust, measure_lack_of_fit
+from lightopt.fit._least_squares import LeastSquares, SpecularTable
+from lightopt.fit._likelihood import Likelihood, predicted
+from lightopt.fit._maximise import Maximum, maximise, newton_step
+from lightopt.fit._profile import fall
 from lightopt.fit._samples import Samples, thinned
-from lightopt.fit._scan import best_at, scan_sigma
-from lightopt.fit._start import first_guess
+from lightopt.fit._scan import peaks, profile_over_sigma
+from lightopt.fit._start import first_guess, start_at
 from lightopt.fit._uncertainty import uncertainty
 
 __all__ = ["estimate", "refine"]
@@ -25,31 +34,40 @@ Progress = Callable[[str, float], None]
 """Called with what is going on and the share of it that is done, 0 to 1."""
 
 SCAN_SAMPLES = 50_000
-"""Pixels of the scan over σ, in all."""
+LIKELIHOOD_SHARE = 4
+"""Pixels of the scan over σ, in all, and by how much fewer the likelihood scans: it starts where least squares end."""
 
-CLUSTERED = 2.0
-LEAST_DUST = 5e-4
-"""Where this many times as many pixels are unexplained as among those away from the highlights, it is not dust."""
+SCAN_STRIDE = 5
+"""The scan looks at each fifth node of the specular table: 25 σ, each 1.29 times the one before."""
 
-ANOTHER_SHAPE = 0.3
-"""More than this share of the squared residual goes with the angle from the mirror direction alone where the lobe is no
-Gaussian (0.7 to 0.96 for tails like GGX's and for a second lobe, 0.03 for normals guessed from facets)."""
+WEAK_START = 0.1
+"""Share of the R_s that saturates as many pixels as measured, from which least squares climb as well."""
 
-NO_DUST = -500.0
-WRONG_DEVIATION = 16.0
-"""Then nothing is left out but gross dust, each pixel counts for as many as it stands for, and the climb begins with
-shoulders that reach them all [sensor level]: the fit that is nearest over whole images predicts others best."""
+WORSE_PREDICTION = 1.03
+"""The likelihood's answer is only taken where it predicts the scan's pixels about as well as least squares [rms]."""
+
+MOST_PEAKS = 4
+SAME_PEAK = 0.02
+"""Climbs that end within this of ln σ have found the same."""
+
+CLOSE_CALL = 20.0
+"""Peaks of the scan within this of the best are decided on all samples [nat of those]."""
+
+MOST_RESTARTS = 3
+
+SETTLED = 0.1
+"""Least squares have converged where no parameter has a step left of more than this share of its standard error."""
 
 HELD_SIGMA = 0.05
 """Width of a lobe that is not fitted and not said."""
 
-TABLE_NODES = 5
+TABLE_NODES, WIDE_TABLE_NODES = 5, 9
 MOST_TABLES = 8
-WIDEST_TABLE = 0.06
-NARROWEST_TABLE = 0.003
+USUAL_TABLE = 0.06
+NARROWEST_TABLE, WIDEST_TABLE = 0.003, 0.24
 TABLE_DEVIATIONS, TABLE_INTERVALS = 6.0, 3.0
-"""The specular light is tabulated at ln σ this many standard errors around the estimate, without and with what the
-model gets wrong, so that the likelihood is a smooth function of σ whatever quadrature is behind it."""
+"""The likelihood's specular light is tabulated at ln σ this many standard errors around the estimate, without and with
+what the model gets wrong, so that it is a smooth function of σ whatever quadrature is behind it."""
 
 
 @dataclass(frozen=True)
@@ -61,19 +79,36 @@ class _Climbed:
     inflation: Float64
 
     @property
-    def by_area(self) -> bool:
-        """Whether a pixel counts for as many as it stands for."""
-        return self.likelihood.by_area
+    def value(self) -> float:
+        return self.maximum.evaluation.value
 
     @property
     def width(self) -> float:
         """That a table around this maximum should have."""
         if LOG_SIGMA not in self.free:
-            return WIDEST_TABLE
+            return USUAL_TABLE
         i = self.free.index(LOG_SIGMA)
         error = math.sqrt(self.covariance[i, i])
         wanted = error * max(TABLE_DEVIATIONS, TABLE_INTERVALS * math.sqrt(self.inflation[i]))
         return float(np.clip(wanted, NARROWEST_TABLE, WIDEST_TABLE))
+
+
+@dataclass(frozen=True)
+class _Squares:
+    # least squares over all σ: the profile, the climbs from its peaks, the best of them first
+    criterion: LeastSquares
+    profile: list[Maximum]
+    climbs: list[tuple[float, Maximum]]
+    lack_of_fit: LackOfFit
+
+    @property
+    def best(self) -> Maximum:
+        return self.climbs[0][1]
+
+    def mean_square(self, number: int) -> float:
+        # of the profile at one of its σ [sensor level²], from the value of the criterion
+        count = max(1, len(self.criterion.samples.sample))
+        return math.exp(-2.0 * self.profile[number].evaluation.value / count - 1.0) / (2.0 * math.pi)
 
 
 def estimate(
@@ -111,44 +146,36 @@ def estimate(
     free = _places(samples, freed)
     guess = first_guess(few)
     r_d = guess if freed.diffuse or held is None else float(held[0])
+    table = SpecularTable(few, threads=threads)
     if freed.specular:
-        scan, best = scan_sigma(
-            few, free, r_d, threads=threads, progress=lambda share: report("scanning σ", share)
-        )
+        row = [float(node) for node in table.nodes[::SCAN_STRIDE]]
+        columns = [table.column(number) for number in range(0, len(table.nodes), SCAN_STRIDE)]
+        log_r_s = None
     else:
+        row = [math.log(HELD_SIGMA if held is None else held[2])]
+        columns = [few.specular(math.exp(row[0]), threads=threads)]
         log_r_s = None if held is None else math.log(max(held[1], 1e-6))
-        log_sigma = math.log(HELD_SIGMA if held is None else held[2])
-        point, best = best_at(few, log_sigma, free, r_d, log_r_s=log_r_s, threads=threads)
-        scan = (point,)
-    coarse = _climb(few, best, free, WIDEST_TABLE, threads)
-    unexplained = _share(coarse.maximum.x)
-    dust = share_of_dust(coarse.likelihood, coarse.maximum.x)
-    if dust is not None and unexplained > CLUSTERED * dust + LEAST_DUST:
-        # what the model cannot explain lies where the highlights are: the model's fault, which is not to be left out
-        free = free[:-1]
-        start = coarse.maximum.x.copy()
-        another_shape = share_of_shape(coarse.likelihood, start) > ANOTHER_SHAPE
-        if another_shape:
-            gross = share_of_gross(coarse.likelihood, start)
-            start[-1] = math.log(gross) if gross > LEAST_DUST else NO_DUST
-            start[-2] = 2.0 * math.log(WRONG_DEVIATION)
-        else:
-            start[-1] = math.log(max(dust, LEAST_DUST))
-        coarse = _climb(few, start, free, WIDEST_TABLE, threads, by_area=another_shape)
-    report("refining", 0.2)
-    final = _climb(samples, coarse.maximum.x, free, coarse.width, threads, by_area=coarse.by_area)
-    report("refining", 0.7)
-    if not 0.5 * coarse.width <= final.width <= 1.5 * coarse.width:
-        final = _climb(samples, final.maximum.x, free, final.width, threads, by_area=final.by_area)
-    report("refining", 1.0)
-    found = _finished(final, scan)
-    return replace(found, unexplained=max(found.unexplained, unexplained))
+    starts = [start_at(few, column, math.exp(at), r_d) for at, column in zip(row, columns, strict=True)]
+    if log_r_s is not None:
+        starts[0][LOG_R_S] = log_r_s
+    squares = _least_squares(
+        few, table, row, columns, starts, free[:-2], threads, lambda share: report("scanning σ", 0.5 * share)
+    )
+    if squares.lack_of_fit.significant:
+        report("refining", 0.5)
+        return _by_least_squares(samples, squares, free, threads)
+    fewer = thinned(few, max(50, budget // LIKELIHOOD_SHARE))
+    found = _by_likelihood(samples, fewer, row, starts, squares, free, threads, report)
+    ratio = squares.criterion.mean_square(found.x) / squares.criterion.mean_square(squares.best.x)
+    if ratio > WORSE_PREDICTION**2:
+        return _by_least_squares(samples, squares, free, threads)
+    return found
 
 
 def refine(
     samples: Samples, start: Estimate, *, only_reflectance: bool = False, threads: int | None = None
 ) -> Estimate:
-    """Fit the same parameters to other samples, from an estimate that cannot be far off.
+    """Fit the same parameters to other samples by the same criterion, from an estimate that cannot be far off.
 
     Parameters
     ----------
@@ -161,21 +188,254 @@ def refine(
     threads
         Number of threads; the result does not depend on it.
     """
-    noise = (start.likelihood.log_tau2, start.likelihood.logit_epsilon)
-    free = [p for p in start.free if not only_reflectance or p < DARK or p in noise]
-    by_area = start.likelihood.by_area
-    return _finished(_climb(samples, start.x, free, WIDEST_TABLE, threads, by_area=by_area), start.scan)
+    size = start.criterion.size
+    free = tuple(p for p in start.free if not only_reflectance or p < DARK or p >= size - 2)
+    if start.describes:
+        return _of_likelihood(_climb(samples, start.x, free, USUAL_TABLE, threads), start.scan)
+    criterion = LeastSquares(samples, SpecularTable(samples, threads=threads), threads=threads)
+    criterion = criterion.without(find_dust(samples, predicted(samples, criterion.light(start.x), start.x)))
+    return replace(start, x=maximise(criterion, start.x, free).x, free=free, criterion=criterion)
 
 
-def _finished(final: _Climbed, scan: tuple[ScanPoint, ...]) -> Estimate:
+def _least_squares(
+    few: Samples,
+    table: SpecularTable,
+    row: Sequence[float],
+    columns: Sequence[Float64],
+    starts: Sequence[Float64],
+    free: Sequence[int],
+    threads: int | None,
+    progress: Callable[[float], None],
+) -> _Squares:
+    def search(
+        samples: Samples, starts_at: Callable[[int], list[Float64]]
+    ) -> tuple[LeastSquares, list[Maximum], list[tuple[float, Maximum]]]:
+        criterion = LeastSquares(samples, table, threads=threads)
+        by_sigma = {
+            at: LeastSquares(samples, table, fixed=(at, column), threads=threads)
+            for at, column in zip(row, columns, strict=True)
+        }
+        profile = profile_over_sigma(
+            by_sigma.__getitem__, lambda number, _: starts_at(number), row, free, progress=progress
+        )
+        if LOG_SIGMA not in free:
+            return by_sigma[row[0]], profile, [(math.exp(row[0]), profile[0])]
+        return criterion, profile, _climbed(profile, lambda x: maximise(criterion, x, free))
+
+    def wide(number: int) -> list[Float64]:
+        weak = starts[number].copy()
+        weak[LOG_R_S] += math.log(WEAK_START) if LOG_R_S in free else 0.0
+        return [starts[number], weak]
+
+    criterion, profile, climbs = search(few, wide)
+    best = climbs[0][1].x
+    dust = find_dust(few, predicted(few, criterion.light(best), best))
+    if dust.any():
+        first = profile
+        criterion, profile, climbs = search(few.keep(~dust), lambda number: [first[number].x])
+    lack = measure_lack_of_fit(criterion, climbs[0][1].x, dust=float(np.mean(dust)))
+    return _Squares(criterion, profile, climbs, lack)
+
+
+def _climbed(profile: Sequence[Maximum], climb: Callable[[Float64], Maximum]) -> list[tuple[float, Maximum]]:
+    # from each peak of a profile to its top; σ of the peak and the top, the best first
+    tops: list[tuple[float, Maximum]] = []
+    for peak in peaks(profile)[:MOST_PEAKS]:
+        top = climb(peak.x)
+        if all(abs(top.x[LOG_SIGMA] - other.x[LOG_SIGMA]) > SAME_PEAK for _, other in tops):
+            tops.append((math.exp(peak.x[LOG_SIGMA]), top))
+    return sorted(tops, key=lambda one: -one[1].evaluation.value)
+
+
+def _by_least_squares(
+    samples: Samples, squares: _Squares, free: Sequence[int], threads: int | None
+) -> Estimate:
+    best, criterion = squares.best, squares.criterion
+    plain = tuple(free[:-2])
+    scatter = leave_groups_out(criterion, best.x, plain)
+    # no less than that of independent pixels, which the scatter of few groups may be by chance
+    newton = np.linalg.pinv(best.evaluation.curvature[np.ix_(plain, plain)], hermitian=True)
+    errors = np.sqrt(np.maximum(np.diag(scatter.covariance), np.diag(newton)))
+    scale = errors / np.sqrt(np.maximum(np.diag(scatter.covariance), 1e-300))
+    covariance = scatter.covariance * np.outer(scale, scale)
+    np.fill_diagonal(covariance, errors**2)
+    if not best.converged:
+        # a clipped level bends the criterion at single pixels: what counts is the step that is left, in standard errors
+        moving = np.array([place for place in plain if place != R_D or best.x[R_D] > 0.0])
+        left = np.abs(newton_step(best.evaluation, moving, 1e-6)) / errors[np.isin(plain, moving)]
+        best = replace(best, converged=bool(np.all(left < SETTLED)))
+    # the noise that the likelihood would see around this reflectance, for figures that are compared
+    log_sigma = np.array([best.x[LOG_SIGMA]])
+    light = samples.specular(math.exp(log_sigma[0]), threads=threads)
+    likelihood = Likelihood(samples, log_sigma, light[:, None], threads=threads)
+    noise = maximise(likelihood, best.x, free[-2:])
+    found = Estimate(
+        x=noise.x,
+        free=plain,
+        covariance=covariance,
+        inflation=np.ones(len(plain)),
+        critical=scatter.quantile**2,
+        criterion=criterion,
+        maximum=best,
+        scan=_scan_points(squares.profile, best),
+        optima=_optima([(squares.climbs[0][0], best), *squares.climbs[1:]]),
+        mean_log_likelihood=noise.evaluation.value / max(1, len(samples.sample)),
+        unexplained=_share(noise.x),
+        lack_of_fit=squares.lack_of_fit,
+        scatter=f"{scatter.groups} {scatter.of}",
+    )
+    # a standard error is where the criterion has fallen by this: 1 for a model that is right
+    drops = np.array(
+        [
+            0.5 * sum(fall(found, place, best.x[place] + sign * error) for sign in (-1.0, 1.0))
+            for place, error in zip(plain, errors, strict=True)
+        ]
+    )
+    inflation = np.where(np.isfinite(drops) & (drops > 0.0), drops, 1.0)
+    root = np.sqrt(inflation)
+    return replace(found, covariance=covariance / np.outer(root, root), inflation=inflation)
+
+
+def _by_likelihood(
+    samples: Samples,
+    few: Samples,
+    row: Sequence[float],
+    starts: Sequence[Float64],
+    squares: _Squares,
+    free: Sequence[int],
+    threads: int | None,
+    report: Progress,
+) -> Estimate:
+    def criterion_at(at: float) -> Likelihood:
+        light = few.specular(math.exp(at), threads=threads)
+        return Likelihood(few, np.array([at]), light[:, None], threads=threads)
+
+    def starts_at(number: int) -> list[Float64]:
+        # what least squares leave at this σ, and the usual start with its wide shoulders
+        at = squares.profile[number].x
+        other = at.copy()
+        other[-2] = math.log(squares.mean_square(number))
+        other[-1] = starts[number][-1]
+        return [other, starts[number]]
+
+    profile = profile_over_sigma(
+        criterion_at,
+        lambda number, _: starts_at(number),
+        row,
+        free,
+        neighbours=False,
+        progress=lambda share: report("scanning σ", 0.5 + 0.5 * share),
+    )
+    coarse: dict[int, _Climbed] = {}
+
+    def climb(x: Float64) -> Maximum:
+        climbed = _climb(few, x, free, USUAL_TABLE, threads)
+        coarse[id(climbed.maximum)] = climbed
+        return climbed.maximum
+
+    tops = _climbed(profile, climb)
+    report("refining", 0.2)
+    best = tops[0][1].evaluation.value
+    close = [top for _, top in tops if best - top.evaluation.value < CLOSE_CALL]
+    finals = [_final(samples, coarse[id(top)], threads) for top in close]
+    final = max(finals, key=lambda one: one.value)
+    report("refining", 0.9)
+    found = _of_likelihood(final, ())
+    scan, better = _profile_on_samples(samples, few, profile, final, threads)
+    for _ in range(MOST_RESTARTS):
+        if better is None:
+            break
+        final = _final(samples, _climb(few, better, free, USUAL_TABLE, threads), threads, start=better)
+        found = _of_likelihood(final, ())
+        scan, better = _profile_on_samples(samples, few, profile, final, threads)
+    report("refining", 1.0)
+    return replace(
+        found,
+        scan=scan,
+        optima=_optima(tops),
+        unexplained=max(found.unexplained, _share(tops[0][1].x)),
+        lack_of_fit=squares.lack_of_fit,
+    )
+
+
+def _final(
+    samples: Samples, coarse: _Climbed, threads: int | None, *, start: Float64 | None = None
+) -> _Climbed:
+    x = coarse.maximum.x if start is None else start
+    final = _climb(samples, x, coarse.free, coarse.width, threads)
+    if not 0.5 * coarse.width <= final.width <= 1.5 * coarse.width:
+        final = _climb(samples, final.maximum.x, coarse.free, final.width, threads)
+    return final
+
+
+def _profile_on_samples(
+    samples: Samples, few: Samples, profile: Sequence[Maximum], final: _Climbed, threads: int | None
+) -> tuple[tuple[ScanPoint, ...], Float64 | None]:
+    # The profile of the scan's pixels with the estimate itself on it. Where those pixels prefer another σ, all samples
+    # decide: they either have something better to climb from, or say how much worse it is.
+    if LOG_SIGMA not in final.free:
+        return _scan_points(profile, None), None
+    fixed = [place for place in final.free if place != LOG_SIGMA]
+
+    def best_at(some: Samples, x: Float64) -> Maximum:
+        light = some.specular(math.exp(x[LOG_SIGMA]), threads=threads)
+        return maximise(
+            Likelihood(some, x[LOG_SIGMA : LOG_SIGMA + 1], light[:, None], threads=threads), x, fixed
+        )
+
+    here = best_at(few, final.maximum.x)
+    value = here.evaluation.value
+    share = len(few.sample) / max(1, len(samples.sample))
+    shown: list[Maximum] = [here]
+    for point in profile:
+        if point.evaluation.value >= value:
+            whole = best_at(samples, point.x)
+            if whole.evaluation.value > final.value:
+                return (), whole.x
+            worse = share * (final.value - whole.evaluation.value)
+            point = replace(point, evaluation=replace(point.evaluation, value=value - worse))
+        shown.append(point)
+    shown.sort(key=lambda one: one.x[LOG_SIGMA])
+    return _scan_points(shown, None), None
+
+
+def _scan_points(profile: Sequence[Maximum], best: Maximum | None) -> tuple[ScanPoint, ...]:
+    points = [
+        ScanPoint(
+            sigma=math.exp(one.x[LOG_SIGMA]),
+            R_d=float(one.x[R_D]),
+            R_s=math.exp(one.x[LOG_R_S]),
+            value=one.evaluation.value,
+        )
+        for one in (*profile, *(() if best is None else (best,)))
+    ]
+    return tuple(sorted(points, key=lambda point: point.sigma))
+
+
+def _optima(climbs: Sequence[tuple[float, Maximum]]) -> tuple[Optimum, ...]:
+    return tuple(
+        Optimum(
+            start_sigma=start,
+            sigma=math.exp(top.x[LOG_SIGMA]),
+            R_d=float(top.x[R_D]),
+            R_s=math.exp(top.x[LOG_R_S]),
+            value=top.evaluation.value,
+            converged=top.converged,
+        )
+        for start, top in climbs
+    )
+
+
+def _of_likelihood(final: _Climbed, scan: tuple[ScanPoint, ...]) -> Estimate:
     return Estimate(
         x=final.maximum.x,
         free=final.free,
         covariance=final.covariance,
         inflation=final.inflation,
-        likelihood=final.likelihood,
+        criterion=final.likelihood,
         maximum=final.maximum,
         scan=scan,
+        mean_log_likelihood=final.value / max(1, len(final.likelihood.samples.level)),
         unexplained=_share(final.maximum.x),
     )
 
@@ -198,26 +458,20 @@ def _places(samples: Samples, freed: Freed) -> list[int]:
     return [*places, size - 2, size - 1]
 
 
-def _climb(
-    samples: Samples,
-    x: Float64,
-    free: Sequence[int],
-    width: float,
-    threads: int | None,
-    *,
-    by_area: bool = False,
-) -> _Climbed:
+def _climb(samples: Samples, x: Float64, free: Sequence[int], width: float, threads: int | None) -> _Climbed:
     # the specular light is tabulated around σ; where the climb leaves the table, around the place that it left for
     moves = 0
     while True:
-        offsets = width * np.linspace(-1.0, 1.0, TABLE_NODES) if LOG_SIGMA in free else np.zeros(1)
+        count = TABLE_NODES if width <= USUAL_TABLE else WIDE_TABLE_NODES
+        offsets = width * np.linspace(-1.0, 1.0, count) if LOG_SIGMA in free else np.zeros(1)
         nodes = x[LOG_SIGMA] + offsets
         table = np.stack([samples.specular(math.exp(node), threads=threads) for node in nodes], axis=1)
-        likelihood = Likelihood(samples, nodes, table, by_area=by_area, threads=threads)
+        likelihood = Likelihood(samples, nodes, table, threads=threads)
         maximum = maximise(likelihood, x, free)
         moves += 1
         inside = abs(float(maximum.x[LOG_SIGMA] - x[LOG_SIGMA])) <= 0.7 * width
         if inside or LOG_SIGMA not in free or moves == MOST_TABLES:
-            return _Climbed(likelihood, maximum, tuple(free), *uncertainty(likelihood, maximum.x, free))
+            settled = replace(maximum, converged=maximum.converged and (inside or LOG_SIGMA not in free))
+            return _Climbed(likelihood, settled, tuple(free), *uncertainty(likelihood, maximum.x, free))
         x = maximum.x.copy()
         x[LOG_SIGMA] = np.clip(x[LOG_SIGMA], nodes[0] - width, nodes[-1] + width)

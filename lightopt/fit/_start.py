@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.errors import InputError
-from lightopt.fit._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.fit._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._samples import Samples
 
 __all__ = ["first_guess", "saturating_r_s", "start_at"]

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._likelihood import R_D, Likelihood
+from lightopt.fit._criterion import R_D
+from lightopt.fit._likelihood import Likelihood
 from lightopt.fit._maximise import bounds
 
 __all__ = ["information", "told_by_images", "uncertainty"]
@@ -103,10 +104,7 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
     total = np.maximum(expected.sum(axis=0), 1e-300)
     chance = np.sqrt(2.0 * np.sum(expected**2, axis=0)) / total
     beyond = measured / np.maximum(np.diag(inner), 1e-300) - 1.0
-    # scores of pixels that count for many are no sums of as many scores: nothing is left to chance there
     weight = np.clip((beyond / np.maximum(chance, 1e-300) - BY_CHANCE) / (SURELY - BY_CHANCE), 0.0, 1.0)
-    if likelihood.by_area:
-        weight = np.ones(len(told))
     covariance = np.zeros((len(free), len(free)))
     covariance[np.ix_(rows, rows)] = inner
     inflation = np.ones(len(free))

@@ -59,7 +59,7 @@ class FitFolder(ResultFolder):
         )
 
     def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
-        """Write the part, where gains or the dark level were freed the rig, and at last ``fit.json``.
+        """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
 
         Raises
         ------
@@ -67,7 +67,9 @@ class FitFolder(ResultFolder):
             A file cannot be written.
         """
         texts = {PART_NAME: _part_text(self.folder, result, part)}
-        if result.gains is not None or result.dark is not None:
+        noise = result.noise if result.write_noise else None
+        seen = noise is not None and (noise.read_noise is not None or noise.electrons is not None)
+        if result.gains is not None or result.dark is not None or seen:
             texts[RIG_NAME] = _rig_text(self.folder, result, rig)
         written = [self.write_text(name, text) for name, text in texts.items()]
         return [self.finish(result.as_dict()), *written]
@@ -110,6 +112,15 @@ def _rig_text(folder: Path, result: FitResult, rig: RigConfig) -> str:
             values["lights", index, "gain"] = f"{gain.value:.6g}"
     if result.dark is not None:
         values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
+    noise = result.noise if result.write_noise else None
+    figures = (
+        {}
+        if noise is None
+        else {"read_noise_levels": noise.read_noise, "electrons_per_level": noise.electrons}
+    )
+    for key, figure in figures.items():
+        if figure is not None:
+            values["camera", "sensor", key] = f"{figure:.4g}"
     return copied_text(rig, folder, values)
 
 

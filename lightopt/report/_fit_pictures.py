@@ -72,6 +72,13 @@ def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
     best = result.value("sigma_rad")
     mark = (best, result.value("R_s")) if "sigma_rad" in result.fitted else None
     interval = next((v.interval for v in result.values if v.name == "sigma_rad"), None)
+    # an end that the images do not bound is that of the drawing
+    span = None
+    if interval is not None:
+        low, high = (end or edge for end, edge in zip(interval, (sigma[0], sigma[-1]), strict=True))
+        span = max(float(low), float(sigma[0])), min(float(high), float(sigma[-1]))
+    described = result.estimate.describes
+    what = "twice the log-likelihood" if described else "twice the log-likelihood of least squares"
     return draw_chart(
         place(),
         title="The ridge: at each sigma, the R_s that fits best, and how much worse it fits",
@@ -83,10 +90,11 @@ def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
                 label="R_s [grey level]", values=np.array([point.R_s for point in scan]), log=True, mark=mark
             ),
             ChartPanel(
-                label="twice the log-likelihood below the best, plus 1; the 95 % interval is shaded",
+                label=f"{what} below the best, plus 1; the 95 % interval is shaded",
                 values=fall + 1.0,
                 log=True,
-                span=interval,
+                mark=None if mark is None else (best, 1.0),
+                span=span,
             ),
         ),
     )

@@ -26,9 +26,8 @@ from lightopt.fit import (
     predicted,
     profile_interval,
 )
-from lightopt.fit._estimate import Freed
+from lightopt.fit._estimate import CHI2_95, Freed
 from lightopt.fit._maximise import maximise
-from lightopt.fit._profile import CHI2_95
 from lightopt.rendering import cast_rays_at
 
 TRUTH = {R_D: 45.0, LOG_R_S: math.log(12500.0), LOG_SIGMA: math.log(0.0475)}
@@ -59,7 +58,7 @@ def fall(found, place, end):
     """Of twice the log-likelihood, from the maximum to the best that is left with one parameter held elsewhere."""
     x = found.x.copy()
     x[place] = end
-    there = maximise(found.likelihood, x, [p for p in found.free if p != place])
+    there = maximise(found.criterion, x, [p for p in found.free if p != place])
     return 2.0 * (found.maximum.evaluation.value - there.evaluation.value)
 
 

@@ -117,7 +117,7 @@ def test_lobes_of_any_width_and_strength(world, sigma, R_s):
 
 @pytest.mark.slow
 def test_normals_guessed_from_facets_are_noticed(world, tmp_path):
-    """The same images, fitted with the STL file: no figure is far off, and the fit says not to trust its intervals."""
+    """The same images, fitted with the STL file: no figure is far off, the fit says so, and its interval holds."""
     shutil.copy(PARTS / "cover-knob.stl", tmp_path / "knob.stl")
     (tmp_path / "part.yaml").write_text(PART, encoding="utf-8")
     scene = build_scene(world.rig, tmp_path / "part.yaml", points="auto")
@@ -127,7 +127,8 @@ def test_normals_guessed_from_facets_are_noticed(world, tmp_path):
     low, high = np.exp(profile_interval(found, LOG_R_S)) / TRUTH.R_s - 1.0
     quality = appraise(samples, found)
     print(f"interval of R_s {low:+.2%} to {high:+.2%}, unexplained {quality.epsilon:.1%}")
-    assert_recovers(found, TRUTH, R_d=0.01, R_s=0.05, sigma=0.01)
+    assert_recovers(found, TRUTH, R_d=0.01, R_s=0.06, sigma=0.02)
+    assert low < 0.0 < high
     assert quality.epsilon > 0.02
-    assert any("describes these images badly" in text for text in poor_fit(quality))
+    assert any("describes these images badly" in text for text in poor_fit(found, quality))
     assert high - low > 0.02

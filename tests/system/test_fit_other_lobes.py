@@ -67,7 +67,7 @@ def test_a_lobe_with_heavy_tails(tmp_path, R_s, width):
     found = estimate(samples)
     quality = appraise(samples, found)
     print(quality)
-    assert any("describes these images badly" in text for text in poor_fit(quality))
+    assert any("describes these images badly" in text for text in poor_fit(found, quality))
     assert quality.epsilon > 0.02
     left_out = leave_lights_out(scene, samples, found, caster=caster)
     shown = [image for left in left_out for image in left.images]

@@ -110,7 +110,7 @@ def test_noise_that_the_rig_does_not_give_is_not_held_against_the_images(scene, 
     found, quality = judged(silent, images)
     assert not quality.poor
     assert quality.image_noise == pytest.approx(2.1, abs=0.4)
-    text = " ".join(poor_fit(quality))
+    text = " ".join(poor_fit(found, quality))
     assert "rig file" in text
     assert "read_noise_levels" in text
     assert "badly" not in text

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 from captured import PART, RIG, captured
-from measured_like import photograph_sphere
+from photographed_sphere import photograph_sphere
 
 from lightopt import build_scene
 from lightopt.align import Placement, place_part, register

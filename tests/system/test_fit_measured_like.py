@@ -1,0 +1,111 @@
+"""Fits to images of another renderer and another surface, over subsets of the lights.
+
+No R_d, R_s and σ are the true ones there. Expected: the subsets agree, predict unseen lights as well as the best
+three-parameter fit of another program, and say as much in their intervals.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from measured_like import Ball, Surface, hemisphere
+
+from lightopt import build_scene
+from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, collect_samples, estimate, profile_interval
+from lightopt.rendering import cast_rays_at
+
+SURFACES = {
+    "like metal": Surface(),
+    "a sharp lobe in a haze": Surface(40.0, 1.12, ((600.0, 0.03), (60.0, 0.2))),
+    "a haze that is all but diffuse": Surface(80.0, 1.12, ((500.0, 0.02), (40.0, 0.3))),
+    "a core of few pixels": Surface(60.0, 1.12, ((4000.0, 0.004), (30.0, 0.1))),
+}
+
+
+class Bench:
+    """A ball, its rig and its images."""
+
+    def __init__(self, folder, surface, *, lights, size, bits=8, noise=1.0, exposure=1.0):
+        self.bits = bits
+        self.ball = Ball(hemisphere(lights), size=size)
+        scaled = noise * (2**bits - 1) / 255.0
+        self.ball.write(folder, bits=bits, noise=scaled)
+        self.levels = self.ball.shoot(surface, bits=bits, noise=scaled, seed=1, exposure=exposure)
+        self.scene = build_scene(folder / "rig.yaml", folder / "part.yaml")
+        self.caster = cast_rays_at(self.scene)
+        self.all = np.arange(lights)
+
+    def fit(self, lights, *, budget=1000):
+        images = self.ball.observations(self.levels, lights, bits=self.bits)
+        return estimate(collect_samples(self.scene, images, caster=self.caster, budget=budget))
+
+    def unseen(self, x, lights):
+        rest = np.setdiff1d(self.all, lights)
+        return self.ball.rms(x[:3], self.levels, rest if len(rest) else self.all, bits=self.bits)
+
+
+def subsets(lights, size):
+    """Disjoint subsets of one size that are all spread over the hemisphere."""
+    step = lights // size
+    return [np.arange(first, step * size, step) for first in range(step)]
+
+
+def disjoint_pairs_overlap(intervals):
+    """Share of pairs of disjoint subsets of one size whose intervals overlap; intervals by size."""
+    pairs = [pair for group in intervals for pair in itertools.combinations(group, 2)]
+    return np.mean([a[0] <= b[1] and b[0] <= a[1] for a, b in pairs])
+
+
+def examine(bench, sizes, *, most_of_each, places=(R_D, LOG_R_S, LOG_SIGMA)):
+    """Assert what the issue of real photographs asked for."""
+    sigmas, intervals = {}, {place: [] for place in places}
+    for size in sizes:
+        chosen = subsets(len(bench.all), size)[:most_of_each]
+        found = [bench.fit(lights) for lights in chosen]
+        sigmas[size] = [one.sigma for one in found]
+        for place in places:
+            intervals[place].append([profile_interval(one, place) for one in found])
+        reference, _ = bench.ball.best_fit(bench.levels, chosen[0], bits=bench.bits)
+        ours, best = bench.unseen(found[0].x, chosen[0]), bench.unseen(reference, chosen[0])
+        print(
+            f"{size} lights: σ", np.round(sigmas[size], 4), f"SciPy's {math.exp(reference[2]):.4f}; unseen {ours:.3f}"
+            f" and {best:.3f} levels rms; interval of σ", np.exp(intervals[LOG_SIGMA][-1][0]).round(4),
+        )  # fmt: skip
+        assert ours <= 1.1 * best
+        for one in found:
+            assert one.maximum.converged
+            assert not one.describes
+            # what is reported is the best of the profile that is drawn
+            assert max(one.scan, key=lambda point: point.value).sigma == pytest.approx(one.sigma, rel=1e-12)
+    many = [sigma for size in sizes if size >= 12 for sigma in sigmas[size]]
+    assert max(many) <= 1.1 * min(many)
+    few = [sigma for size in sizes if size < 12 for sigma in sigmas[size]]
+    assert all(min(many) / 1.25 <= sigma <= 1.25 * max(many) for sigma in few)
+    shares = [disjoint_pairs_overlap(intervals[place]) for place in places]
+    print("disjoint subsets whose intervals of R_d, ln R_s, ln σ overlap:", np.round(shares, 3))
+    assert min(shares) >= 0.9
+
+
+@pytest.mark.slow
+def test_subsets_of_lights_agree(tmp_path):
+    bench = Bench(tmp_path, SURFACES["a sharp lobe in a haze"], lights=24, size=56)
+    examine(bench, (6, 12), most_of_each=4)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES.keys())
+@pytest.mark.parametrize(
+    ("bits", "exposure"),
+    [(8, 1.0), (16, 1.0), (16, 0.25), (8, 4.0)],
+    ids=["8 bit", "16 bit", "unsaturated", "much saturated"],
+)
+def test_subsets_of_96_lights_agree(tmp_path, surface, bits, exposure):
+    if exposure < 1.0:
+        surface = Surface(
+            surface.diffuse, surface.exponent, tuple((min(r, 600.0), a) for r, a in surface.lobes)
+        )
+    bench = Bench(tmp_path, surface, lights=96, size=80, bits=bits, exposure=exposure)
+    examine(bench, (6, 12, 24, 48, 96), most_of_each=8)

@@ -1,0 +1,212 @@
+"""What a fit must not hide: values out of range, unbounded ends, a climb that did not end, noise and misfit."""
+
+from __future__ import annotations
+
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lightopt import load_rig
+from lightopt.errors import InputError
+from lightopt.fit import FIRST_GAIN, LOG_SIGMA, R_D, FittedValue, _search
+from lightopt.fit._checks import refuse_out_of_range
+from lightopt.fit._criterion import Evaluation, parameter_name
+from lightopt.fit._maximise import maximise
+from lightopt.fit._result import bounded
+from lightopt.fit._scan import peaks, profile_over_sigma
+
+
+class Landscape:
+    """A criterion of R_d and ln σ that is written down here."""
+
+    size = FIRST_GAIN + 1 + 2
+    sigma_range = -6.0, 0.0
+
+    def __init__(self, value, *, gradient=None):
+        self.value, self.given = value, gradient
+
+    def evaluate(self, x):
+        gradient = np.zeros(self.size)
+        for place in (R_D, LOG_SIGMA):
+            ahead, behind = x.copy(), x.copy()
+            ahead[place] += 1e-5
+            behind[place] -= 1e-5
+            gradient[place] = (self.value(ahead) - self.value(behind)) / 2e-5
+        if self.given is not None:
+            gradient[:] = self.given
+        return Evaluation(self.value(x), gradient, np.eye(self.size))
+
+
+def at(r_d, log_sigma):
+    x = np.zeros(Landscape.size)
+    x[R_D], x[LOG_SIGMA] = r_d, log_sigma
+    return x
+
+
+# --- the optimiser
+
+
+def test_a_climb_ends_at_the_maximum():
+    found = maximise(Landscape(lambda x: -((x[R_D] - 3.0) ** 2)), at(1.0, -2.0), [R_D])
+    assert found.converged
+    assert found.unsettled == ()
+    assert found.x[R_D] == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_climb_that_stalls_where_the_criterion_still_rises_has_not_converged():
+    """Each step promises 25 nat and none of them keeps it, however much it is damped."""
+    slope = np.zeros(Landscape.size)
+    slope[LOG_SIGMA] = 5.0
+    found = maximise(
+        Landscape(lambda x: -abs(x[LOG_SIGMA] + 2.0), gradient=slope), at(1.0, -2.0), [R_D, LOG_SIGMA]
+    )
+    assert not found.converged
+    assert found.unsettled == (LOG_SIGMA,)
+    assert parameter_name(found.unsettled[0], ("one",)) == "σ"
+
+
+def test_too_few_steps_have_not_converged():
+    found = maximise(Landscape(lambda x: -((x[R_D] - 3.0) ** 4)), at(-9.0, -2.0), [R_D], most_steps=3)
+    assert not found.converged
+    assert parameter_name(found.unsettled[0], ("one",)) == "R_d"
+
+
+def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
+    def value(x):
+        ln = x[LOG_SIGMA]
+        return 3.0 * math.exp(-((ln + 4.0) ** 2)) + 5.0 * math.exp(-((ln + 1.0) ** 2)) - (x[R_D] - ln) ** 2
+
+    row = [float(ln) for ln in np.linspace(-6.0, 0.0, 25)]
+    profile = profile_over_sigma(
+        lambda _: Landscape(value), lambda number, _: [at(0.0, row[number])], row, [R_D, LOG_SIGMA]
+    )
+    tops = peaks(profile)
+    assert [round(float(top.x[LOG_SIGMA]), 2) for top in tops] == [-1.0, -4.0]
+    assert all(one.x[R_D] == pytest.approx(one.x[LOG_SIGMA], abs=0.2) for one in profile)
+
+
+# --- values
+
+
+@pytest.mark.parametrize(
+    ("sigma", "r_s", "word"),
+    [(0.0009, 1e3, "lower end"), (0.001, 1e3, "lower end"), (0.2, 1e3, "upper end"), (0.28, 1e3, "upper end"),
+     (0.05, 1e12, "not bounded")],
+)  # fmt: skip
+def test_values_out_of_the_documented_range_are_refused(sigma, r_s, word):
+    with pytest.raises(InputError, match=word):
+        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=r_s))
+
+
+def test_values_of_the_documented_range_are_not():
+    for sigma in (0.0011, 0.05, 0.19):
+        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=1e6))
+
+
+def test_an_end_that_nothing_bounds_is_none():
+    interval = bounded((math.log(0.0444), math.inf), math.exp)
+    assert interval == (pytest.approx(0.0444), None)
+    value = FittedValue(name="sigma_rad", value=0.05, standard_error=0.1, interval=interval)
+    assert json.loads(json.dumps(value.as_dict()))["interval_95"] == [pytest.approx(0.0444), None]
+
+
+def test_it_is_said_in_words():
+    from lightopt.cli._fit import _in_words
+
+    assert _in_words((0.0444, None)) == "from 0.0444, no upper bound"
+    assert _in_words((None, 3.0)) == "up to 3, no lower bound"
+    assert _in_words((1.0, 2.0)) == "1 to 2"
+
+
+# --- on the command line
+
+
+@pytest.fixture(scope="module")
+def noisy(shared_bench, tmp_path_factory):
+    """Images of the knob with noise of 2 levels and 30 electrons per level."""
+    from lightopt.cli._main import run
+
+    folder = tmp_path_factory.mktemp("noisy")
+    rig = folder / "noisy.yaml"
+    text = shared_bench.rig.read_text(encoding="utf-8")
+    rig.write_text(
+        text.replace(
+            "read_noise_levels: 0.8, electrons_per_level: 60", "read_noise_levels: 2, electrons_per_level: 30"
+        ),
+        encoding="utf-8",
+    )
+    words = ("render", rig, shared_bench.part, "-o", folder / "set", "-q", "--patches", "500", "--noise", "3")
+    assert run([str(word) for word in (*words, "--exposure", "1", "--exposure", "1/16")]) == 0
+    return folder / "set"
+
+
+def fit(cli, bench, images, out, *more, rig=None):
+    return cli(
+        "fit-specular", rig or bench.rig, bench.part, images, "-o", out, "--joint", "--no-validation",
+        "--pixels", "40000", *more,
+    )  # fmt: skip
+
+
+def test_the_noise_of_the_images_is_written_into_the_rig(cli, bench, noisy):
+    first = fit(cli, bench, noisy, bench.out, "--write-noise")
+    assert first.status == 0
+    assert "sensor levels of noise, the rig file's figures make" in first.err
+    assert "noise written" in first.out
+    written = load_rig(bench.out / "rig.fitted.yaml").camera.sensor
+    figures = json.loads((bench.out / "fit.json").read_text())["noise"]
+    assert written.read_noise_levels == pytest.approx(2.0, rel=0.1)
+    assert written.electrons_per_level == pytest.approx(30.0, rel=0.25)
+    assert abs(figures["read_noise_levels"] - 2.0) < 4.0 * figures["read_noise_standard_error"]
+    before, after = (
+        bench.rig.read_text().splitlines(),
+        (bench.out / "rig.fitted.yaml").read_text().splitlines(),
+    )
+    assert [a for a, b in zip(after, before, strict=True) if a != b] == [
+        line for line in after if "read_noise_levels" in line
+    ]
+    again = fit(cli, bench, noisy, bench.folder / "again", rig=bench.out / "rig.fitted.yaml")
+    assert (again.status, again.err) == (0, "")
+
+
+def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
+    from lightopt.fit import _lack_of_fit
+
+    monkeypatch.setattr(_lack_of_fit, "MOST_MISFIT", 0.1)
+    ran = fit(cli, bench, noisy, bench.out, "--write-noise")
+    assert ran.status == 0
+    assert "the noise is not written: the model does not describe these images" in ran.err
+    assert "least squares" in ran.err
+    assert not (bench.out / "rig.fitted.yaml").exists()
+    figures = json.loads((bench.out / "fit.json").read_text())
+    assert figures["criterion"] == "least squares"
+    assert figures["uncertainty_from"] == "4 lights and postures"
+
+
+def test_what_did_not_converge_is_said_and_exits_1(cli, bench, noisy, monkeypatch):
+    def few_steps(criterion, x, free, **options):
+        return maximise(criterion, x, free, **{**options, "most_steps": 2})
+
+    monkeypatch.setattr(_search, "maximise", few_steps)
+    monkeypatch.setattr(_search, "MOST_TABLES", 1)
+    ran = fit(cli, bench, noisy, bench.out)
+    assert ran.status == 1
+    assert "did not converge" in ran.err
+    assert "still improves along" in ran.err
+    assert json.loads((bench.out / "fit.json").read_text())["converged"] is False
+    assert (bench.out / "part.fitted.yaml").exists()
+    allowed = fit(cli, bench, noisy, bench.out, "--allow-unconverged", "--force")
+    assert allowed.status == 0
+    assert "did not converge" in allowed.err
+
+
+def test_the_profile_that_is_drawn_peaks_at_the_reported_value(cli, bench, noisy):
+    for number, more in enumerate(((), ("--free", "gain"))):
+        out = bench.folder / f"drawn{number}"
+        assert fit(cli, bench, noisy, out, *more).status == 0
+        figures = json.loads((out / "fit.json").read_text())
+        drawn = min(figures["ridge"], key=lambda point: point["twice_log_likelihood_below_best"])
+        assert drawn["sigma_rad"] == figures["values"]["sigma_rad"]["value"]
+        assert figures["converged"] is True
