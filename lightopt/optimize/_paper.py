@@ -65,13 +65,14 @@ class Paper:
     unit: str = "sensor level"
     share_of: None = None
 
-    def shown(self, score: int) -> str:
+    def shown(self, score: int, grain: float) -> str:
         """A plain number: sums of levels have no other unit."""
+        del grain
         return f"{score:,}"
 
-    def share(self, score: int, area: int) -> float | None:
+    def whole(self, area: int) -> int | None:
         """None: levels are no area."""
-        del score, area
+        del area
 
     def refusal(self, lights: int) -> str | None:
         """Dropping the highest and the lowest of two leaves nothing."""

@@ -94,7 +94,8 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
             "footprint_mm": round(chosen.footprint, 6),
             "grain": round(chosen.grain, 6),
         },
-        "visible_share_of_surface": round(chosen.visible_share, 6),
+        "inspectable_share_of_surface": round(chosen.inspectable_share, 6),
+        "left_out_share_of_surface": round(chosen.left_out_share, 6),
         "bounds_with_any_of_exposures": list(chosen.exposures),
     }
 

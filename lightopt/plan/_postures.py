@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import CheckFailed, counted
@@ -26,7 +27,7 @@ from lightopt.plan._progress import Tell
 from lightopt.plan._result import ChosenPostures
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
 from lightopt.plan._unreached import unreached
-from lightopt.rendering import build_patches, cast_rays_at
+from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import (
     Scene,
     build_catalogue,
@@ -125,10 +126,16 @@ def plan_postures(
         max_edge=table.max_edge,
         footprint=table.footprint,
         grain=table.grain,
-        visible_share=float(np.sum(table.patches.areas[whole.patches]) / np.sum(table.patches.areas)),
+        inspectable_share=_area_share(table, table.inspectable_anywhere),
+        left_out_share=_area_share(table, table.visible.any(axis=0) & ~table.inspectable_anywhere),
         exposures=wanted.all_exposures,
     )
     return chosen, whole
+
+
+def _area_share(table: PatchTable, which: NDArray[np.bool_]) -> float:
+    areas = table.patches.areas
+    return float(areas[which].sum() / areas.sum())
 
 
 def places_of(rig: RigConfig, choice: Choice, options: OptimizeOptions) -> tuple[tuple[float, float], ...]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 from lightopt.errors import counted
-from lightopt.optimize import DIRECTIONS, GRAZING_COSINE, Draft, unroll
+from lightopt.optimize import DIRECTIONS, Draft, unroll
+from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Block, Facts, Table
 from lightopt.scene import PanelLight, build_catalogue
 
@@ -53,6 +53,7 @@ def _physics(draft: Draft) -> list[tuple[str, str]]:
         ("lights", "; ".join(dict.fromkeys(map(_light, draft.scene.lights)))),
         ("shadows", "cast by the part" if draft.document["options"]["shadows"] else "none (--no-shadows)"),
         ("patches", draft.table.message),
+        ("left out", f"what the camera sees at more than {GRAZING_DEG:g}° to the normal"),
     ]
 
 
@@ -98,11 +99,10 @@ def _looked_for(draft: Draft) -> list[tuple[str, str]]:
         return []
     entries = build_catalogue(draft.part)
     trials = counted(len(unroll(entries)), "trial")
-    grazing = math.degrees(math.acos(GRAZING_COSINE))
     images = counted(options["seen_in"], "image")
     visible = (
         f"where the level changes by {options['threshold']:g} times the noise or more (--threshold), in {images} or "
-        f"more (--seen-in); at more than {grazing:g}° between normal and view never"
+        "more (--seen-in)"
     )
     return [
         ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),

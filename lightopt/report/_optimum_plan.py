@@ -57,14 +57,14 @@ def blind_tables(draft: Draft) -> list[Block]:
     for name, lights, facts in entries:
         shares = {one["reason"]: one["share"] for one in facts["blind"]}
         lost = [percent(shares.get(reason, 0.0)) for reason in reasons]
-        rows.append([name, lights, percent(facts["seen"]), *lost])
+        rows.append([name, lights, percent(facts["seen"]), *lost, percent(facts["left_out_of_surface"])])
     images = counted(spots["seen_in"], "image")
     caption = (
         f"Shares of {spots['shares_of']}; seen: in {images} or more, of a posture or of all. "
         f"{BLIND_LIGHTS[1].capitalize()}: every light wherever it shows that defect; no one set of positions need show "
-        "all of it."
+        "all of it. Left out: of the whole surface, what the camera sees at a grazing angle only."
     )
-    header = ["posture", "lights", "seen", *reasons]
+    header = ["posture", "lights", "seen", *reasons, "left out"]
     return [Table(header=header, rows=rows, numbers_from=2, caption=caption)]
 
 
@@ -87,13 +87,14 @@ def posture_blocks(draft: Draft) -> list[Block]:
         for posture in map(Posture.from_dict, chosen["order_of_travel"])
         for number, one in [numbered[posture]]
     ]
+    sight = [percent(chosen[f"{which}_share_of_surface"]) for which in ("inspectable", "left_out")]
     facts = [
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
         ("the same number of others shows at most", percent(chosen["bound"])),
         ("all candidates together show", percent(chosen["all_candidates"])),
         (
             "the camera sees, in some posture",
-            f"{percent(chosen['visible_share_of_surface'])} of the surface",
+            f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
         ),
         ("travel from (0°, 0°)", _travel(chosen, draft.document.get("rounds", ()))),
         ("each patch counts as its middle does", _grain(chosen["patches"])),
