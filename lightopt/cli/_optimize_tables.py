@@ -17,8 +17,7 @@ __all__ = ["show_blind_spots", "show_optimum", "show_overlaps"]
 
 def show_optimum(found: Optimum) -> None:
     """Candidates, the best sets with every objective's score, overlaps, and where the files are."""
-    candidates = found.candidates
-    for out in candidates.left_out:
+    for out in found.offered.left_out:
         say(
             f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
         )

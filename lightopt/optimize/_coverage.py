@@ -69,7 +69,10 @@ class Coverage:
         """One image is never two."""
         if lights >= LEAST_USABLE:
             return None
-        return f"objective coverage wants each patch usable in {LEAST_USABLE} images, and there is one light only"
+        return (
+            f"objective coverage wants each patch usable in {LEAST_USABLE} images, and there is one light only; use "
+            "the objective detectability"
+        )
 
     def weights(self, areas: Float64) -> Int64:
         """Each patch counts by its area."""

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.optimize._bit_runs import bit_run_scores, flags_of
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import INSPECTABLE_SURFACE, area_text
@@ -92,7 +92,7 @@ class Detectability:
         if lights >= self.seen_in or self.across_postures:
             return None
         return (
-            f"objective detectability wants each defect seen in {self.seen_in} images, and there are {lights} lights "
+            f"objective detectability wants each defect seen in {self.seen_in} images, and there is {counted(lights, 'light')} "
             "only; lower --seen-in"
         )
 

@@ -79,8 +79,8 @@ class Paper:
         if lights > 2:
             return None
         return (
-            f"objective paper drops each patch's highest and lowest level, and with {lights} lights nothing is left; "
-            "expected at least 3 lights, or use the objective coverage"
+            f"objective paper drops each patch's highest and lowest level, and with {counted(lights, 'light')} nothing is "
+            "left; expected at least 3 lights, or use another objective"
         )
 
     def weights(self, areas: Float64) -> Int64:

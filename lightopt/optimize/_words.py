@@ -63,7 +63,11 @@ def gap_text(answer: Answer, result: SetResult) -> str:
     if found.gap is None:
         return "-"
     gap = shown_text(found.gap, answer.objective, result)
-    return ("" if found.complete else "≥ ") + (gap if gap.startswith("<") else f"−{gap}")
+    return (
+        ("" if found.complete else "≥ ") + (gap if gap.startswith("<") else f"−{gap}")
+        if found.gap
+        else "equal"
+    )
 
 
 def ties_text(answer: Answer) -> str:

@@ -71,7 +71,9 @@ def plan_postures(
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
     places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
-    postures, left_out = usable_postures(replace(scene, postures=grid), places, caster)
+    postures, left_out = usable_postures(
+        replace(scene, postures=grid), places, caster, allow_outside_px=wanted.allow_outside_px
+    )
     if tell is not None:
         few = wanted.postures is not None and len(postures) < wanted.postures
         asked = f", fewer than the {wanted.postures} that were asked for" if few else ""
@@ -166,5 +168,4 @@ def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None
         step_deg=options.step_deg,
         common_elevation=options.common_elevation,
         points=options.points,
-        alone=True,
     )

@@ -148,7 +148,9 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
     if chosen["optimum"] == "proven":
         return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
     bound = (
-        f"Proven: with these lights no {number} of the {chosen['candidates']} show more than "
+        f"Proven: with these lights none of the {chosen['best_of_sets']:,} sets of {number} shows more."
+        if chosen["best_of_sets"] is not None
+        else f"Proven: with these lights no {number} of the {chosen['candidates']} show more than "
         f"{percent(chosen['bound'])}."
     )
     if not chosen["turns"]:

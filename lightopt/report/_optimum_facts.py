@@ -20,13 +20,13 @@ def fact_blocks(draft: Draft) -> list[Block]:
         Facts(rows=[*_physics(draft), *_search(draft)]),
         Facts(rows=_provenance(draft)),
     ]
-    if draft.candidates.left_out:
+    if draft.offered.left_out:
         blocks.append(
             Table(
                 header=["light", "position", "left out since it"],
                 rows=[
                     [out.light, f"{out.elevation_deg:g}°, {out.azimuth_deg:g}°", out.reason]
-                    for out in draft.candidates.left_out
+                    for out in draft.offered.left_out
                 ],
                 numbers_from=3,
             )
@@ -75,7 +75,7 @@ def _light(light: PanelLight) -> str:
 
 def _search(draft: Draft) -> list[tuple[str, str]]:
     options = draft.document["options"]
-    positions = " × ".join(str(len(angles)) for angles in draft.candidates.angles)
+    positions = " × ".join(str(len(angles)) for angles in draft.offered.angles)
     ties = [
         text
         for key, text in (
