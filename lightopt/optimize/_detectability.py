@@ -92,8 +92,8 @@ class Detectability:
         if lights >= self.seen_in or self.across_postures:
             return None
         return (
-            f"objective detectability wants each defect seen in {self.seen_in} images, and there is {counted(lights, 'light')} "
-            "only; lower --seen-in"
+            f"objective detectability wants each defect seen in {self.seen_in} images, and the rig has "
+            f"{counted(lights, 'light')} only; lower --seen-in"
         )
 
     def weights(self, areas: Float64) -> Int64:

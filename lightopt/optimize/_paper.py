@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.errors import counted
 from lightopt.optimize._extreme_sums import extreme_tasks
 from lightopt.optimize._matrix import Levels, LuminanceMatrix, Thresholds, usable_sums
 from lightopt.optimize._minimum_sums import Capped, minimum_tasks
@@ -79,8 +80,8 @@ class Paper:
         if lights > 2:
             return None
         return (
-            f"objective paper drops each patch's highest and lowest level, and with {counted(lights, 'light')} nothing is "
-            "left; expected at least 3 lights, or use another objective"
+            f"objective paper drops each patch's highest and lowest level, and with {counted(lights, 'light')} nothing "
+            "is left; expected at least 3 lights, or use another objective"
         )
 
     def weights(self, areas: Float64) -> Int64:

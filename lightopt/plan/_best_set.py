@@ -3,8 +3,8 @@
 Worth is submodular (:mod:`lightopt.plan._greedy_cover`): what a candidate adds to a set never exceeds what it added to
 a part of that set. So no set that goes on from S with r more candidates of those left is worth more than worth(S) + the
 r largest gains left, and none reaches more than a k-th of that. Sets are visited from the most promising on; a branch
-whose bound is no more than the best set known is left out, with all its sets. What remains is every set's proof, or, at a
-limit of work, none.
+whose bound is no more than what the best known set reaches is left out. At a limit of work the search ends without
+a proof.
 """
 
 from __future__ import annotations

@@ -120,8 +120,8 @@ def usable_postures(
         first = left_out[0]
         raise InputError(
             f"no posture of {len(left_out)} is left to choose from: in {first.posture} {first.reason}; change the "
-            "part's placement, the stage's pivot or its ranges, let the camera see more, or allow the part to leave the "
-            "view (--allow-outside)"
+            "part's placement, the stage's pivot or its ranges, let the camera see more, or allow the part to leave "
+            "the view (--allow-outside)"
         )
     return tuple(kept), tuple(left_out)
 
@@ -160,16 +160,15 @@ def _out_of_view(scene: Scene, posture: Posture, allowed: float) -> tuple[str, s
     framing = frame_part(view_from_part(scene, posture).camera, scene.mesh)
     if framing.nearest <= 0.0:
         return "the part reaches behind the camera", "view"
-    if framing.outside:
-        return "the part lies wholly outside the view", "view"
-    if max(framing.excess) <= allowed:
+    if not framing.outside and max(framing.excess) <= allowed:
         return None
     leaves = [
         f"{_pixels(pixels)} at the {side}"
         for pixels, side in zip(framing.excess, _SIDES, strict=True)
         if pixels > 0.0
     ]
-    return f"the part leaves the view by {', '.join(leaves)}; {_pixels(allowed)} are allowed", "view"
+    limit = "so that nothing of it is seen" if framing.outside else f"{_pixels(allowed)} are allowed"
+    return f"the part leaves the view by {', '.join(leaves)}; {limit}", "view"
 
 
 def _pixels(amount: float) -> str:

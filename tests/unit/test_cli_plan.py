@@ -146,10 +146,10 @@ def test_there_is_one_share_of_the_plan_and_it_is_said_of_what(planned):
     result = result_of(planned.out)
     chosen, exposures = result["chosen_postures"], result["exposures"]
     first = result["results"][0]["objectives"][0]
-    assert first["share_of_visible_area"] == chosen["share"] == exposures["share"]
+    assert first["share_of_inspectable_area"] == chosen["share"] == exposures["share"]
     assert first["share_of"] == chosen["shares_of"] == exposures["shares_of"]
     # entries of the catalogue weigh the same
-    assert first["share_of_visible_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
+    assert first["share_of_inspectable_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
     page = (planned.out / "report.html").read_text(encoding="utf-8")
     assert f"({100.0 * chosen['share']:.1f} %)" in page
 
@@ -269,7 +269,7 @@ def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     # either posture confirms what the other shows
     assert result["chosen_postures"]["share"] > 0.0
     first = result["results"][0]["objectives"][0]
-    assert first["share_of_visible_area"] == result["chosen_postures"]["share"]
+    assert first["share_of_inspectable_area"] == result["chosen_postures"]["share"]
     assert [light["light"] for light in first["lights"]] == ["light1"]
     seen = result["chosen_postures"]["share"] * result["chosen_postures"]["visible_share_of_surface"]
     assert result["blind_spots"]["chosen"]["seen"] == pytest.approx(seen, abs=3e-6)

@@ -84,7 +84,7 @@ def test_figures_are_those_of_the_result(done, blocks):
     assert result["files"] == [{"file": "report.html"}]
     for row, (answer, group) in enumerate(zip(answers, result["results"], strict=True)):
         best = group["objectives"][0]
-        share = f"{100 * best['score'] / group['visible_area_um2']:.1f} %"
+        share = f"{100 * best['score'] / group['inspectable_area_um2']:.1f} %"
         score = f"{best['score'] / 1e6:,.2f} mm²"
         assert answer.figure == share
         assert score in answer.text
