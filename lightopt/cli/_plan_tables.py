@@ -66,7 +66,8 @@ def _show_postures(chosen: ChosenPostures) -> None:
     say(
         f"that surface is {100.0 * chosen.inspectable_share:.1f} % of the part's, and "
         f"{percent(chosen.left_out_share)} is left out since the camera sees it at a grazing angle only; of "
-        f"{chosen.patches:,} patches with edges up to {chosen.max_edge:.3g} mm, each seen or not as its middle is: shares may be off by some "
+        f"{chosen.patches:,} patches with edges up to {chosen.max_edge:.3g} mm, each seen or not as its middle is: "
+        "shares may be off by some "
         f"{100.0 * chosen.grain:.1g} points"
     )
     _show_spare(chosen)
