@@ -505,6 +505,11 @@ def test_tolerances_of_another_objective(two, cli):
             ("--choose-postures", "1", "--allow-outside=-1"),
             "--allow-outside: expected a number of pixels, 0 or more, found -1",
         ),
+        (("--exposure-gain", "2"), "--exposure-gain: does nothing without --exposures"),
+        (("--tolerance-target", "0.9"), "does nothing without --tolerance-deg"),
+        (("--exposures", "1,0"), "--exposures: expected a number from 1e-09 to 1e+09 or a fraction"),
+        (("--exposures", "1,-1/4"), 'found "-1/4"'),
+        (("--exposures", "1/4,1/4"), "--exposures: the same exposure was given twice"),
         (
             ("--exposures", "1/4", "--exposure-gain", "-1"),
             "--exposure-gain: expected points from 0 to 100, found -1",
