@@ -349,6 +349,40 @@ def test_options_out_of_range(three, cli, arguments, message):
     assert not three.out.exists()
 
 
+def sheet():
+    """A sheet that stands nearly upright, open: from above it is seen at a grazing angle only."""
+    corners = [[0, -10, 0], [1, -10, 20], [1, 10, 20], [0, 10, 0]]
+    return trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
+
+
+SHAPES = {
+    "plate": trimesh.creation.box((40, 25, 3)),
+    "ball": trimesh.creation.icosphere(subdivisions=2, radius=12),
+    "torus": trimesh.creation.torus(12, 4, major_sections=24, minor_sections=12),
+    "sheet": sheet(),
+}
+QUICK = ("--step", "30", "--no-images", "--no-report", "--posture", "0,0", "--patches", "400")
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("objective", ["coverage", "detectability"])
+def test_plain_shapes_have_an_answer_or_an_error_in_words(three, cli, shape, objective):
+    SHAPES[shape].export(three.mesh)
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *QUICK, "--objective", objective)
+    assert "nan" not in (ran.out + ran.err).lower()
+    if shape == "sheet":
+        assert ran.status == 2
+        assert "all that the camera sees, it sees at more than 80° to the normal" in ran.err
+        assert not (three.out / "result.json").exists()
+        return
+    assert ran.status == 0, ran.err
+    (group,) = result_of(three.out)["results"]
+    (answer,) = group["objectives"]
+    assert 0.0 < answer["share_of_inspectable_area"] <= 1.0
+    assert 0.0 <= group["left_out_of_visible_area"] < 0.5
+    assert (group["left_out_of_visible_area"] > 0.0) is (shape != "plate")
+
+
 ONE_LIGHT = """lights:
   - {name: a, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [30, 60]}
 """

@@ -187,7 +187,9 @@ def test_blind_spots_are_those_of_the_whole_plan(planned):
     # the same pairs of the same patches, as a share of the whole surface
     seen = exposures["share"] * chosen["inspectable_share_of_surface"]
     # but for what the camera sees at a grazing angle only
-    assert spots["chosen"]["seen"] * (1.0 - spots["chosen"]["left_out_of_surface"]) == pytest.approx(seen, abs=3e-6)
+    assert spots["chosen"]["seen"] * (1.0 - spots["chosen"]["left_out_of_surface"]) == pytest.approx(
+        seen, abs=3e-6
+    )
     # the lights stand where they were chosen to, and what other positions could show is still told
     assert spots["any_position"]["seen"] > spots["chosen"]["seen"]
     for part in (spots, *spots["postures"]):
