@@ -14,8 +14,8 @@ from benchmarks._contrast_test import off
 from benchmarks._truth_case import MEANS, SEEN_IN, Case, Point, noisy_levels, trace
 from lightopt.config import PartConfig
 from lightopt.defects import tangent_references
-from lightopt.optimize import GRAZING_COSINE, Trial, flags_of, unroll
-from lightopt.rendering import SurfacePoints, shade_points
+from lightopt.optimize import Trial, flags_of, unroll
+from lightopt.rendering import GRAZING_COSINE, SurfacePoints, shade_points
 from lightopt.scene import PanelLight, Scene, build_catalogue, view_from_part
 
 __all__ = ["walls"]
@@ -62,8 +62,7 @@ def walls(case: Case, part: PartConfig, finish: str) -> Iterator[Point]:
     for seen_in, pixels in itertools.product(SEEN_IN, MEANS):
         measured = (counts[pixels] >= seen_in) @ areas / areas.sum()
         flags = flags_of(visibility.seen((0,) * len(lights), seen_in), len(trials))
-        seen = np.where(visibility.cosines >= GRAZING_COSINE, visibility.areas, 0.0)
-        predicted = seen @ flags / seen.sum()
+        predicted = visibility.areas @ flags / visibility.areas.sum()
         for kind in (*dict.fromkeys(names), "all"):
             own = weights * np.array([kind in (name, "all") for name in names])
             shares = (float(own @ values / own.sum()) for values in (predicted, measured))

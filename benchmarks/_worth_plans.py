@@ -38,7 +38,7 @@ def plans(
     rig: RigConfig, part: PartConfig, *, finish: str, patches: int, defects: int = DEFECTS
 ) -> Iterator[Row]:
     """Plan a part's own postures and chosen ones, at exposure 1 and with all that are offered, as the command does."""
-    candidates = find_candidates(rig, step_deg=STEP, alone=True)
+    candidates = find_candidates(rig, step_deg=STEP)
     scene = build_scene(rig, part, defects=False)
     grid = replace(scene, postures=posture_grid(rig, part, step_deg=POSTURE_STEP))
     places = tuple(panel for some in candidates.panels for panel in some)

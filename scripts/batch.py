@@ -151,7 +151,7 @@ def summary(path: Path) -> list[tuple[str, str, str]]:
     sets: list[tuple[str, str, str]] = []
     for group in json.loads(path.read_text(encoding="utf-8"))["results"]:
         answer, postures = group["objectives"][0], group["postures"]
-        share = answer.get("share_of_visible_area")
+        share = answer.get("share_of_inspectable_area")
         angles = [f"{light['elevation_deg']:g},{light['azimuth_deg']:g}" for light in answer["lights"]]
         one = f"{postures[0]['elevation_deg']:g},{postures[0]['rotation_deg']:g}"
         sets.append(

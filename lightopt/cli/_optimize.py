@@ -109,6 +109,12 @@ def optimize(
     posture_step: Annotated[
         float | None, typer.Option(metavar="DEG", help="Step of the postures to choose from. [22.5]")
     ] = None,
+    allow_outside: Annotated[
+        float | None,
+        typer.Option(
+            metavar="PX", help="How far the part may leave the view in a posture to choose from. [10]"
+        ),
+    ] = None,
     exposures: Annotated[
         str | None,
         typer.Option(
@@ -163,6 +169,7 @@ def optimize(
         choose_postures=choose_postures,
         target=target,
         posture_step=posture_step,
+        allow_outside=allow_outside,
         exposures=exposures,
         exposure_gain=exposure_gain,
         tolerance_deg=tolerance_deg,

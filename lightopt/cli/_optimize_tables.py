@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lightopt.cli._terminal import say, show_table, together
@@ -17,8 +17,7 @@ __all__ = ["show_blind_spots", "show_optimum", "show_overlaps"]
 
 def show_optimum(found: Optimum) -> None:
     """Candidates, the best sets with every objective's score, overlaps, and where the files are."""
-    candidates = found.candidates
-    for out in candidates.left_out:
+    for out in found.offered.left_out:
         say(
             f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
         )
@@ -41,7 +40,8 @@ def show_optimum(found: Optimum) -> None:
 
 def _show_best(found: Optimum) -> None:
     names = [answer.objective.name for answer in found.results[0].answers]
-    header = ["posture", "best for", *found.candidates.names, *names, "runner-up", "ties", "combinations"]
+    counts = ("left out", "runner-up", "ties", "near best", "combinations")
+    header = ["posture", "best for", *found.candidates.names, *names, *counts]
     rows: list[list[str]] = []
     for result in found.results:
         posture = together(result.postures)
@@ -49,34 +49,47 @@ def _show_best(found: Optimum) -> None:
             rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
             posture = ""
     show_table(header, rows, numbers_from=2)
-    _say_shares(answer.objective for answer in found.results[0].answers)
+    _explain([answer.objective for answer in found.results[0].answers])
 
 
-def _say_shares(objectives: Iterable[Objective]) -> None:
-    """What the shares of scores are shares of, a line for each surface."""
+def _explain(objectives: Sequence[Objective]) -> None:
+    """What the columns of the table are, and what the shares of scores are shares of, a line for each surface."""
+    from lightopt.optimize import LEFT_OUT_MEANING, near_meaning
+
     named: dict[str, list[str]] = {}
     for objective in objectives:
         if objective.share_of is not None:
             named.setdefault(objective.share_of, []).append(objective.name)
     for surface, names in named.items():
         say(f"shares of {' and '.join(names)}: of {surface}")
+    say(LEFT_OUT_MEANING)
+    say(near_meaning(objectives))
     say("of each light its elevation and its azimuth about Z from +X")
 
 
 def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
-    from lightopt.optimize import angles_of, gap_text, looked_text, score_text, ties_text
+    from lightopt.optimize import (
+        angles_of,
+        gap_text,
+        left_out_text,
+        looked_text,
+        near_text,
+        score_text,
+        ties_text,
+    )
 
     best = answer.found
     looked = looked_text(answer)
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
-        return [*blank, "-", "all 0", looked]
+        return [*blank, left_out_text(result), "-", "all 0", "all 0", looked]
     angles = [
         f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)
     ]
     objectives = {other.objective.name: other.objective for other in result.answers}
-    scores = [score_text(value, objectives[name], result.area) for name, value in answer.scores.items()]
-    return [*angles, *scores, gap_text(best, answer.objective), ties_text(best), looked]
+    scores = [score_text(value, objectives[name], result) for name, value in answer.scores.items()]
+    counts = [gap_text(answer, result), ties_text(answer), near_text(answer), looked]
+    return [*angles, *scores, left_out_text(result), *counts]
 
 
 def _show_defects(found: Optimum) -> None:
@@ -104,7 +117,7 @@ def _show_defects(found: Optimum) -> None:
 
 def show_blind_spots(blind: BlindReport) -> None:
     """What the chosen lights show of the defects, over all postures and in each, and why the rest stays invisible."""
-    from lightopt.optimize import BLIND_LIGHTS, blind_text
+    from lightopt.optimize import BLIND_LIGHTS, BLIND_SHARES_OF, blind_text
 
     parts = blind.parts() if len(blind.postures) > 1 else blind.parts()[:1]
     codes = sorted({code for _, *both in parts for spots in both for code in spots.by_reason()})
@@ -116,15 +129,17 @@ def show_blind_spots(blind: BlindReport) -> None:
             lights,
             percent(spots.seen),
             *(percent(spots.by_reason().get(code, 0.0)) for code in codes),
+            percent(spots.left_out),
         ]
         for posture, chosen, possible in parts
         for lights, spots in tuple(zip(BLIND_LIGHTS, (chosen, possible), strict=True))[: 2 if both else 1]
     ]
-    header = ["posture", "lights", "seen", *(blind_text(code, blind.lights) for code in codes)]
+    header = ["posture", "lights", "seen", *(blind_text(code, blind.lights) for code in codes), "left out"]
     show_table(header, rows, numbers_from=2)
     images = counted(blind.objective.seen_in, "image")
     own = "; a posture's own images in its row, those of all postures in all" if len(parts) > 1 else ""
-    say(f"shares of the part's whole surface × defects, seen in {images} or more{own}")
+    say(f"shares of {BLIND_SHARES_OF}, seen in {images} or more{own}")
+    say("left out: of the whole surface, what the camera sees at a grazing angle only")
     if both:
         say(
             f"{BLIND_LIGHTS[1]}: every light wherever it shows that defect; no one set of positions need show all of it"

@@ -18,6 +18,7 @@ def plan_options(
     choose_postures: int | None,
     target: str | None,
     posture_step: float | None,
+    allow_outside: float | None,
     exposures: str | None,
     exposure_gain: float | None,
     tolerance_deg: float | None,
@@ -31,6 +32,12 @@ def plan_options(
             posture_step,
             choose_postures is None and target is None,
             "posture-step",
+            "choose-postures or --target",
+        ),
+        (
+            allow_outside,
+            choose_postures is None and target is None,
+            "allow-outside",
             "choose-postures or --target",
         ),
         (exposure_gain, exposures is None, "exposure-gain", "exposures"),
@@ -55,6 +62,7 @@ def plan_options(
 
     from lightopt.plan import (
         DEFAULT_EXPOSURE_GAIN,
+        DEFAULT_OUTSIDE_PX,
         DEFAULT_POSTURE_STEP,
         DEFAULT_TOLERANCE_TARGET,
         PlanOptions,
@@ -65,6 +73,7 @@ def plan_options(
         postures=choose_postures,
         target=reach,
         posture_step_deg=DEFAULT_POSTURE_STEP if posture_step is None else posture_step,
+        allow_outside_px=DEFAULT_OUTSIDE_PX if allow_outside is None else allow_outside,
         exposures=offered,
         exposure_gain=DEFAULT_EXPOSURE_GAIN if exposure_gain is None else exposure_gain,
         tolerances=None

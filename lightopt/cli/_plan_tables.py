@@ -64,8 +64,10 @@ def _show_postures(chosen: ChosenPostures) -> None:
     )
     say(f"shares of postures and exposures: of {SHARES_OF}")
     say(
-        f"that surface is {percent(chosen.visible_share)} of the part's; of {chosen.patches:,} patches with edges up "
-        f"to {chosen.max_edge:.3g} mm, each seen or not as its middle is: shares may be off by some "
+        f"that surface is {100.0 * chosen.inspectable_share:.1f} % of the part's, and "
+        f"{percent(chosen.left_out_share)} is left out since the camera sees it at a grazing angle only; of "
+        f"{chosen.patches:,} patches with edges up to {chosen.max_edge:.3g} mm, each seen or not as its middle is: "
+        "shares may be off by some "
         f"{100.0 * chosen.grain:.1g} points"
     )
     _show_spare(chosen)
@@ -116,14 +118,14 @@ def _show_proof(chosen: ChosenPostures) -> None:
     if chosen.proven:
         say(f"proven of these patches: no {number} show more{whatever}")
     else:
-        say(
-            f"a local optimum: with these lights no {number} show more than {percent(cover.bound_share)}{whatever}, so "
-            f"that these have {percent(cover.guarantee)} of the best at least; other lights with other postures may "
-            "show more"
-            if choice.turns
-            else f"not proven to be the best: no {number} show more than {percent(cover.bound_share)}{whatever}, so "
-            f"that these have {percent(cover.guarantee)} of the best at least"
+        local = "a local optimum: " if choice.turns else ""
+        bound = (
+            f"with these lights none of the {cover.sets:,} sets of {number} shows more{whatever}"
+            if cover.sets is not None
+            else f"with these lights no {number} show more than {percent(cover.bound_share)}{whatever}, so that these "
+            f"have {percent(cover.guarantee)} of the best at least"
         )
+        say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(choice.turns))
     everything = percent(cover.all_reached / max(1, cover.total))
     say(f"all {chosen.offered} postures with these lights show {everything}{whatever}")
     if cover.least is not None and chosen.target is not None:

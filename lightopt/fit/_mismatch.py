@@ -182,7 +182,7 @@ def _what_fits_better(samples: Samples, threads: int | None) -> str | None:
 
 
 def _value_per_pixel(samples: Samples, threads: int | None) -> float:
-    return estimate(samples, threads=threads).maximum.evaluation.value / len(samples.level)
+    return estimate(samples, threads=threads).mean_log_likelihood
 
 
 def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:

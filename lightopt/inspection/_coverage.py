@@ -58,6 +58,7 @@ def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high
     full = (view.saturated & (view.predicted >= view.limit)).any(axis=0)
     reached = np.zeros(part.shape, np.uint8)
     reached[part] = Reached.EDGE
+    reached[part & view.prediction.grazing] = Reached.GRAZING
     reached[part & view.clean] = Reached.SHADOW
     reached[part & view.clean & full] = Reached.SATURATED
     reached[part & found.usable.any(axis=0)] = Reached.GLINTS

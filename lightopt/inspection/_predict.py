@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.raycast import RayCaster
-from lightopt.rendering import Geometry, LightImage, PostureImages, render_posture, trace_pixels
+from lightopt.rendering import (
+    GRAZING_COSINE,
+    Geometry,
+    LightImage,
+    PostureImages,
+    render_posture,
+    trace_pixels,
+)
 from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
 from lightopt.transforms import Posture
 
@@ -35,12 +42,15 @@ class Prediction:
         Under each light, with the specular component apart.
     clean
         Pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
+    grazing
+        Pixels that see the part at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (H, W).
     area
         Of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
     """
 
     images: PostureImages
     clean: Bool
+    grazing: Bool
     area: Float32
 
     def in_rows(self, rows: slice) -> Prediction:
@@ -50,7 +60,9 @@ class Prediction:
             lights=tuple(_in_rows(light, rows) for light in self.images.lights),
             geometry=_in_rows(self.images.geometry, rows),
         )
-        return Prediction(images=images, clean=self.clean[rows], area=self.area[rows])
+        return Prediction(
+            images=images, clean=self.clean[rows], grazing=self.grazing[rows], area=self.area[rows]
+        )
 
 
 def _in_rows(one: Images, rows: slice) -> Images:
@@ -85,13 +97,16 @@ def predict(
     pixels = trace_pixels(scene, posture, caster, threads=threads)
     clean = np.zeros(pixels.shape, np.bool_)
     clean[pixels.row, pixels.column] = pixels.clean
+    grazing = np.zeros(pixels.shape, np.bool_)
+    facing = np.einsum("ij,ij->i", pixels.surface.normals, pixels.surface.views)
+    grazing[pixels.row, pixels.column] = facing < GRAZING_COSINE
     cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
     area = np.zeros(pixels.shape, np.float32)
     view = view_from_part(scene, posture).camera
     distance = np.linalg.norm(pixels.surface.points - view.position, axis=1)
     angle = _solid_angle(view, pixels.column, pixels.row)
     area[pixels.row, pixels.column] = angle * distance**2 / np.maximum(np.abs(cosine), 0.02)
-    return Prediction(images=images, clean=clean & images.geometry.hit, area=area)
+    return Prediction(images=images, clean=clean & images.geometry.hit, grazing=grazing, area=area)
 
 
 def _solid_angle(camera: PinholeCamera, column: NDArray[np.int32], row: NDArray[np.int32]) -> Float64:

@@ -21,19 +21,22 @@ TOLD_SIZE_PX = 5.0
 class Reached(IntEnum):
     """How far the inspection of a place got, the least first; with several postures the furthest counts.
 
+    What is seen at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`) is left out of all shares.
+
     What is lit in fewer images than must show a defect, or is only reached by light and stays dark, is judged by these,
     as :func:`lightopt.inspection.score_deviations` does it. No pixel is missing, only patches of the surface:
     images show them at an edge at most, and a posture without images would show them better.
     """
 
     NO_PART = 0
-    EDGE = 1
-    MISSING = 2
-    SHADOW = 3
-    SATURATED = 4
-    GLINTS = 5
-    FEWER = 6
-    INSPECTED = 7
+    GRAZING = 1
+    EDGE = 2
+    MISSING = 3
+    SHADOW = 4
+    SATURATED = 5
+    GLINTS = 6
+    FEWER = 7
+    INSPECTED = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +46,7 @@ class Shares:
     Attributes
     ----------
     seen
-        By the camera [mm²].
+        By the camera, not at a grazing angle [mm²].
     inspected
         Of it, judged [mm²]: the areas of :attr:`classes`.
     glints
@@ -54,7 +57,9 @@ class Shares:
         show in these alone.
     saturated, shadow, edge
         Of what is seen, not judged: image and prediction are saturated under each light that reaches it; no light
-        does; next to silhouettes and creases, or seen at a grazing angle [mm²].
+        does; next to silhouettes and creases [mm²].
+    grazing
+        Seen at a grazing angle only, which is left out [mm²].
     sensitivity
         By contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that share is found
         half of the time [mm²]. The rest is dark, or shows stronger ones.
@@ -67,12 +72,18 @@ class Shares:
     saturated: float
     shadow: float
     edge: float
+    grazing: float = 0.0
     sensitivity: dict[float, float]
 
     @property
     def share(self) -> float:
         """Of what the camera sees, the share that was inspected."""
         return self.inspected / self.seen if self.seen > 0.0 else 0.0
+
+    @property
+    def left_out(self) -> float:
+        """Of all that the camera sees, the share that it sees at a grazing angle only."""
+        return self.grazing / max(self.seen + self.grazing, 1e-9)
 
     @property
     def classes(self) -> tuple[float, ...]:
@@ -86,7 +97,7 @@ class Shares:
         return (*each, self.inspected - self.glints - found[-1], self.glints)
 
     def shares(self) -> dict[str, Any]:
-        """JSON form: shares of what the camera sees."""
+        """JSON form: shares of what the camera sees without what is left out; that as a share of all that it sees."""
 
         def share(area: float) -> float:
             return round(area / max(self.seen, 1e-9), 5)
@@ -100,6 +111,7 @@ class Shares:
             "saturated": share(self.saturated),
             "shadow": share(self.shadow),
             "edge": share(self.edge),
+            "left_out": round(self.left_out, 5),
         }
 
 
@@ -122,12 +134,13 @@ def class_areas(
         return float(areas[which].sum())
 
     return {
-        "seen": of(reached > Reached.NO_PART),
+        "seen": of(reached > Reached.GRAZING),
         "inspected": of(reached >= Reached.GLINTS),
         "glints": of(reached == Reached.GLINTS),
         "fewer": of(reached == Reached.FEWER),
         "saturated": of(reached == Reached.SATURATED),
         "shadow": of(reached == Reached.SHADOW),
         "edge": of(reached == Reached.EDGE),
+        "grazing": of(reached == Reached.GRAZING),
         "sensitivity": {contrast: of(least_contrast <= contrast) for contrast in CONTRASTS},
     }

@@ -13,8 +13,8 @@ from lightopt.inspection._coverage import Coverage
 from lightopt.inspection._shares import TOLD_SIZE_PX, Reached, Shares, class_areas
 from lightopt.mesh import face_areas
 from lightopt.raycast import RayCaster
-from lightopt.rendering import LEAST_COS_VIEW, build_patches, patch_positions
-from lightopt.scene import Scene, view_from_part
+from lightopt.rendering import build_patches, patch_positions
+from lightopt.scene import Scene
 from lightopt.transforms import Posture
 
 __all__ = ["TOLD_CONTRAST", "TOLD_DISC", "SurfaceCoverage", "SurfaceMap", "map_surface", "surface_coverage"]
@@ -37,7 +37,7 @@ class SurfaceMap:
         Of the patches [mm²], shape (n,).
     seen
         By posture: indices of the patches that the camera sees, and raveled indices of the pixels that they lie in, −1
-        where it sees them at a grazing angle.
+        where it sees them at a grazing angle: these are left out.
     """
 
     areas: NDArray[np.float64]
@@ -52,10 +52,10 @@ class SurfaceCoverage(Shares):
     ----------
     area
         Of the whole surface, undersides and insides too [mm²]; `seen` of it by the camera in at least one posture,
-        with images or without.
+        with images or without, not at a grazing angle.
     missing
         Of what is seen, not judged for want of images: what a posture without images shows, and those with images at
-        an edge or a grazing angle at most [mm²].
+        an edge at most [mm²].
     """
 
     area: float
@@ -88,12 +88,10 @@ def map_surface(scene: Scene, caster: RayCaster) -> SurfaceMap:
     """
     table = build_patches(scene, caster=caster, budget=PATCHES)
     seen: dict[Posture, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
-    for posture, visible in zip(table.postures, table.visible, strict=True):
+    for posture, visible, grazing in zip(table.postures, table.visible, table.grazing, strict=True):
         patch = np.flatnonzero(visible)
         columns, rows = (np.floor(a[patch]).astype(np.intp) for a in patch_positions(table, scene, posture))
-        eye = view_from_part(scene, posture).camera.position - table.patches.centroids[patch]
-        cosine = np.einsum("ij,ij->i", table.patches.normals[patch], eye) / np.linalg.norm(eye, axis=1)
-        seen[posture] = patch, np.where(cosine >= LEAST_COS_VIEW, rows * scene.camera.width + columns, -1)
+        seen[posture] = patch, np.where(grazing[patch], -1, rows * scene.camera.width + columns)
     return SurfaceMap(areas=table.patches.areas, seen=seen)
 
 
@@ -121,13 +119,14 @@ def surface_coverage(
     for posture, coverage in coverages:
         patch, pixel = surface.seen[posture]
         # a patch beside the last pixel that shows the part is at its edge
-        here = np.maximum(np.where(pixel < 0, Reached.EDGE, coverage.reached.ravel()[pixel]), Reached.EDGE)
+        judged = np.maximum(coverage.reached.ravel()[pixel], Reached.EDGE)
+        here = np.where(pixel < 0, Reached.GRAZING, judged)
         reached[patch] = np.maximum(reached[patch], here.astype(np.uint8))
         found = np.where(pixel < 0, np.inf, coverage.least_contrast.ravel()[pixel])
         least[patch] = np.minimum(least[patch], found.astype(np.float32))
     for posture in surface.seen.keys() - {posture for posture, _ in coverages}:
         patch, pixel = surface.seen[posture]
-        here = np.where(pixel < 0, Reached.EDGE, Reached.MISSING)
+        here = np.where(pixel < 0, Reached.GRAZING, Reached.MISSING)
         reached[patch] = np.maximum(reached[patch], here.astype(np.uint8))
     return SurfaceCoverage(
         area=area,

@@ -11,11 +11,12 @@ import numpy as np
 from lightopt.errors import InputError, LightoptError
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._curves import score_curves
-from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
 from lightopt.optimize._objective import Objective
 from lightopt.optimize._result import Answer, SetResult
 from lightopt.optimize._search import Found, search
 from lightopt.optimize._work import pieces
+from lightopt.rendering import GRAZING_DEG, grain_of
 from lightopt.transforms import Posture
 
 __all__ = ["answer_set", "answers_beside"]
@@ -60,9 +61,10 @@ def answer_set(
     """
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
+            sight = f"all that the camera sees, it sees at more than {GRAZING_DEG:g}° to the normal"
             raise InputError(
-                f"posture {posture}: no patch is visible to the camera, so that no position of the lights is better "
-                "than another; check the part's placement and the posture"
+                f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
+                "position of the lights is better than another; check the part's placement and the posture"
             )
     answers: list[Answer] = []
     for objective in objectives:
@@ -97,6 +99,9 @@ def answer_set(
         postures=tuple(postures),
         patches=sum(len(matrix.areas) for matrix in matrices),
         area=sum(int(area_units(matrix.areas).sum()) for matrix in matrices),
+        grazing_area=round(sum(matrix.grazing_mm2 for matrix in matrices) / AREA_UNIT_MM2),
+        grain=sum(grain_of(matrix.areas) * float(matrix.areas.sum()) for matrix in matrices)
+        / sum(float(matrix.areas.sum()) for matrix in matrices),
         answers=tuple(answers),
         levels=tuple(
             np.concatenate(matrix.combination(first.found.best.candidates).levels) for matrix in matrices
@@ -206,7 +211,7 @@ def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: Thresholds, found:
         else f"all {found.scored:,} combinations that were scored score 0, with {found.left:,} left"
     )
     return (
-        f"{which}: of the levels of the visible patches {100.0 * dark / count:.3g} % are shaded "
+        f"{which}: of the levels of the inspectable patches {100.0 * dark / count:.3g} % are shaded "
         f"(below {thresholds.shade}) and {100.0 * bright / count:.3g} % saturated (from {thresholds.saturation} on); "
         "change the lights' gain, the thresholds or the lights' ranges"
     )

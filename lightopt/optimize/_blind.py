@@ -6,11 +6,14 @@ that it lacks:
 
 ============  ==========================================================================================
 camera        the camera sees the patch in no posture
-grazing       the camera sees it at more than 80° to its normal
+grazing       the camera sees it at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`)
 shadowed      light reaches it, neither nought nor saturated, in fewer images than are wanted
 saturated     the same, and it would not be so were it not for a saturated light: the first of those
 contrast      enough images show it well, and the defects change the level by less than noise allows for
 ============  ==========================================================================================
+
+What is seen at a grazing angle only counts neither as seen nor as blind: shares are of the rest of the surface, and the
+share left out stands beside them.
 """
 
 from __future__ import annotations
@@ -22,7 +25,6 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.optimize._contrast import GRAZING_COSINE
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.optimize._packed import Words, add_image, added
 from lightopt.optimize._visibility import Visibility
@@ -69,13 +71,26 @@ class BlindSpots:
 
     @property
     def seen(self) -> float:
-        """Share of the surface × trials that is seen."""
-        return float((self.areas * self.share).sum() / self.areas.sum())
+        """Share of the surface × trials that is seen, of what is not left out."""
+        return float((self.areas * self.share).sum() / self.counted)
+
+    @property
+    def counted(self) -> float:
+        """Area that shares are of: all but what is seen at a grazing angle only [mm²]."""
+        return max(float(self.areas[self.codes != Blind.GRAZING].sum()), 1e-300)
+
+    @property
+    def left_out(self) -> float:
+        """Of the whole surface, the share that is seen at a grazing angle only."""
+        return float(self.areas[self.codes == Blind.GRAZING].sum() / self.areas.sum())
 
     def by_reason(self) -> dict[int, float]:
-        """Share of the surface × trials that is not seen, by code, ascending; they add up to 1 − :attr:`seen`."""
-        lost = self.areas * (1.0 - self.share) / self.areas.sum()
-        found = np.unique(self.codes[self.codes != Blind.SEEN])
+        """Share of the surface × trials that is not seen, by code, ascending; they add up to 1 − :attr:`seen`.
+
+        Of what is not left out: :attr:`Blind.GRAZING` is not among them.
+        """
+        lost = self.areas * (1.0 - self.share) / self.counted
+        found = np.unique(self.codes[(self.codes != Blind.SEEN) & (self.codes != Blind.GRAZING)])
         return {int(code): float(lost[self.codes == code].sum()) for code in found}
 
 
@@ -94,7 +109,7 @@ def blind_text(code: int, lights: Sequence[str]) -> str:
     return {
         Blind.SEEN: "seen",
         Blind.CAMERA: "never seen by the camera",
-        Blind.GRAZING: "seen by the camera at a grazing angle",
+        Blind.GRAZING: "left out: seen at a grazing angle",
         Blind.SHADOWED: "shadowed",
         Blind.CONTRAST: "contrast under noise",
     }[Blind(code)]
@@ -225,13 +240,13 @@ def blind_spots(areas: NDArray[np.float64], postures: Sequence[Shown]) -> BlindS
     # 0 the camera does not see it, 1 at a grazing angle, 2 well
     sight = np.zeros(count, np.int8)
     for shown in postures:
-        patch = shown.visibility.patch
-        steep = shown.visibility.cosines >= GRAZING_COSINE
-        sight[patch] = np.maximum(sight[patch], np.where(steep, 2, 1))
+        patch, grazing = shown.visibility.patch, shown.visibility.grazing
+        sight[grazing] = np.maximum(sight[grazing], 1)
+        sight[patch] = 2
         counts[:, patch] = added(counts[:, patch], shown.counts)
-        usable[patch] += np.where(steep, shown.usable, 0)
-        saturated[patch] += np.where(steep, shown.saturated, 0)
-        first[patch] = np.where(steep & (first[patch] < 0), shown.first, first[patch])
+        usable[patch] += shown.usable
+        saturated[patch] += shown.saturated
+        first[patch] = np.where(first[patch] < 0, shown.first, first[patch])
     codes = np.full(count, Blind.CONTRAST, np.int16)
     lacking = usable < least
     codes[lacking] = Blind.SHADOWED

@@ -55,7 +55,7 @@ class LegendRow:
     label
         In words.
     share
-        Of the part's whole surface × defects.
+        Of the part's surface × defects; where it is left out, of the whole surface.
     colours
         That stand for it.
     """
@@ -73,7 +73,7 @@ _REASONS = (
     (Blind.CONTRAST, "contrast under noise", (240, 228, 66)),
     (Blind.SATURATED, "saturated by a light", (213, 94, 0)),
     (Blind.SHADOWED, "shadowed", (11, 60, 93)),
-    (Blind.GRAZING, "seen by the camera at a grazing angle", (204, 121, 167)),
+    (Blind.GRAZING, "left out: seen at a grazing angle", (204, 121, 167)),
     (Blind.CAMERA, "never seen by the camera", (201, 206, 214)),
 )
 _NEVER_SOME = (Blind.GRAZING, Blind.CAMERA)
@@ -117,7 +117,7 @@ def blind_classes(spots: BlindSpots) -> NDArray[np.uint8]:
 def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
     """What is seen, and every reason that there is, with the colours that stand for it."""
     shares = dict.fromkeys(Blind, 0.0)
-    shares[Blind.SEEN] = spots.seen
+    shares[Blind.SEEN], shares[Blind.GRAZING] = spots.seen, spots.left_out
     for code, share in spots.by_reason().items():
         shares[Blind(min(code, Blind.SATURATED))] += share
     rows = [

@@ -76,7 +76,8 @@ def blind_pictures(
             rows.reshape(-1, 3)[hits.ray] = np.rint(shaded).astype(np.uint8)
         if legend is not None:
             title = (
-                f"posture {posture}: shares of the whole surface × defects; pale where other defects are seen"
+                f"posture {posture}: shares of the surface × defects without what is left out; pale where other "
+                "defects are seen"
             )
             picture = legend(picture, title, blind_legend(spots))
         pictures[f"{posture_folder(posture)}/{BLIND_PNG}"] = picture
@@ -91,15 +92,22 @@ def _colours(spots: BlindSpots) -> NDArray[np.uint8]:
 def _csv(report: BlindReport) -> str:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["postures", "lights", "what", "share", "area_mm2", "colour"])
+    table.writerow(["postures", "lights", "what", "share", "share_of", "area_mm2", "colour"])
     names = dict(reason_names(report.lights))
     surface = float(report.chosen.areas.sum())
+    counted, whole = "surface x defects without what is left out", "surface"
     for posture, chosen, possible in report.parts():
         where = "all" if posture is None else f"{posture.elevation_deg:g},{posture.rotation_deg:g}"
         for lights, spots in zip(BLIND_LIGHTS, (chosen, possible), strict=True):
-            for code, share in {int(Blind.SEEN): spots.seen, **spots.by_reason()}.items():
+            rows = [
+                (code, share, counted, share * spots.counted)
+                for code, share in {int(Blind.SEEN): spots.seen, **spots.by_reason()}.items()
+            ]
+            if spots.left_out:
+                rows.append((int(Blind.GRAZING), spots.left_out, whole, spots.left_out * surface))
+            for code, share, of, area in rows:
                 colour = "#{:02x}{:02x}{:02x}".format(*blind_class(code).colour)
-                table.writerow([where, lights, names[code], f"{share:.6f}", f"{share * surface:.6g}", colour])
+                table.writerow([where, lights, names[code], f"{share:.6f}", of, f"{area:.6g}", colour])
     return text.getvalue()
 
 

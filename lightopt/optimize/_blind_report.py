@@ -14,7 +14,10 @@ from lightopt.optimize._detectability import Detectability
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.transforms import Posture
 
-__all__ = ["BLIND_LIGHTS", "BlindReport", "Looked", "look_for_blind_spots"]
+__all__ = ["BLIND_LIGHTS", "BLIND_SHARES_OF", "BlindReport", "Looked", "look_for_blind_spots"]
+
+BLIND_SHARES_OF = "the part's surface but what the camera sees at a grazing angle only, × defects by weight"
+"""What shares of blind spots are shares of."""
 
 BLIND_LIGHTS = ("chosen", "best for each defect")
 """Where the lights stand in the rows of the tables: at the chosen positions; or wherever each defect is seen, which no
@@ -91,7 +94,7 @@ class BlindReport:
         """JSON form."""
         return {
             "seen_in": self.objective.seen_in,
-            "shares_of": "the part's whole surface × defects by weight",
+            "shares_of": BLIND_SHARES_OF,
             "surface_mm2": round(float(self.chosen.areas.sum()), 6),
             **self._both(self.chosen, self.possible),
             "postures": [
@@ -109,7 +112,11 @@ class BlindReport:
             {"reason": blind_text(code, self.lights), "share": round(share, 6)}
             for code, share in spots.by_reason().items()
         ]
-        return {"seen": round(spots.seen, 6), "blind": reasons}
+        return {
+            "seen": round(spots.seen, 6),
+            "blind": reasons,
+            "left_out_of_surface": round(spots.left_out, 6),
+        }
 
 
 def look_for_blind_spots(

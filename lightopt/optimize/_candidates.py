@@ -93,7 +93,6 @@ def find_candidates(
     common_elevation: bool = False,
     points: int | Literal["auto"] | None = None,
     places: Sequence[Angles] | None = None,
-    alone: bool = False,
     scene: Scene | None = None,
 ) -> Candidates:
     """The positions that a rig's lights can take.
@@ -114,17 +113,15 @@ def find_candidates(
         Point lights per panel, instead of the rig's.
     places
         One position of each light [°] that was chosen before, and no others.
-    alone
-        Whether one light will do, its images being of several postures that share it.
     scene
         The part in its postures; without it the part is not in the way.
 
     Raises
     ------
     InputError
-        Fewer than two lights where one will not do, none that moves, a light without any position left.
+        No light that moves, a light without any position left.
     """
-    _check_movable(rig, chosen=places is not None, alone=alone)
+    _check_movable(rig, chosen=places is not None)
     shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
     camera = build_camera(rig)
     left_out: list[LeftOut] = []
@@ -171,12 +168,7 @@ def find_candidates(
     )
 
 
-def _check_movable(rig: RigConfig, *, chosen: bool, alone: bool) -> None:
-    if len(rig.lights) < 2 and not alone:
-        raise InputError(
-            f"{rig.source.at('lights')}: expected two lights or more, found one; with one light there is no "
-            "combination to choose"
-        )
+def _check_movable(rig: RigConfig, *, chosen: bool) -> None:
     if not chosen and not any(map(can_move, rig.lights)):
         raise InputError(
             f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "

@@ -14,9 +14,8 @@ pixel that the defect does not fill sees it and what lies around; walls that fac
 with M the mean of D over the directions that the defect's walls lean to, and the shares F and A of the two pixels that
 may show it best (:mod:`lightopt.defects._pixel`); a trial is visible where one of them shows it. The shares depend on
 the side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the
-surface, its side is that of a plane facing the camera / √cosθ, with θ between normal and view. On what the camera sees
-at more than 80° to its normal nothing is visible: a pixel's footprint there is six times as long and more, and mixes
-with its neighbours'.
+surface, its side is that of a plane facing the camera / √cosθ, with θ between normal and view. Surface seen at a
+grazing angle (:data:`lightopt.rendering.GRAZING_DEG`) is left out before.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from lightopt.optimize._filling import Fillings
 from lightopt.optimize._packed import Words
 from lightopt.sensor import Sensor
 
-__all__ = ["DEFAULT_CONTRAST", "GRAZING_COSINE", "Contrast", "threshold_problem"]
+__all__ = ["DEFAULT_CONTRAST", "Contrast", "threshold_problem"]
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -43,10 +42,6 @@ DEFAULT_CONTRAST = 5.0
 """Times the noise that a level must be off, unless asked otherwise. Of the two million pixels of an image noise alone
 takes one for a defect at 5, and five thousand at 3. Rose found the same 5 for what people make out in pictures (J. Opt.
 Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196)."""
-
-
-GRAZING_COSINE = math.cos(math.radians(80.0))
-"""Of the angle between normal and view beyond which nothing is visible."""
 
 
 LEAST_RATIO, GREATEST_RATIO = float(PIXEL_RATIOS[0]), float(PIXEL_RATIOS[-1])
@@ -109,7 +104,7 @@ class Contrast:
         footprints
             Side of a pixel's footprint on a plane that faces the camera [mm], shape (k,).
         cosines
-            Of the angle between normal and view, shape (k,).
+            Of the angle between normal and view, above 0, shape (k,).
         exposure
             Of the image.
         """
@@ -150,8 +145,6 @@ def _contrast_words(
 ) -> Words:
     words = np.zeros((len(good), (varied.shape[1] + 63) // 64), np.uint64)
     for i in range(len(good)):
-        if cosines[i] < GRAZING_COSINE:
-            continue
         level = min(black + scale * good[i], saturation)
         least = threshold * math.sqrt(read_noise * read_noise + (level - black) / electrons + 1.0 / 12.0)
         side = footprints[i] / math.sqrt(cosines[i])

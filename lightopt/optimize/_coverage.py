@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize._bits import bit_scores
-from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
-from lightopt.optimize._objective import VISIBLE_SURFACE
+from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._objective import INSPECTABLE_SURFACE, area_text
 from lightopt.optimize._reach import reach
 from lightopt.optimize._runs import run_products, run_scores
 from lightopt.optimize._work import Share, part_of, pieces
@@ -55,21 +55,24 @@ class Coverage:
 
     name: str = "coverage"
     unit: str = "µm²"
-    share_of: str = VISIBLE_SURFACE
+    share_of: str = INSPECTABLE_SURFACE
 
-    def shown(self, score: int) -> str:
+    def shown(self, score: int, grain: float) -> str:
         """In mm²."""
-        return f"{score * AREA_UNIT_MM2:,.2f} mm²"
+        return area_text(score, grain)
 
-    def share(self, score: int, area: int) -> float | None:
-        """The share of the area that is covered."""
-        return score / max(1, area)
+    def whole(self, area: int) -> int | None:
+        """All of the area."""
+        return area
 
     def refusal(self, lights: int) -> str | None:
         """One image is never two."""
         if lights >= LEAST_USABLE:
             return None
-        return f"objective coverage wants each patch usable in {LEAST_USABLE} images, and there is one light only"
+        return (
+            f"objective coverage wants each patch usable in {LEAST_USABLE} images, and there is one light only; use "
+            "the objective detectability"
+        )
 
     def weights(self, areas: Float64) -> Int64:
         """Each patch counts by its area."""

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.errors import InputError, counted
 from lightopt.optimize._bit_runs import bit_run_scores, flags_of
-from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
-from lightopt.optimize._objective import VISIBLE_SURFACE
+from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.optimize._objective import INSPECTABLE_SURFACE, area_text
 from lightopt.optimize._trials import Trial
 from lightopt.optimize._visibility import Visibility
 from lightopt.optimize._work import Share
@@ -68,7 +68,7 @@ class Detectability:
     across_postures: bool = False
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
-    share_of: str = f"{VISIBLE_SURFACE}, × defects by weight"
+    share_of: str = f"{INSPECTABLE_SURFACE}, × defects by weight"
 
     def __post_init__(self) -> None:
         if problem := seen_in_problem(self.seen_in):
@@ -79,21 +79,21 @@ class Detectability:
         """Sum of the trials' weights."""
         return sum(trial.weight for trial in self.trials)
 
-    def shown(self, score: int) -> str:
+    def shown(self, score: int, grain: float) -> str:
         """In mm², of the mean defect."""
-        return f"{score / self.total_weight * AREA_UNIT_MM2:,.2f} mm²"
+        return area_text(score / self.total_weight, grain)
 
-    def share(self, score: int, area: int) -> float | None:
-        """The share of the (patch, defect) pairs that are seen, by area and weight."""
-        return score / max(1, area * self.total_weight)
+    def whole(self, area: int) -> int | None:
+        """All (patch, defect) pairs, by area and weight."""
+        return area * self.total_weight
 
     def refusal(self, lights: int) -> str | None:
         """There are no more images than lights, but for those of other postures."""
         if lights >= self.seen_in or self.across_postures:
             return None
         return (
-            f"objective detectability wants each defect seen in {self.seen_in} images, and there are {lights} lights "
-            "only; lower --seen-in"
+            f"objective detectability wants each defect seen in {self.seen_in} images, and the rig has "
+            f"{counted(lights, 'light')} only; lower --seen-in"
         )
 
     def weights(self, areas: Float64) -> Int64:

@@ -36,7 +36,7 @@ class Draft:
         Of the part in its postures, the lights as the rig file has them.
     table
         The patches, and which of them the camera sees.
-    candidates, thresholds, results
+    candidates, offered, thresholds, results
         As in :class:`lightopt.optimize.Optimum`.
     overlaps
         Saturated regions of the images; none where no images were rendered.
@@ -54,6 +54,7 @@ class Draft:
     caster: RayCaster
     table: PatchTable
     candidates: Candidates
+    offered: Candidates
     thresholds: Thresholds
     results: tuple[SetResult, ...]
     overlaps: Sequence[Overlap]

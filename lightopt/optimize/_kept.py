@@ -5,15 +5,17 @@ A kept matrix is an ``.npz`` with the arrays
 ``key``
     SHA-256 of all that the matrix depends on, as text.
 ``areas_mm2``
-    Of the patches that the camera sees, shape (p,).
+    Of the inspectable patches, shape (p,).
+``grazing_mm2``
+    Area that the camera sees at a grazing angle.
 ``light_0``, ``light_1``, …
     Delivered levels under each light of the rig, in its order, uint8 or uint16, shape (candidates, p).
 ``angles_0_deg``, ``angles_1_deg``, …
     Elevation and azimuth of those candidates, shape (candidates, 2).
 ``defects_0``, ``defects_1``, …
     Where defects were looked for: bits of those that are visible, uint64, shape (candidates, p, words).
-``patch``, ``cosines``
-    With them: indices of the patches, and cosines of the views to their normals, shape (p,).
+``patch``, ``grazing``
+    With them: indices of the patches, shape (p,), and of those that the camera sees at a grazing angle.
 """
 
 from __future__ import annotations
@@ -47,14 +49,18 @@ def keep_matrix(
 
     A matrix is only ever a saving of time, so that one of other inputs is replaced without asking.
     """
-    arrays: dict[str, NDArray[Any]] = {"key": np.array(key), "areas_mm2": matrix.areas}
+    arrays: dict[str, NDArray[Any]] = {
+        "key": np.array(key),
+        "areas_mm2": matrix.areas,
+        "grazing_mm2": np.array(matrix.grazing_mm2),
+    }
     for index, (layer, places) in enumerate(zip(matrix.levels, angles, strict=True)):
         arrays[f"light_{index}"] = layer
         arrays[f"angles_{index}_deg"] = np.array(places, dtype=np.float64)
     seen = matrix.visibility
     if seen is not None:
         arrays |= {f"defects_{index}": words for index, words in enumerate(seen.words)}
-        arrays |= {"patch": seen.patch, "cosines": seen.cosines}
+        arrays |= {"patch": seen.patch, "grazing": seen.grazing}
     return write_npz_atomic(path, arrays)
 
 
@@ -87,13 +93,14 @@ def read_matrix(
                     words=tuple(arrays[f"defects_{i}"] for i in range(lights)),
                     areas=arrays["areas_mm2"],
                     patch=arrays["patch"],
-                    cosines=arrays["cosines"],
+                    grazing=arrays["grazing"],
                 )
             )
             return LuminanceMatrix(
                 levels=tuple(arrays[f"light_{i}"] for i in range(lights)),
                 areas=arrays["areas_mm2"],
                 visibility=seen,
+                grazing_mm2=float(arrays["grazing_mm2"]),
             )
     except Exception:  # noqa: BLE001 - zip, zlib, NumPy's header and tokenizer each have errors of their own
         return None

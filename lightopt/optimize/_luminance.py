@@ -1,6 +1,7 @@
 """The luminance matrix from a scene (paper, section 5.2, step 1): one layer of delivered levels per candidate position.
 
-Rays go from the centroid of every patch that the camera sees to the point lights of every candidate panel. The panel's
+Rays go from the centroid of every inspectable patch, one that the camera sees and not at a grazing angle
+(:data:`lightopt.rendering.GRAZING_DEG`), to the point lights of every candidate panel. The panel's
 light is computed as for images, then exposed at exposure 1 without noise, so that a level here is what the camera would
 deliver of the patch. With ``points: auto`` shadows at a patch are told by its own five rays, since patches have no
 neighbours in a grid.
@@ -47,7 +48,7 @@ search the process then stays below 2 GB."""
 
 
 def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, NDArray[np.intp]]:
-    """The patches that the camera sees in a posture, as surface points in the part's frame, and their indices.
+    """The inspectable patches of a posture, as surface points in the part's frame, and their indices.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
         Of the part.
     """
     patches = table.patches
-    seen = np.flatnonzero(table.visible[table.postures.index(posture)])
+    seen = table.inspectable(posture)
     eye = view_from_part(scene, posture).camera.position
     views = eye - patches.centroids[seen]
     views /= np.linalg.norm(views, axis=1, keepdims=True)
@@ -86,7 +87,7 @@ def luminance_matrix(
     most_bytes: int = MOST_BYTES,
     progress: Callable[[float, int], None] | None = None,
 ) -> LuminanceMatrix:
-    """Delivered levels of the visible patches under every candidate panel of every light, at exposure 1.
+    """Delivered levels of the inspectable patches under every candidate panel of every light, at exposure 1.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def matrix_bytes(scene: Scene, patches: int, exposures: int, inspection: Inspect
     scene
         The scene.
     patches
-        That the camera sees in the posture.
+        That are inspectable in the posture.
     exposures
         Number of them.
     inspection
@@ -223,11 +224,12 @@ def luminance_matrices(
         for start, block in blocks
     )
     run_all(tasks, threads=threads or available_processors(), done=count)
-    areas = table.patches.areas[seen]
+    areas, grazing = table.patches.areas[seen], table.left_out(posture)
     return tuple(
         LuminanceMatrix(
             levels=tuple(levels[index]),
             areas=areas,
+            grazing_mm2=float(table.patches.areas[grazing].sum()),
             visibility=None
             if view is None
             else Visibility(
@@ -235,7 +237,7 @@ def luminance_matrices(
                 words=tuple(words[index]),
                 areas=areas,
                 patch=seen.astype(np.int32),
-                cosines=view.cosines,
+                grazing=grazing.astype(np.int32),
                 exposure=exposure,
             ),
         )

@@ -164,7 +164,9 @@ class Matrices:
         """Whether there is room for the levels of other candidates, in all postures together."""
         dtype = 1 if self.scene.sensor.bit_depth <= 8 else 2
         positions = sum(candidates.space.sizes)
-        return positions * int(self.patches().visible.sum()) * dtype <= MOST_BYTES
+        table = self.patches()
+        patches = sum(len(table.inspectable(posture)) for posture in table.postures)
+        return positions * patches * dtype <= MOST_BYTES
 
     def levels(self, posture: Posture, candidates: Candidates, report: Report | None) -> LuminanceMatrix:
         """The levels of a posture under other candidates, of whom :meth:`holds` says that there is room."""

@@ -86,7 +86,9 @@ class Thresholds:
 
 @dataclass(frozen=True, kw_only=True)
 class LuminanceMatrix:
-    """Delivered levels of the visible patches in one posture (paper, section 5.2, steps 1 and 2).
+    """Delivered levels of the inspectable patches in one posture (paper, section 5.2, steps 1 and 2).
+
+    Inspectable are those that the camera sees, not at a grazing angle (:data:`lightopt.rendering.GRAZING_DEG`).
 
     Attributes
     ----------
@@ -96,11 +98,14 @@ class LuminanceMatrix:
         Of the patches [mm²], shape (p,).
     visibility
         Which defects the same images show on the same patches; None where nobody asked.
+    grazing_mm2
+        Area that the camera sees at a grazing angle, which is left out [mm²].
     """
 
     levels: tuple[Levels, ...]
     areas: Float64
     visibility: Visibility | None = None
+    grazing_mm2: float = 0.0
 
     def __post_init__(self) -> None:
         if self.visibility is not None and (
@@ -134,6 +139,7 @@ class LuminanceMatrix:
             levels=tuple(taken_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True)),
             areas=self.areas,
             visibility=None if self.visibility is None else self.visibility.rows(rows),
+            grazing_mm2=self.grazing_mm2,
         )
 
     def combination(self, candidates: Sequence[int]) -> LuminanceMatrix:

@@ -2,21 +2,66 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
+from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds
 from lightopt.optimize._work import Share
+from lightopt.rendering import GRAZING_DEG
 
-__all__ = ["VISIBLE_SURFACE", "Objective"]
+__all__ = ["INSPECTABLE_SURFACE", "NEAR_PER_MILLE", "Objective", "area_text", "near_margin", "share_of_whole"]
 
-VISIBLE_SURFACE = "the surface that the camera sees in the posture; of several postures, added up"
+INSPECTABLE_SURFACE = (
+    f"the surface that the camera sees in the posture at up to {GRAZING_DEG:g}° to its normal; of several postures, "
+    "added up"
+)
+"""What shares of area are shares of."""
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
+
+NEAR_PER_MILLE = 5
+"""How near to the best a score is near [thousandths of the inspectable area, where a score is an area; else of the best
+score]: half a point, less than what placement and reflectance are known to."""
+
+
+def share_of_whole(objective: Objective, score: int, area: int) -> float | None:
+    """A score as a share of the inspectable area [µm²]; None where it is no area."""
+    whole = objective.whole(area)
+    return None if whole is None else score / max(1, whole)
+
+
+def near_margin(objective: Objective, best: int, area: int) -> int:
+    """By how much a score may be below the best one and still be near it: see :data:`NEAR_PER_MILLE`."""
+    whole = objective.whole(area)
+    return NEAR_PER_MILLE * (best if whole is None else whole) // 1000
+
+
+def area_text(area: float, grain: float) -> str:
+    """An area in mm², to the digit that its grain supports, hundredths at most.
+
+    Parameters
+    ----------
+    area, grain
+        The area, and how far it may be off since each patch counts as its middle does [µm²].
+
+    Examples
+    --------
+    >>> area_text(2_358_123_456, 2_900_000), area_text(2_358_123_456, 29_000_000), area_text(130_000, 2_900_000)
+    ('2,358 mm²', '2,360 mm²', '< 1 mm²')
+    >>> area_text(250_000, 0.0), area_text(0, 2_900_000)
+    ('0.25 mm²', '0 mm²')
+    """
+    place = max(-2, math.floor(math.log10(max(grain * AREA_UNIT_MM2, 1e-9))))
+    rounded = round(area * AREA_UNIT_MM2, -place)
+    digits = max(0, -place)
+    if area and not rounded:
+        return f"< {10.0**place:,.{digits}f} mm²"
+    return f"{rounded:,.{digits}f} mm²"
 
 
 class Objective(Protocol):
@@ -29,7 +74,7 @@ class Objective(Protocol):
     unit
         What one unit of the score is.
     share_of
-        What :meth:`share` gives a share of, in words; None where a score is no area.
+        What a score is a share of, in words; None where it is no area.
     """
 
     @property
@@ -41,12 +86,12 @@ class Objective(Protocol):
     @property
     def share_of(self) -> str | None: ...
 
-    def shown(self, score: int) -> str:
-        """A score, or a difference of two, for people, with its unit."""
+    def shown(self, score: int, grain: float) -> str:
+        """A score, or a difference of two, for people, with its unit; areas to the digits of their grain [µm²]."""
         ...
 
-    def share(self, score: int, area: int) -> float | None:
-        """A score as a share of the visible area [µm²]; None where it is no area."""
+    def whole(self, area: int) -> int | None:
+        """The score of an inspectable area [µm²] that is won wholly; None where a score is no area."""
         ...
 
     def refusal(self, lights: int) -> str | None:

@@ -67,6 +67,7 @@ def write_outputs(
     candidates: Candidates,
     thresholds: Thresholds,
     *,
+    offered: Candidates,
     provenance: Mapping[str, Any],
     options: OptimizeOptions,
     appendix: Appendix,
@@ -86,6 +87,8 @@ def write_outputs(
         As they were read.
     results, candidates, thresholds
         What was found.
+    offered
+        The positions that there were to choose from.
     provenance
         From :func:`lightopt.provenance.provenance`.
     options
@@ -136,9 +139,9 @@ def write_outputs(
         },
         "candidates": [
             {"light": name, "positions_deg": [list(at) for at in angles]}
-            for name, angles in zip(candidates.names, candidates.angles, strict=True)
+            for name, angles in zip(offered.names, offered.angles, strict=True)
         ],
-        "left_out": [vars(out) for out in candidates.left_out],
+        "left_out": [vars(out) for out in offered.left_out],
         "results": result_dict(results, candidates),
         **appendix.sections,
         "rigs": listed["rigs"],

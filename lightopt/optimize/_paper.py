@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.errors import counted
 from lightopt.optimize._extreme_sums import extreme_tasks
 from lightopt.optimize._matrix import Levels, LuminanceMatrix, Thresholds, usable_sums
 from lightopt.optimize._minimum_sums import Capped, minimum_tasks
@@ -65,21 +66,22 @@ class Paper:
     unit: str = "sensor level"
     share_of: None = None
 
-    def shown(self, score: int) -> str:
+    def shown(self, score: int, grain: float) -> str:
         """A plain number: sums of levels have no other unit."""
+        del grain
         return f"{score:,}"
 
-    def share(self, score: int, area: int) -> float | None:
+    def whole(self, area: int) -> int | None:
         """None: levels are no area."""
-        del score, area
+        del area
 
     def refusal(self, lights: int) -> str | None:
         """Dropping the highest and the lowest of two leaves nothing."""
         if lights > 2:
             return None
         return (
-            f"objective paper drops each patch's highest and lowest level, and with {lights} lights nothing is left; "
-            "expected at least 3 lights, or use the objective coverage"
+            f"objective paper drops each patch's highest and lowest level, and with {counted(lights, 'light')} nothing "
+            "is left; expected at least 3 lights, or use another objective"
         )
 
     def weights(self, areas: Float64) -> Int64:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from lightopt.optimize._space import Rows
 
-__all__ = ["Ranked", "Ranking", "rank"]
+__all__ = ["NearBest", "Ranked", "Ranking", "rank"]
 
 Int64 = NDArray[np.int64]
+
+MOST_NEAR = 1 << 24
+"""Scores near the best that are held at a time: 128 MiB."""
 
 
 @dataclass(frozen=True, order=True)
@@ -67,6 +70,53 @@ class Ranking:
         score = best[0].score if best else 0
         ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)
         return Ranking(best, ties, self.count + other.count)
+
+
+class NearBest:
+    """Counts the scores near the best, table after table, of which only the last tells how high the best is.
+
+    Parameters
+    ----------
+    margin
+        Of a best score: by how much another may be below it and still be near. Best less margin never falls as the best
+        rises.
+    most
+        Scores that are held at a time; of more, the lower half is let go, and the count may be too low.
+    """
+
+    def __init__(self, margin: Callable[[int], int], *, most: int = MOST_NEAR) -> None:
+        self._margin, self._most = margin, most
+        self._held: list[Int64] = []
+        self._best = self._lost_below = 0
+
+    @property
+    def least(self) -> int:
+        """The least score that is near the best."""
+        return self._best - self._margin(self._best)
+
+    @property
+    def exact(self) -> bool:
+        """Whether no score that is near was let go."""
+        return self._lost_below <= self.least
+
+    @property
+    def count(self) -> int:
+        """Scores near the best, the best one among them."""
+        return sum(int(np.count_nonzero(scores >= self.least)) for scores in self._held)
+
+    def add(self, scores: Int64) -> None:
+        """More scores, none below 0."""
+        if not len(scores):
+            return
+        self._best = max(self._best, int(scores.max()))
+        self._held.append(scores[scores >= self.least])
+        if sum(map(len, self._held)) > self._most:
+            held = np.concatenate(self._held)
+            held = held[held >= self.least]
+            if len(held) > self._most:
+                held = np.partition(held, len(held) // 2)[len(held) // 2 :]
+                self._lost_below = int(held.min()) + 1
+            self._held = [held]
 
 
 def rank(

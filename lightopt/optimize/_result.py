@@ -11,7 +11,7 @@ from typing import Any
 from lightopt.optimize._candidates import Candidates
 from lightopt.optimize._curves import Curve
 from lightopt.optimize._matrix import Levels
-from lightopt.optimize._objective import Objective
+from lightopt.optimize._objective import NEAR_PER_MILLE, Objective, share_of_whole
 from lightopt.optimize._ranking import Ranked
 from lightopt.optimize._search import Found
 from lightopt.transforms import Posture
@@ -61,9 +61,13 @@ class SetResult:
     postures
         One, or all of them where the lights stand the same for all.
     patches
-        Visible patches, summed over the postures.
+        Inspectable patches, summed over the postures.
     area
-        Of the visible patches, summed over the postures [µm²].
+        Of the inspectable patches, summed over the postures [µm²].
+    grazing_area
+        That the camera sees at a grazing angle, summed over the postures [µm²]: left out of scores and shares.
+    grain
+        How far shares of the area may be off since each patch counts as its middle does, 0 to 1.
     answers
         One per objective.
     levels
@@ -76,9 +80,16 @@ class SetResult:
     postures: tuple[Posture, ...]
     patches: int
     area: int
+    grazing_area: int
+    grain: float
     answers: tuple[Answer, ...]
     levels: tuple[Levels, ...]
     curves: tuple[Curve, ...]
+
+    @property
+    def left_out(self) -> float:
+        """Of the surface that the camera sees, the share that it sees at a grazing angle."""
+        return self.grazing_area / max(1, self.area + self.grazing_area)
 
 
 def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, float], ...]:
@@ -91,8 +102,11 @@ def result_dict(results: tuple[SetResult, ...], candidates: Candidates) -> list[
     return [
         {
             "postures": [posture.as_dict() for posture in result.postures],
-            "visible_patches": result.patches,
-            "visible_area_um2": result.area,
+            "inspectable_patches": result.patches,
+            "inspectable_area_um2": result.area,
+            "grazing_area_um2": result.grazing_area,
+            "left_out_of_visible_area": round(result.left_out, 6),
+            "grain": round(result.grain, 6),
             "objectives": [_answer_dict(answer, result, candidates) for answer in result.answers],
             "curves": [curve.as_dict() for curve in result.curves],
         }
@@ -113,12 +127,12 @@ def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> d
     facts: dict[str, Any] = {"objective": answer.objective.name, "unit": answer.objective.unit}
     if answer.nothing is not None:
         return {**facts, "lights": None, "score": 0, "reason": answer.nothing, "combinations": combinations}
-    share = answer.objective.share(found.best.score, result.area)
+    share = share_of_whole(answer.objective, found.best.score, result.area)
     return {
         **facts,
         "lights": _lights(candidates, found.best),
         "score": found.best.score,
-        "share_of_visible_area": None if share is None else round(share, 6),
+        "share_of_inspectable_area": None if share is None else round(share, 6),
         "share_of": answer.objective.share_of,
         "usable_sum": found.best.usable,
         "runner_up": None
@@ -126,12 +140,24 @@ def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> d
         else {"lights": _lights(candidates, runner_up), "score": runner_up.score},
         "gap": found.gap,
         "ties": found.ties if answer.proven_of is None else None,
+        "near_best": None if answer.proven_of is not None else _near_dict(answer),
         "combinations": combinations if answer.proven_of is None else None,
         "bound": found.bound,
         "proven": found.proven,
         **({"complete": found.complete} if answer.proven_of is None else {"proven_of": answer.proven_of}),
         "scores_under": dict(answer.scores),
         **answer.details,
+    }
+
+
+def _near_dict(answer: Answer) -> dict[str, Any]:
+    found = answer.found
+    points = answer.objective.share_of is not None
+    return {
+        "combinations": found.near,
+        "at_least": not found.near_exact,
+        "within": NEAR_PER_MILLE / 1000,
+        "of": "the inspectable area" if points else "the best score",
     }
 
 

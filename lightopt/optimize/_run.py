@@ -47,6 +47,8 @@ class Optimum:
     Attributes
     ----------
     candidates
+        The positions that the results are of: one of each light where these were chosen before.
+    offered
         The positions that there were to choose from.
     thresholds
         Which levels are usable [sensor level].
@@ -65,6 +67,7 @@ class Optimum:
     """
 
     candidates: Candidates
+    offered: Candidates
     thresholds: Thresholds
     results: tuple[SetResult, ...]
     blind: BlindReport | None
@@ -143,7 +146,6 @@ def optimize(
         common_elevation=options.common_elevation,
         points=options.points,
         places=options.places,
-        alone=options.places is not None,
     )
     find()  # what is wrong with the rig alone is told before the part is loaded
     check_editable(rig)
@@ -162,7 +164,9 @@ def optimize(
     # a light that moves may find its way out of the part: only its candidates count
     still = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
     refuse_hopeless(replace(scene, lights=still), rig, part, caster)
-    candidates = find(scene=scene)
+    candidates = offered = find(scene=scene)
+    if options.places is not None and any(map(can_move, rig.lights)):
+        offered = find(places=None, scene=scene)
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
         say(text)
     defects = next((objective for objective in objectives if isinstance(objective, Detectability)), None)
@@ -173,7 +177,7 @@ def optimize(
         ),
     )
     makers = Matrices(rig, part, scene, candidates, options, Path(folder), caster, inspection, table)
-    beside = candidates_beside(makers, rig, find, len(objectives), say)
+    beside = candidates_beside(makers, rig, offered, len(objectives), say)
     if tell is not None and (beside is not None or options.places is None):
         tell(combinations_text(beside or candidates))
     results, looked = searched(
@@ -225,6 +229,7 @@ def optimize(
                 caster=caster,
                 table=makers.patches(),
                 candidates=candidates,
+                offered=offered,
                 thresholds=thresholds,
                 results=results,
                 overlaps=overlaps,
@@ -240,6 +245,7 @@ def optimize(
         results,
         candidates,
         thresholds,
+        offered=offered,
         provenance=provenance,
         options=options,
         appendix=appendix,
@@ -249,6 +255,7 @@ def optimize(
     )
     return Optimum(
         candidates=candidates,
+        offered=offered,
         thresholds=thresholds,
         results=results,
         blind=blind,

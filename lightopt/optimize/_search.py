@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.errors import InputError
-from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, usable_sums
-from lightopt.optimize._objective import Objective
-from lightopt.optimize._ranking import Ranked, Ranking, rank
+from lightopt.optimize._matrix import LuminanceMatrix, Thresholds, area_units, usable_sums
+from lightopt.optimize._objective import Objective, near_margin
+from lightopt.optimize._ranking import NearBest, Ranked, Ranking, rank
 from lightopt.optimize._space import Rows, Space, allowed_mask
 from lightopt.optimize._work import Share, part_of
 from lightopt.rendering import available_processors
@@ -53,7 +53,12 @@ class Found:
     ranking
         The best combinations in order, the first being the optimum; of those looked at where some are left.
     ties
-        Number of combinations with the optimum's score; of those looked at where some are left.
+        Number of other combinations with the optimum's score; of those looked at where some are left.
+    near
+        Number of other combinations whose score is near the optimum's, ties among them; see
+        :data:`lightopt.optimize.NEAR_PER_MILLE`.
+    near_exact
+        Whether there are no more of them among those that were left, that a bound excluded, or that were too many.
     scored
         Combinations that were enumerated.
     excluded
@@ -68,6 +73,8 @@ class Found:
 
     ranking: tuple[Ranked, ...]
     ties: int
+    near: int
+    near_exact: bool
     scored: int
     excluded: int
     left: int
@@ -156,11 +163,14 @@ def search(
 
     keep = max(2, keep)
     ranking = Ranking()
+    near = NearBest(lambda best: near_margin(objective, best, posed.area))
     excluded = clashing = 0
+    excluded_bound = -1
     boxes = _Boxes(posed, space.groups, max(1, min(table_cells, limit)))
     while boxes:
         if len(ranking.best) == keep and boxes.bound < ranking.best[-1].score:
             excluded += boxes.cells
+            excluded_bound = max(excluded_bound, boxes.bound)
             boxes.clear()
             break
         if ranking.best and ranking.count + clashing + BOX_COST * boxes.halved >= limit:
@@ -168,10 +178,12 @@ def search(
         bound, rows = boxes.take(tell)
         if len(ranking.best) == keep and bound < ranking.best[-1].score:
             excluded += _cells(rows)
+            excluded_bound = max(excluded_bound, bound)
             continue
         cells = _cells(rows)
         scores = posed.scores(rows, lambda share, cells=cells: tell(share * cells))
         allowed = allowed_mask(space, rows)
+        near.add(scores if allowed is None else scores[allowed])
         ranking = ranking.merged(rank(scores, rows, posed.usable, allowed=allowed, limit=keep), keep)
         clashing += 0 if allowed is None else int(allowed.size - np.count_nonzero(allowed))
         tell()
@@ -182,7 +194,9 @@ def search(
         )
     return Found(
         ranking=ranking.best,
-        ties=ranking.ties,
+        ties=ranking.ties - 1,
+        near=near.count - 1,
+        near_exact=near.exact and excluded_bound < near.least and not boxes.cells,
         scored=ranking.count,
         excluded=excluded,
         left=boxes.cells,
@@ -251,6 +265,7 @@ class _Posed:
         self.thresholds = thresholds
         self.threads = threads
         self.weights = [objective.weights(matrix.areas) for matrix in matrices]
+        self.area = sum(int(area_units(matrix.areas).sum()) for matrix in matrices)
         self.usable = [
             sum(
                 (
@@ -301,8 +316,8 @@ def _check(posed: _Posed, space: Space) -> None:
             )
         if not len(matrix.areas):
             raise InputError(
-                "no patch is visible to the camera, so that no position of the lights is better than another; check "
-                "the part's placement and posture"
+                "no patch is inspectable, so that no position of the lights is better than another; check the part's "
+                "placement and posture"
             )
 
 

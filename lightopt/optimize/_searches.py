@@ -65,7 +65,7 @@ def searched(
 def candidates_beside(
     makers: Matrices,
     rig: RigConfig,
-    find: Callable[..., Candidates],
+    free: Candidates,
     objectives: int,
     say: Callable[[str], None],
 ) -> Candidates | None:
@@ -73,7 +73,6 @@ def candidates_beside(
     places = makers.options.places
     if places is None or objectives == 1 or not any(map(can_move, rig.lights)):
         return None
-    free = find(places=None, scene=makers.scene, caster=makers.caster)
     among = all(place in some for place, some in zip(places, free.angles, strict=True))
     if among and makers.holds(free):
         return free

@@ -37,11 +37,11 @@ class Visibility:
         One array per light, in the rig's order: bits of the trials that are visible, shape (candidates of the light,
         p, ⌈t / 64⌉).
     areas
-        Of the patches that the camera sees [mm²], shape (p,).
+        Of the inspectable patches [mm²], shape (p,).
     patch
         Their indices among the patches of the run, ascending, shape (p,).
-    cosines
-        Cosine of the angle between their normal and the direction to the camera, shape (p,).
+    grazing
+        Indices of the patches that the camera sees at a grazing angle, which are left out, ascending.
     exposure
         That the images are taken with.
     """
@@ -50,7 +50,7 @@ class Visibility:
     words: tuple[Words, ...]
     areas: Float64
     patch: NDArray[np.int32]
-    cosines: Float64
+    grazing: NDArray[np.int32]
     exposure: float = 1.0
     planes: tuple[Words, Int64] = field(init=False, repr=False, compare=False)
 
@@ -62,7 +62,7 @@ class Visibility:
                     f"visibility: light {index}: expected uint64 of shape (candidates, {shape[0]}, {shape[1]}), "
                     f"found {layer.dtype} {layer.shape}"
                 )
-        for name in ("areas", "patch", "cosines"):
+        for name in ("areas", "patch"):
             array = getattr(self, name).view()
             if array.shape != shape[:1]:
                 raise InputError(f"visibility: {name}: expected shape ({shape[0]},), found {array.shape}")
@@ -96,7 +96,6 @@ class Visibility:
             words=tuple(layer[:, start:end] for layer in self.words),
             areas=self.areas[start:end],
             patch=self.patch[start:end],
-            cosines=self.cosines[start:end],
         )
 
     def seen(self, candidates: Sequence[int], least: int) -> Words:

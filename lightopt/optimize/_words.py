@@ -7,18 +7,24 @@ from collections.abc import Sequence
 
 from lightopt.errors import counted, percent
 from lightopt.optimize._candidates import Candidates
-from lightopt.optimize._objective import Objective
-from lightopt.optimize._result import Answer
-from lightopt.optimize._search import Found
+from lightopt.optimize._objective import NEAR_PER_MILLE, Objective, share_of_whole
+from lightopt.optimize._result import Answer, SetResult
+from lightopt.rendering import GRAZING_DEG
 from lightopt.transforms import Posture
 
 __all__ = [
+    "LEFT_OUT_MEANING",
     "combinations_text",
     "cut_off",
     "gap_text",
+    "left_out_text",
     "looked_text",
+    "near_meaning",
+    "near_text",
     "patches_text",
     "score_text",
+    "share_text",
+    "shown_text",
     "ties_text",
 ]
 
@@ -26,24 +32,81 @@ NOT_COUNTED = "not counted"
 """Runner-up and ties where no other combination was looked at."""
 
 
-def score_text(value: int, objective: Objective, area: int) -> str:
-    """A score with its unit, and as a share of the visible area [µm²] where it is one."""
-    share = objective.share(value, area)
-    return objective.shown(value) + ("" if share is None else f" ({percent(share)})")
+def shown_text(value: int, objective: Objective, result: SetResult) -> str:
+    """A score of a result with its unit, to the digits that its patches support."""
+    return objective.shown(value, result.grain * result.area)
 
 
-def gap_text(found: Found, objective: Objective) -> str:
+def share_text(share: float, grain: float) -> str:
+    """A share of the area to the decimals that its grain supports, one at most.
+
+    Examples
+    --------
+    >>> share_text(0.92174, 0.0011), share_text(0.92174, 0.02)
+    ('92.2 %', '92 %')
+    """
+    return percent(share, 1 if grain < 0.01 else 0)
+
+
+def score_text(value: int, objective: Objective, result: SetResult) -> str:
+    """A score with its unit, and as a share of the inspectable area where it is one."""
+    share = share_of_whole(objective, value, result.area)
+    text = shown_text(value, objective, result)
+    return text + ("" if share is None else f" ({share_text(share, result.grain)})")
+
+
+def gap_text(answer: Answer, result: SetResult) -> str:
     """By how much the runner-up scores less; of the combinations looked at (≥) where some are left."""
-    if _alone(found):
+    found = answer.found
+    if answer.proven_of is not None:
         return NOT_COUNTED
-    return "-" if found.gap is None else f"{_seen(found)}−{objective.shown(found.gap)}"
+    if found.gap is None:
+        return "-"
+    gap = shown_text(found.gap, answer.objective, result)
+    return (
+        ("" if found.complete else "≥ ") + (gap if gap.startswith("<") else f"−{gap}")
+        if found.gap
+        else "equal"
+    )
 
 
-def ties_text(found: Found) -> str:
-    """How many combinations share the optimum's score; of a set that was chosen before nobody counted them."""
-    if _alone(found):
+def ties_text(answer: Answer) -> str:
+    """How many other combinations share the optimum's score; of a set that was chosen before nobody counted them."""
+    if answer.proven_of is not None:
         return NOT_COUNTED
-    return "none" if found.complete and found.ties == 1 else f"{_seen(found)}{found.ties:,} best"
+    return f"{'' if answer.found.complete else '≥ '}{answer.found.ties:,}"
+
+
+def near_text(answer: Answer) -> str:
+    """How many other combinations score nearly as much; of a set that was chosen before nobody counted them."""
+    if answer.proven_of is not None:
+        return NOT_COUNTED
+    return f"{'' if answer.found.near_exact else '≥ '}{answer.found.near:,}"
+
+
+def near_meaning(objectives: Sequence[Objective]) -> str:
+    """What is near the best, in words."""
+    within = f"{NEAR_PER_MILLE / 10:g}"
+    texts = [
+        f"within {within} points of the share of {' and '.join(names)}"
+        if points
+        else f"within {within} % of the best score of {' and '.join(names)}"
+        for points in (True, False)
+        if (names := [one.name for one in objectives if (one.share_of is not None) == points])
+    ]
+    return f"near best: other combinations {', '.join(texts)}, ties among them"
+
+
+def left_out_text(result: SetResult) -> str:
+    """Which share of the surface that the camera sees is left out."""
+    return share_text(result.left_out, result.grain)
+
+
+LEFT_OUT_MEANING = (
+    f"left out: of the surface that the camera sees, what it sees at more than {GRAZING_DEG:g}° to the normal; it "
+    "counts neither as covered nor as uncovered"
+)
+"""What the share that is left out is."""
 
 
 def looked_text(answer: Answer) -> str:
@@ -86,12 +149,3 @@ def combinations_text(candidates: Candidates) -> str:
     sizes = candidates.space.sizes
     positions = " × ".join(map(str, sizes))
     return f"{positions} positions of {', '.join(candidates.names)}: {counted(math.prod(sizes), 'combination')} at most"
-
-
-def _alone(found: Found) -> bool:
-    # one combination: chosen before, or of lights that do not move
-    return found.complete and found.scored + found.excluded == 1
-
-
-def _seen(found: Found) -> str:
-    return "" if found.complete else "≥ "

@@ -25,7 +25,13 @@ from lightopt.plan._cover import Cover, Step
 from lightopt.plan._exchange import exchanged
 from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, plan_exposures
 from lightopt.plan._greedy_cover import greedy_cover
-from lightopt.plan._grid import DEFAULT_POSTURE_STEP, LeftOutPosture, posture_grid, usable_postures
+from lightopt.plan._grid import (
+    DEFAULT_OUTSIDE_PX,
+    DEFAULT_POSTURE_STEP,
+    LeftOutPosture,
+    posture_grid,
+    usable_postures,
+)
 from lightopt.plan._offered import choose_with_exposures
 from lightopt.plan._options import PlanOptions
 from lightopt.plan._place_lights import Places, place_lights
@@ -40,6 +46,7 @@ from lightopt.plan._write import PLANNED_PART_NAME, planned_text
 
 __all__ = [
     "DEFAULT_EXPOSURE_GAIN",
+    "DEFAULT_OUTSIDE_PX",
     "DEFAULT_POSTURE_STEP",
     "DEFAULT_TOLERANCE_TARGET",
     "DRAWN_PATCHES",

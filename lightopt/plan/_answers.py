@@ -49,10 +49,10 @@ class PlannedDetectability(Detectability):
     share_of: str = SHARES_OF
     area: int = 0
 
-    def share(self, score: int, area: int) -> float | None:
+    def whole(self, area: int) -> int | None:
         """The same whatever the area of the chosen postures."""
         del area
-        return super().share(score, self.area)
+        return super().whole(self.area)
 
 
 def planned_answers(

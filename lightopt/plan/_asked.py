@@ -65,6 +65,7 @@ def _planned(wanted: PlanOptions) -> list[str]:
         ("--choose-postures", wanted.postures, None),
         ("--target", wanted.target, None),
         ("--posture-step", wanted.posture_step_deg, plain.posture_step_deg),
+        ("--allow-outside", wanted.allow_outside_px, plain.allow_outside_px),
     )
     if wanted.exposures:
         words += ["--exposures", ",".join(_text(exposure) for exposure in wanted.exposures)]

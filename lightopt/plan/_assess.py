@@ -22,7 +22,7 @@ from lightopt.plan._combinations import combination_sums
 from lightopt.plan._counts import added, counts_of_images, no_counts
 from lightopt.plan._survey import Survey, scattered_flags
 from lightopt.plan._tolerances import Offset
-from lightopt.rendering import PatchTable, available_processors, visible_points
+from lightopt.rendering import PatchTable, available_processors, sight_of
 from lightopt.scene import PanelLight, build_lights, view_from_part
 from lightopt.transforms import Posture
 
@@ -137,14 +137,15 @@ class _Assessment(ABC):
 
     def _table(self, posture: Posture) -> PatchTable:
         table = self.survey.table
-        visible = np.zeros(len(table.patches), np.bool_)
-        visible[self.patches] = visible_points(
+        visible, grazing = np.zeros((2, 1, len(table.patches)), np.bool_)
+        visible[0, self.patches], grazing[0, self.patches] = sight_of(
             table.patches.centroids[self.patches],
+            table.patches.normals[self.patches],
             self._facets,
             view_from_part(self.survey.scene, posture),
             self.survey.caster,
         )
-        return replace(table, postures=(posture,), visible=visible[None])
+        return replace(table, postures=(posture,), visible=visible, grazing=grazing)
 
 
 class PairAssessment(_Assessment):

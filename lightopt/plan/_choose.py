@@ -89,11 +89,15 @@ class _Chooser:
         self.wanted, self.postures, self.start = wanted, postures, tuple(start)
         self.candidates = candidates
         least = wanted.least
-        self.last = Turns(whole, postures, candidates, least=least, where="all patches", tell=tell)
+        self.last = Turns(
+            whole, postures, candidates, least=least, where="all patches", prove=True, tell=tell
+        )
         self.first = (
             self.last
             if drawn.table is whole.table
-            else Turns(drawn, postures, candidates, least=least, where="drawn patches", tell=tell)
+            else Turns(
+                drawn, postures, candidates, least=least, where="drawn patches", prove=False, tell=tell
+            )
         )
         self.on_all = self.first is self.last or holds_places(whole, candidates, least=least)
         self.starts = 1

@@ -52,6 +52,8 @@ class Cover:
         Of all candidates together.
     least
         No set of fewer candidates reaches the target; None without a target, or where it cannot be reached.
+    sets
+        Number of all sets of as many candidates, where this one is proven to reach most of them; None where it is not.
     """
 
     steps: tuple[Step, ...]
@@ -62,6 +64,7 @@ class Cover:
     all_worth: int
     all_reached: int
     least: int | None
+    sets: int | None = None
 
     @property
     def chosen(self) -> tuple[int, ...]:
@@ -86,7 +89,7 @@ class Cover:
     @property
     def bound_share(self) -> float:
         """No set of as many candidates sees more than this share in k images or more."""
-        return self.bound_of(len(self.bounds) - 1)
+        return self.share if self.sets is not None else self.bound_of(len(self.bounds) - 1)
 
     def bound_of(self, count: int) -> float:
         """No set of so many candidates, up to as many as were chosen, sees more than this share in k or more."""
@@ -115,7 +118,7 @@ class Cover:
     @property
     def proven(self) -> bool:
         """Whether no set of as many sees more in k images or more."""
-        return self.reached >= min(self.bound // self.k, self.all_reached)
+        return self.sets is not None or self.reached >= min(self.bound // self.k, self.all_reached)
 
 
 def steps_of(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> tuple[Step, ...]:

@@ -12,10 +12,14 @@ from lightopt.rendering import panels_in_part
 from lightopt.scene import PanelLight, Scene, frame_part, part_postures, view_from_part
 from lightopt.transforms import Posture
 
-__all__ = ["DEFAULT_POSTURE_STEP", "MOST_POSTURES", "LeftOutPosture", "posture_grid", "usable_postures"]
+__all__ = ["DEFAULT_OUTSIDE_PX", "DEFAULT_POSTURE_STEP", "LeftOutPosture", "posture_grid", "usable_postures"]
 
 DEFAULT_POSTURE_STEP = 22.5
 """Of tilt and rotation [°], unless asked otherwise: a stage of ±45° and a full turn then has 80 postures."""
+
+DEFAULT_OUTSIDE_PX = 10.0
+"""How far the part may leave the view in a posture to choose from [px], unless asked otherwise: no further than a part
+may be off its place, so that its rim is near the image's border anyway. What is outside is not seen in that posture."""
 
 MOST_POSTURES = 2000
 """More candidate postures are refused."""
@@ -79,7 +83,7 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
 
 
 def usable_postures(
-    scene: Scene, panels: Sequence[PanelLight]
+    scene: Scene, panels: Sequence[PanelLight], *, allow_outside_px: float = DEFAULT_OUTSIDE_PX
 ) -> tuple[tuple[Posture, ...], tuple[LeftOutPosture, ...]]:
     """Those of a scene's postures that keep the part in view and clear of the lights, and the others with the reason.
 
@@ -89,6 +93,8 @@ def usable_postures(
         With the postures to look at; its own lights do not matter.
     panels
         Every place where a light may stand, world frame.
+    allow_outside_px
+        How far the part may leave the view at a side of the image [px].
 
     Raises
     ------
@@ -98,7 +104,7 @@ def usable_postures(
     kept: list[Posture] = []
     left_out: list[LeftOutPosture] = []
     for posture in scene.postures:
-        found = _out_of_view(scene, posture) or _in_the_way(scene, posture, panels)
+        found = _out_of_view(scene, posture, allow_outside_px) or _in_the_way(scene, posture, panels)
         if found is None:
             kept.append(posture)
         else:
@@ -107,7 +113,8 @@ def usable_postures(
         first = left_out[0]
         raise InputError(
             f"no posture of {len(left_out)} is left to choose from: in {first.posture} {first.reason}; change the "
-            "part's placement, the stage's pivot or its ranges, or let the camera see more"
+            "part's placement, the stage's pivot or its ranges, let the camera see more, or allow the part to leave "
+            "the view (--allow-outside)"
         )
     return tuple(kept), tuple(left_out)
 
@@ -142,18 +149,24 @@ def _angles(ends: tuple[float, float], step: float) -> list[float]:
     return angles[:-1] if math.isclose(high - low, 360.0) else angles
 
 
-def _out_of_view(scene: Scene, posture: Posture) -> tuple[str, str] | None:
+def _out_of_view(scene: Scene, posture: Posture, allowed: float) -> tuple[str, str] | None:
     framing = frame_part(view_from_part(scene, posture).camera, scene.mesh)
-    if framing.inside:
-        return None
     if framing.nearest <= 0.0:
         return "the part reaches behind the camera", "view"
+    if not framing.outside and max(framing.excess) <= allowed:
+        return None
     leaves = [
-        f"{pixels:.0f} px at the {side}"
+        f"{_pixels(pixels)} at the {side}"
         for pixels, side in zip(framing.excess, _SIDES, strict=True)
-        if pixels >= 0.5
+        if pixels > 0.0
     ]
-    return f"the part leaves the view by {', '.join(leaves) or 'less than a pixel'}", "view"
+    limit = "so that nothing of it is seen" if framing.outside else f"{_pixels(allowed)} are allowed"
+    return f"the part leaves the view by {', '.join(leaves)}; {limit}", "view"
+
+
+def _pixels(amount: float) -> str:
+    # rounded up, so that what is more than what is allowed does not read as the same
+    return f"{math.ceil(10.0 * amount) / 10.0:g} px"
 
 
 def _in_the_way(scene: Scene, posture: Posture, panels: Sequence[PanelLight]) -> tuple[str, str] | None:

@@ -168,6 +168,7 @@ class _Offer:
         own = {i: self._counts(choice, postures[i], plan.brackets.of(postures[i])) for i in sorted(indices)}
         cover = replace(
             free,
+            sets=None,
             steps=steps_of([(i, own[i]) for i in greedy_order(own, weights)], weights),
             dropped=choice.cover.dropped,
             # where fewer show all there is, no more can

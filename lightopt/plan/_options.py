@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 from lightopt.errors import InputError
 from lightopt.plan._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
-from lightopt.plan._grid import DEFAULT_POSTURE_STEP
+from lightopt.plan._grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.plan._tolerances import Tolerances
 
 __all__ = ["OBJECTIVE", "PlanOptions", "check_plan"]
@@ -28,6 +29,8 @@ class PlanOptions:
         Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
     posture_step_deg
         Of the grid to choose from [°].
+    allow_outside_px
+        How far the part may leave the view in a posture to choose from [px].
     exposures
         Offered beside exposure 1; none by default.
     exposure_gain
@@ -39,6 +42,7 @@ class PlanOptions:
     postures: int | None = None
     target: float | None = None
     posture_step_deg: float = DEFAULT_POSTURE_STEP
+    allow_outside_px: float = DEFAULT_OUTSIDE_PX
     exposures: tuple[float, ...] = ()
     exposure_gain: float = DEFAULT_EXPOSURE_GAIN
     tolerances: Tolerances | None = None
@@ -60,6 +64,7 @@ class PlanOptions:
             facts["choose_postures"] = self.postures
             facts["target"] = self.target
             facts["posture_step_deg"] = self.posture_step_deg
+            facts["allow_outside_px"] = self.allow_outside_px
         if self.exposures:
             facts["exposures"] = list(self.exposures)
             facts["exposure_gain"] = self.exposure_gain
@@ -91,6 +96,10 @@ def check_plan(options: PlanOptions) -> None:
         problems.append(
             "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found "
             f"{options.target:g}{hint}"
+        )
+    if not (math.isfinite(options.allow_outside_px) and options.allow_outside_px >= 0.0):
+        problems.append(
+            f"--allow-outside: expected a number of pixels, 0 or more, found {options.allow_outside_px:g}"
         )
     problems += check_exposures(options.exposures, options.exposure_gain)
     if problems:

@@ -60,6 +60,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "shares_of": SHARES_OF,
         "optimum": "proven" if chosen.proven else "local",
         "bound": round(cover.bound_share, 6),
+        "best_of_sets": cover.sets,
         "greedy_guarantee": round(cover.guarantee, 6),
         "fewest_possible": cover.least,
         "all_candidates": round(cover.all_reached / total, 6),
@@ -94,7 +95,8 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
             "footprint_mm": round(chosen.footprint, 6),
             "grain": round(chosen.grain, 6),
         },
-        "visible_share_of_surface": round(chosen.visible_share, 6),
+        "inspectable_share_of_surface": round(chosen.inspectable_share, 6),
+        "left_out_share_of_surface": round(chosen.left_out_share, 6),
         "bounds_with_any_of_exposures": list(chosen.exposures),
     }
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import CheckFailed, counted
@@ -26,7 +27,7 @@ from lightopt.plan._progress import Tell
 from lightopt.plan._result import ChosenPostures
 from lightopt.plan._survey import DRAWN_PATCHES, Survey, drawn_patches
 from lightopt.plan._unreached import unreached
-from lightopt.rendering import build_patches, cast_rays_at
+from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import (
     Scene,
     build_catalogue,
@@ -70,7 +71,9 @@ def plan_postures(
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
     places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
-    postures, left_out = usable_postures(replace(scene, postures=grid), places)
+    postures, left_out = usable_postures(
+        replace(scene, postures=grid), places, allow_outside_px=wanted.allow_outside_px
+    )
     if tell is not None:
         few = wanted.postures is not None and len(postures) < wanted.postures
         asked = f", fewer than the {wanted.postures} that were asked for" if few else ""
@@ -125,10 +128,16 @@ def plan_postures(
         max_edge=table.max_edge,
         footprint=table.footprint,
         grain=table.grain,
-        visible_share=float(np.sum(table.patches.areas[whole.patches]) / np.sum(table.patches.areas)),
+        inspectable_share=_area_share(table, table.inspectable_anywhere),
+        left_out_share=_area_share(table, table.visible.any(axis=0) & ~table.inspectable_anywhere),
         exposures=wanted.all_exposures,
     )
     return chosen, whole
+
+
+def _area_share(table: PatchTable, which: NDArray[np.bool_]) -> float:
+    areas = table.patches.areas
+    return float(areas[which].sum() / areas.sum())
 
 
 def places_of(rig: RigConfig, choice: Choice, options: OptimizeOptions) -> tuple[tuple[float, float], ...]:
@@ -159,5 +168,4 @@ def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None
         step_deg=options.step_deg,
         common_elevation=options.common_elevation,
         points=options.points,
-        alone=True,
     )

@@ -9,14 +9,21 @@ from lightopt.plan._choice import Choice
 from lightopt.plan._commands import Command, Way
 from lightopt.plan._grid import LeftOutPosture
 from lightopt.plan._trust import Trust
+from lightopt.rendering import GRAZING_DEG
 from lightopt.transforms import Posture
 
 __all__ = ["SHARES_OF", "ChosenPostures", "PlanResult", "TrustOf"]
 
-SHARES_OF = "the surface that the camera sees in any posture to choose from × defects by weight"
+SHARES_OF = (
+    f"the surface that the camera sees in any posture to choose from at up to {GRAZING_DEG:g}° to its normal × "
+    "defects by weight"
+)
 """What the shares of a plan are shares of."""
 
-OWN_SHARES_OF = "the surface that the camera sees in any of the postures × defects by weight"
+OWN_SHARES_OF = (
+    f"the surface that the camera sees in any of the postures at up to {GRAZING_DEG:g}° to its normal × defects by "
+    "weight"
+)
 """The same of exposures for a part's own postures."""
 
 TELLING_SHARE = 0.001
@@ -49,8 +56,10 @@ class ChosenPostures:
         Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
     grain
         How far shares may be off since a patch counts as its middle does: see :class:`lightopt.rendering.PatchTable`.
-    visible_share
-        Of the part's surface, by area, what the camera sees in one candidate posture or more.
+    inspectable_share
+        Of the part's surface, by area, what is inspectable in one candidate posture or more.
+    left_out_share
+        Of the part's surface, by area, what the camera sees in candidate postures at a grazing angle only.
     exposures
         That were offered, 1 among them.
     brackets
@@ -70,7 +79,8 @@ class ChosenPostures:
     max_edge: float
     footprint: float
     grain: float
-    visible_share: float
+    inspectable_share: float
+    left_out_share: float
     exposures: tuple[float, ...] = (1.0,)
     brackets: Brackets | None = None
 

@@ -63,8 +63,8 @@ class Survey:
 
     @cached_property
     def patches(self) -> NDArray[np.intp]:
-        """Indices of the patches that the camera sees in one posture or more, ascending, shape (p,)."""
-        return np.flatnonzero(self.table.visible.any(axis=0))
+        """Indices of the patches that are inspectable in one posture or more, ascending, shape (p,)."""
+        return np.flatnonzero(self.table.inspectable_anywhere)
 
     @property
     def weights(self) -> PairWeights:
@@ -76,7 +76,9 @@ class Survey:
     def table_of(self, postures: Sequence[Posture]) -> PatchTable:
         """The same patches in some of the postures."""
         rows = [self.table.postures.index(posture) for posture in postures]
-        return replace(self.table, postures=tuple(postures), visible=self.table.visible[rows])
+        table = self.table
+        visible, grazing = table.visible[rows], table.grazing[rows]
+        return replace(table, postures=tuple(postures), visible=visible, grazing=grazing)
 
     def matrices(
         self,
@@ -102,7 +104,7 @@ class Survey:
 
     def places_at_once(self, posture: Posture, exposures: Sequence[float]) -> int:
         """How many places of lights :meth:`matrices` has room for."""
-        seen = int(self.table.visible[self.table.postures.index(posture)].sum())
+        seen = len(self.table.inspectable(posture))
         return max(1, MOST_BYTES // max(1, matrix_bytes(self.scene, seen, len(exposures), self.inspection)))
 
     def in_pieces(
@@ -171,17 +173,18 @@ def scattered_flags(
 def drawn_patches(table: PatchTable, count: int) -> PatchTable:
     """Some of the patches for all, every part of the surface by its area: the others are seen from nowhere.
 
-    Along the running sum of the visible patches' areas a mark stands at every so much area; a patch with marks stands
-    for as much area as it has marks. The order of patches is that of the mesh, so that marks spread over the surface.
+    Along the running sum of the inspectable patches' areas a mark stands at every so much area; a patch with marks
+    stands for as much area as it has marks. The order of patches is that of the mesh, so that marks spread over the
+    surface.
 
     Parameters
     ----------
     table
         All patches.
     count
-        Number of marks; with as many visible patches or fewer, all stay as they are.
+        Number of marks; with as many inspectable patches or fewer, all stay as they are.
     """
-    seen = np.flatnonzero(table.visible.any(axis=0))
+    seen = np.flatnonzero(table.inspectable_anywhere)
     if len(seen) <= count:
         return table
     areas = table.patches.areas[seen]

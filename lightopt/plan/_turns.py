@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from lightopt.optimize import Candidates
+from lightopt.plan._best_set import best_set
 from lightopt.plan._choice import Wanted
 from lightopt.plan._combinations import PlaceCounts
 from lightopt.plan._counts import Counts
@@ -82,6 +83,8 @@ class Turns:
         Images that must show a pair, of all postures together.
     where
         The patches, for people.
+    prove
+        Whether all sets of postures are gone through where that is little work.
     tell
         Called with what is going on and the share of that which is done.
     """
@@ -94,8 +97,10 @@ class Turns:
         *,
         least: int,
         where: str,
+        prove: bool,
         tell: Tell | None,
     ) -> None:
+        self.prove = prove
         self.survey, self.postures, self.candidates, self.least = survey, postures, candidates, least
         self._where, self._tell, self._passes = where, tell, 0
         self._counts: dict[Lights, list[Counts]] = {}
@@ -140,7 +145,10 @@ class Turns:
     def cover(
         self, panels: Sequence[PanelLight], lights: Lights, wanted: Wanted, before: Sequence[int] = ()
     ) -> Cover:
-        """Postures for lights: a greedy choice and those of the turn before, both bettered by exchanges."""
+        """Postures for lights: a greedy choice and those of the turn before, both bettered by exchanges.
+
+        On all patches, the best of all sets of as many, where that takes no more work than is meant for it.
+        """
         counts, weights = self._seen(panels, lights), self.survey.weights
         greedy = partial(greedy_cover, counts, weights, count=wanted.count, target=wanted.target)
         covers = [greedy()]
@@ -149,6 +157,13 @@ class Turns:
             sets = [exchanged(counts, weights, some, threads=self.survey.threads) for some in sets]
         covers += [greedy(among=some) for some in sets if some and some != covers[0].chosen]
         best = max(covers, key=lambda cover: merit(cover, wanted))
+        if self.prove and wanted.target is None and wanted.count is not None:
+            size = min(wanted.count, len(counts))
+            chosen, sets = best_set(counts, weights, best.chosen, size, threads=self.survey.threads)
+            if chosen != best.chosen:
+                covers.append(greedy(among=chosen))
+                best = covers[-1]
+            best = replace(best, sets=sets)
         same = [cover.bounds for cover in covers if len(cover.bounds) == len(best.bounds)]
         return replace(best, bounds=tuple(min(some) for some in zip(*same, strict=True)))
 

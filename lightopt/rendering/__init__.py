@@ -1,6 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged import ConvergedPanel, converged_panel, shade_converged
+from lightopt.rendering._grazing import GRAZING_COSINE, GRAZING_DEG
 from lightopt.rendering._highlight import highlight_level
 from lightopt.rendering._hopeless import (
     PanelInPart,
@@ -25,13 +26,14 @@ from lightopt.rendering._patches import (
     PatchPixels,
     PatchTable,
     build_patches,
+    grain_of,
     patch_pixels,
     patch_positions,
     patches_for_edge,
+    sight_of,
     visible_points,
 )
 from lightopt.rendering._pixels import (
-    LEAST_COS_VIEW,
     LEFT_OUT,
     UNLIT,
     WHOLE,
@@ -46,7 +48,8 @@ from lightopt.rendering._variants import SurfaceVariants, VariantLevels, shade_v
 
 __all__ = [
     "DEFAULT_PATCH_BUDGET",
-    "LEAST_COS_VIEW",
+    "GRAZING_COSINE",
+    "GRAZING_DEG",
     "LEFT_OUT",
     "UNLIT",
     "WHOLE",
@@ -73,6 +76,7 @@ __all__ = [
     "cast_rays_at",
     "converged_panel",
     "end_if_stopped",
+    "grain_of",
     "highlight_level",
     "in_threads",
     "interpolate_surface",
@@ -90,6 +94,7 @@ __all__ = [
     "shade_converged",
     "shade_points",
     "shade_variants",
+    "sight_of",
     "surface_variants",
     "too_few_pixels",
     "trace_pixels",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lightopt.mesh import Patches, TriangleMesh, estimate_patch_count, face_normals, refine
 from lightopt.raycast import RayCaster
+from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._images import trace_posture
 from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
 from lightopt.transforms import Posture
@@ -21,9 +22,11 @@ __all__ = [
     "PatchPixels",
     "PatchTable",
     "build_patches",
+    "grain_of",
     "patch_pixels",
     "patch_positions",
     "patches_for_edge",
+    "sight_of",
     "visible_points",
 ]
 
@@ -48,6 +51,9 @@ class PatchTable:
         The postures that were looked at.
     visible
         Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p).
+    grazing
+        Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p): such
+        patches count in no score and no share of that posture.
     max_edge
         Longest edge of a patch that the camera may see, unless the mesh was finer already [mm].
     footprint
@@ -63,10 +69,28 @@ class PatchTable:
     patches: Patches
     postures: tuple[Posture, ...]
     visible: NDArray[np.bool_]
+    grazing: NDArray[np.bool_]
     max_edge: float
     footprint: float
     seen_faces: int = 0
     exceeded: int = 0
+
+    def inspectable(self, posture: Posture) -> NDArray[np.intp]:
+        """Indices of the patches that the camera sees in a posture, not at a grazing angle, ascending."""
+        row = self.postures.index(posture)
+        return np.flatnonzero(self.visible[row] & ~self.grazing[row])
+
+    def left_out(self, posture: Posture) -> NDArray[np.intp]:
+        """Indices of the patches that the camera sees in a posture at a grazing angle, ascending."""
+        row = self.postures.index(posture)
+        return np.flatnonzero(self.visible[row] & self.grazing[row])
+
+    @property
+    def inspectable_anywhere(self) -> NDArray[np.bool_]:
+        """Whether a patch is inspectable in one posture or more, shape (p,)."""
+        return np.any(
+            [seen & ~grazing for seen, grazing in zip(self.visible, self.grazing, strict=True)], axis=0
+        )
 
     @property
     def message(self) -> str:
@@ -89,13 +113,8 @@ class PatchTable:
 
     @property
     def grain(self) -> float:
-        """How far a share of the visible area may be off since a patch counts as its middle does, 0 to 1.
-
-        The standard deviation if the middle of each patch were a place by chance, and half of the places counted:
-        √(Σ a²) / (2 Σ a). Shares that are told of wholly seen and wholly unseen patches are better than that.
-        """
-        areas = self.patches.areas[self.visible.any(axis=0)]
-        return 0.5 * math.sqrt(float((areas**2).sum())) / max(float(areas.sum()), 1e-300)
+        """How far a share of the inspectable area may be off, 0 to 1: see :func:`grain_of`."""
+        return grain_of(self.patches.areas[self.inspectable_anywhere])
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """The table as named arrays for ``patches.npz``."""
@@ -111,6 +130,7 @@ class PatchTable:
             "children": p.children,
             "cut_edge": p.cut_edge,
             "visible": self.visible,
+            "grazing": self.grazing,
             "postures_deg": np.array([[q.elevation_deg, q.rotation_deg] for q in self.postures]),
             "max_edge_mm": np.array(self.max_edge),
             "footprint_mm": np.array(self.footprint),
@@ -134,6 +154,7 @@ class PatchTable:
             patches=Patches(**{name: arrays[name] for name in names}),
             postures=tuple(Posture(float(e), float(r)) for e, r in arrays["postures_deg"]),
             visible=arrays["visible"],
+            grazing=arrays["grazing"],
             max_edge=float(arrays["max_edge_mm"]),
             footprint=float(arrays["footprint_mm"]),
         )
@@ -193,14 +214,16 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
         edge *= max(1.02, min(4.0, math.sqrt(cut / max(1, most))))
     edge = min(edge, max(footprint, _longest_edge(mesh, seen)))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
-    visible = np.stack(
-        [visible_points(patches.centroids, facets[patches.face], view, caster) for view in views]
-    )
+    sights = [
+        sight_of(patches.centroids, patches.normals, facets[patches.face], view, caster) for view in views
+    ]
+    visible = np.stack([seen for seen, _ in sights])
     over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
     return PatchTable(
         patches=patches,
         postures=scene.postures,
         visible=visible,
+        grazing=np.stack([grazing for _, grazing in sights]),
         max_edge=edge,
         footprint=footprint,
         seen_faces=shown if shown >= budget else 0,
@@ -260,6 +283,46 @@ def _longest_edge(mesh: TriangleMesh, faces: NDArray[np.bool_]) -> float:
 def _smallest_footprint(view: PartView, mesh: TriangleMesh) -> float:
     _, _, depth = project(view.camera, mesh.vertices)
     return pixel_footprint(view.camera, max(float(depth.min()), 1e-3))
+
+
+def grain_of(areas: Float64) -> float:
+    """How far a share of an area may be off since each patch counts as its middle does, 0 to 1.
+
+    The standard deviation if the middle of each patch were a place by chance, and half of the places counted:
+    √(Σ a²) / (2 Σ a). Patches that are wholly within or wholly without what is counted are not off at all.
+
+    Parameters
+    ----------
+    areas
+        Of the patches, shape (p,).
+    """
+    return 0.5 * math.sqrt(float((areas**2).sum())) / max(float(areas.sum()), 1e-300)
+
+
+def sight_of(
+    points: Float64, normals: Float64, facets: Float64, view: PartView, caster: RayCaster
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which points of the surface the camera sees, and which of these at a grazing angle.
+
+    Parameters
+    ----------
+    points, normals, facets
+        Points [mm], normals of the surface there, and those of the facets that they lie on, part frame, shape (p, 3).
+    view, caster
+        The camera as the part sees it, and the part's ray caster.
+
+    Returns
+    -------
+    visible, grazing
+        Boolean, shape (p,): in the image, from the front, with nothing in between; and of these, at more than
+        :data:`lightopt.rendering.GRAZING_DEG` to the normal.
+    """
+    visible = visible_points(points, facets, view, caster)
+    grazing = np.zeros_like(visible)
+    toward = view.camera.position - points[visible]
+    cosines = np.einsum("ij,ij->i", normals[visible], toward) / np.linalg.norm(toward, axis=1)
+    grazing[visible] = cosines < GRAZING_COSINE
+    return visible, grazing
 
 
 def visible_points(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> NDArray[np.bool_]:

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.raycast import RayCaster
+from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.rendering._threads import in_threads
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
 from lightopt.transforms import Posture
 
-__all__ = ["LEAST_COS_VIEW", "LEFT_OUT", "UNLIT", "WHOLE", "PosturePixels", "panel_verdict", "trace_pixels"]
+__all__ = ["LEFT_OUT", "UNLIT", "WHOLE", "PosturePixels", "panel_verdict", "trace_pixels"]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -28,9 +29,6 @@ STEEPEST_STEP = 0.6
 
 CREASE_COSINE = 0.985
 """Normals of neighbouring pixels that differ by more than 10° are those of a crease or of a silhouette."""
-
-LEAST_COS_VIEW = 0.15
-"""Below this cosine of the angle of view a pixel's footprint is too long for a ray at its centre to stand for it."""
 
 MARGIN_PX = 2
 """Pixels next to those that are left out are left out, too: the part never lies exactly where the model has it."""
@@ -106,7 +104,7 @@ def trace_pixels(
     shape = (scene.camera.height, scene.camera.width)
     edge = _spread(_edges(surface, row, column, shape), row, column)
     cosine: Float64 = np.einsum("ij,ij->i", surface.normals, surface.views)
-    clean = surface.front & ~edge & (cosine >= LEAST_COS_VIEW)
+    clean = surface.front & ~edge & (cosine >= GRAZING_COSINE)
     return PosturePixels(
         posture=posture, view=view, row=row, column=column, surface=surface, clean=clean, shape=shape
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from lightopt.align import Placement
 from lightopt.errors import percent
 from lightopt.inspection import CONTRASTS, Coverage, Inspection, SurfaceCoverage, Verdict
+from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Table
 
 __all__ = ["dark_told", "defect_table", "placement_told", "surface_table", "surface_told"]
@@ -62,13 +63,22 @@ def surface_table(result: Inspection) -> Table:
     def row(name: str, cover: Coverage | SurfaceCoverage, missing: float) -> list[str]:
         areas = [cover.inspected, *cover.classes, cover.edge, cover.saturated, cover.shadow]
         areas += [missing] if gap else []
-        return [name, f"{cover.seen:.0f}", *(percent(area / max(cover.seen, 1e-9)) for area in areas)]
+        shares = [percent(area / max(cover.seen, 1e-9)) for area in areas]
+        return [name, f"{cover.seen:.0f}", *shares, percent(cover.left_out)]
 
     rows = [row(str(p.view.posture), p.coverage, 0.0) for p in result.postures]
     if len(rows) > 1 or gap:
         rows.append(row("all postures", every, every.missing))
     header = ["posture", "seen [mm²]", "inspected", *(f"from {100.0 * c:g} %" for c in CONTRASTS)]
-    header += ["stronger", "glints", "edges", "saturated", "in shadow", *(["no images"] if gap else [])]
+    header += [
+        "stronger",
+        "glints",
+        "edges",
+        "saturated",
+        "in shadow",
+        *(["no images"] if gap else []),
+        "left out",
+    ]
     return Table(header=header, rows=rows, caption=" ".join(surface_told(result)))
 
 
@@ -77,9 +87,10 @@ def surface_told(result: Inspection) -> list[str]:
     every = result.surface
     seen = max(every.seen, 1e-9)
     legend = (
-        "Shares of the surface that the camera sees. What was inspected, by what it shows: an even disc of 5 px, half "
+        f"Shares of the surface that the camera sees at up to {GRAZING_DEG:g}° to its normal; left out, as a share of "
+        "all that it sees, is the rest. What was inspected, by what it shows: an even disc of 5 px, half "
         "of the time, from such a change of the light on; only stronger ones; where it is dark, only glints. The rest, "
-        "by why not. These classes add up to the whole."
+        "by why not. The classes but what is left out add up to the whole."
     )
     told = [legend]
     if every.fewer > 0.0:
@@ -88,7 +99,7 @@ def surface_told(result: Inspection) -> list[str]:
             "alone."
         )
     if len(result.postures) > 1 or every.missing > 0.0:
-        never = percent(1.0 - every.seen / max(every.area, 1e-9))
+        never = percent(1.0 - (every.seen + every.grazing) / max(every.area, 1e-9))
         told.append(
             "All postures: each place once, by the posture that shows it best; the verdict is of this. "
             f"{never} of the part's {every.area:.0f} mm² is never seen."

@@ -7,19 +7,27 @@ from typing import Any
 
 from lightopt.errors import counted, percent
 from lightopt.optimize import (
-    Answer as Best,
-)
-from lightopt.optimize import (
+    LEFT_OUT_MEANING,
     Detectability,
     Draft,
     SetResult,
     angles_of,
     gap_text,
+    left_out_text,
     looked_text,
+    near_meaning,
+    near_text,
     patches_text,
     score_text,
+    share_of_whole,
+    share_text,
+    shown_text,
     ties_text,
 )
+from lightopt.optimize import (
+    Answer as Best,
+)
+from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Answer, Block, Note, Table, Warnings
 from lightopt.report._sheet_layout import degrees
 from lightopt.transforms import Posture
@@ -66,13 +74,23 @@ def scores_table(draft: Draft) -> Table:
         for answer in result.answers
         if answer.nothing is None
     ]
-    header = ["posture", "best for", *draft.candidates.names, *names, "runner-up", "ties", "combinations"]
+    header = ["posture", "best for", *draft.candidates.names, *names, *COUNTS]
+    near = near_meaning([answer.objective for answer in draft.results[0].answers])
     return Table(
         header=header,
         rows=rows,
         numbers_from=2,
-        caption=f"{_shares(draft)} ranking.csv lists the best combinations, result.json has all numbers.",
+        caption=f"{_shares(draft)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near)} ranking.csv lists the best "
+        "combinations, result.json has all numbers.",
     )
+
+
+COUNTS = ("left out", "runner-up", "ties", "near best", "combinations")
+"""Columns beside the scores."""
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def _shares(draft: Draft) -> str:
@@ -96,15 +114,16 @@ def _answer(result: SetResult) -> Answer:
     where = postures_text(result)
     if best.nothing is not None:
         return Answer(figure="No answer", text=f"{where}: {best.nothing}")
-    share = best.objective.share(best.found.best.score, result.area)
-    score = best.objective.shown(best.found.best.score)
+    share = share_of_whole(best.objective, best.found.best.score, result.area)
+    score = shown_text(best.found.best.score, best.objective, result)
     if share is None:
         return Answer(figure=score, text=f"by {best.objective.name}, {where}")
     surface = "surface × defects (by weight)" if isinstance(best.objective, Detectability) else "surface"
     added = ", added up" * (len(result.postures) > 1)
     return Answer(
-        figure=percent(share),
-        text=f"of the {surface} that the camera sees in {where}{added}: {score} by {best.objective.name}",
+        figure=share_text(share, result.grain),
+        text=f"of the {surface} that the camera sees in {where}{added}, but for {left_out_text(result)} that it sees "
+        f"at more than {GRAZING_DEG:g}° to the normal: {score} by {best.objective.name}",
     )
 
 
@@ -129,7 +148,9 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
     if chosen["optimum"] == "proven":
         return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
     bound = (
-        f"Proven: with these lights no {number} of the {chosen['candidates']} show more than "
+        f"Proven: with these lights none of the {chosen['best_of_sets']:,} sets of {number} shows more."
+        if chosen["best_of_sets"] is not None
+        else f"Proven: with these lights no {number} of the {chosen['candidates']} show more than "
         f"{percent(chosen['bound'])}."
     )
     if not chosen["turns"]:
@@ -151,7 +172,7 @@ def _row(draft: Draft, result: SetResult) -> list[str]:
     return [
         postures_text(result),
         *_angles(draft, best),
-        score_text(best.found.best.score, best.objective, result.area),
+        score_text(best.found.best.score, best.objective, result),
     ]
 
 
@@ -172,12 +193,13 @@ def _proof(result: SetResult) -> str:
         text = f"none of {total} scores more, but one that was not looked at may score the same"
     else:
         text = f"not proven; {found.left:,} of {total} were left, and none scores more than "
-        text += objective.shown(found.bound)
+        text += shown_text(found.bound, objective, result)
     runner_up = "there is no other"
     if found.gap is not None:
-        runner_up = f"the runner-up: {gap_text(found, objective)}"
-    if not (found.complete and found.ties == 1):
-        runner_up += f"; {ties_text(found)}, decided by the sum of usable levels"
+        runner_up = f"the runner-up: {gap_text(best, result)}"
+    if found.ties or not found.complete:
+        runner_up += f"; ties: {ties_text(best)}, decided by the sum of usable levels"
+    runner_up += f"; {near_text(best)} other combinations near the best"
     return f"{postures_text(result).capitalize()}: {text}; {runner_up}."
 
 
@@ -187,9 +209,11 @@ def _scores(draft: Draft, result: SetResult, answer: Best, names: list[str]) -> 
         postures_text(result),
         answer.objective.name,
         *_angles(draft, answer),
-        *(_unbroken(score_text(answer.scores[name], objectives[name], result.area)) for name in names),
-        _unbroken(gap_text(answer.found, answer.objective)),
-        ties_text(answer.found),
+        *(_unbroken(score_text(answer.scores[name], objectives[name], result)) for name in names),
+        left_out_text(result),
+        _unbroken(gap_text(answer, result)),
+        ties_text(answer),
+        near_text(answer),
         looked_text(answer),
     ]
 

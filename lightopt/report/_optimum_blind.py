@@ -43,17 +43,19 @@ def blind_layers(report: BlindReport) -> list[SurfaceLayer]:
 
 
 def share_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
-    """How large a share of the defects is seen on every patch, and of how much of the surface."""
+    """How large a share of the defects is seen on every patch, and of how much of the surface that is not left out."""
     limits = np.array([limit for limit, *_ in SHARES])
     of_face = np.searchsorted(limits, spots.share, side="left").astype(np.uint8)
     of_face[spots.share >= 1.0] = len(SHARES) - 1
-    of_face[spots.codes == Blind.CAMERA] = len(SHARES)
-    never = blind_class(Blind.CAMERA)
-    kinds = [*((label, colour) for _, label, colour in SHARES), (never.label, _hex(never))]
-    areas = np.bincount(of_face, weights=spots.areas, minlength=len(kinds)) / spots.areas.sum()
+    apart = [blind_class(code) for code in (Blind.CAMERA, Blind.GRAZING)]
+    for place, one in enumerate(apart, start=len(SHARES)):
+        of_face[spots.codes == one.code] = place
+    kinds = [*((label, colour) for _, label, colour in SHARES), *((one.label, _hex(one)) for one in apart)]
+    areas = np.bincount(of_face, weights=spots.areas, minlength=len(kinds)) / spots.counted
+    amounts = [*(percent(float(area)) for area in areas[:-1]), ""]
     classes = tuple(
-        SurfaceClass(label=label, colour=colour, amount=percent(float(area)))
-        for (label, colour), area in zip(kinds, areas, strict=True)
+        SurfaceClass(label=label, colour=colour, amount=amount)
+        for (label, colour), amount in zip(kinds, amounts, strict=True)
     )
     return SurfaceLayer(name=name, classes=classes, of_face=of_face)
 
@@ -63,7 +65,8 @@ def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
 
     Which light saturates a patch is told by the table.
     """
-    shares = {row.label: percent(row.share) for row in blind_legend(spots)}
+    left_out = blind_class(Blind.GRAZING).label
+    shares = {row.label: "" if row.label == left_out else percent(row.share) for row in blind_legend(spots)}
     of_face = blind_classes(spots)
     shown = [k for k, one in enumerate(BLIND_CLASSES) if one.label in shares or (of_face == k).any()]
     classes = tuple(

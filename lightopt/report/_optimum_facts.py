@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 from lightopt.errors import counted
-from lightopt.optimize import DIRECTIONS, GRAZING_COSINE, Draft, unroll
+from lightopt.optimize import DIRECTIONS, Draft, unroll
+from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Block, Facts, Table
 from lightopt.scene import PanelLight, build_catalogue
 
@@ -20,13 +20,13 @@ def fact_blocks(draft: Draft) -> list[Block]:
         Facts(rows=[*_physics(draft), *_search(draft)]),
         Facts(rows=_provenance(draft)),
     ]
-    if draft.candidates.left_out:
+    if draft.offered.left_out:
         blocks.append(
             Table(
                 header=["light", "position", "left out since it"],
                 rows=[
                     [out.light, f"{out.elevation_deg:g}°, {out.azimuth_deg:g}°", out.reason]
-                    for out in draft.candidates.left_out
+                    for out in draft.offered.left_out
                 ],
                 numbers_from=3,
             )
@@ -54,6 +54,7 @@ def _physics(draft: Draft) -> list[tuple[str, str]]:
         ("lights", "; ".join(dict.fromkeys(map(_light, draft.scene.lights)))),
         ("shadows", "cast by the part" if shadows else "none (--no-shadows)"),
         ("patches", draft.table.message),
+        ("left out", f"what the camera sees at more than {GRAZING_DEG:g}° to the normal"),
     ]
 
 
@@ -75,7 +76,7 @@ def _light(light: PanelLight) -> str:
 
 def _search(draft: Draft) -> list[tuple[str, str]]:
     options = draft.document["provenance"]["options"]
-    positions = " × ".join(str(len(angles)) for angles in draft.candidates.angles)
+    positions = " × ".join(str(len(angles)) for angles in draft.offered.angles)
     ties = [
         text
         for key, text in (
@@ -99,11 +100,10 @@ def _looked_for(draft: Draft) -> list[tuple[str, str]]:
         return []
     entries = build_catalogue(draft.part)
     trials = counted(len(unroll(entries)), "trial")
-    grazing = math.degrees(math.acos(GRAZING_COSINE))
     images = counted(options["seen_in"], "image")
     visible = (
         f"where the level changes by {options['threshold']:g} times the noise or more (--threshold), in {images} or "
-        f"more (--seen-in); at more than {grazing:g}° between normal and view never"
+        "more (--seen-in)"
     )
     return [
         ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from lightopt.images import ImageSet, read_image_set, read_png
-from lightopt.optimize import Curve, Detectability, Draft, SetResult
+from lightopt.optimize import Curve, Detectability, Draft, SetResult, share_of_whole
 from lightopt.report._canvas import png_bytes
 from lightopt.report._chart import ChartLine, ChartPanel, chart_image
 from lightopt.report._contact_sheet import entry_thumbnail, saturation_text
@@ -145,8 +145,8 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
         for k, curve in enumerate(curves)
     ]
     where = postures_text(result)
-    area = best.objective.share(0, result.area) is not None
-    surface = f"visible surface{' × defects' * isinstance(best.objective, Detectability)}"
+    area = best.objective.share_of is not None
+    surface = f"inspectable surface{' × defects' * isinstance(best.objective, Detectability)}"
     label = f"% of the {surface}" if area else best.objective.unit
     image = chart_image(
         title=f"{best.objective.name}, {where}",
@@ -159,5 +159,5 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
 
 
 def _value(result: SetResult, score: int) -> float:
-    share = result.answers[0].objective.share(score, result.area)
+    share = share_of_whole(result.answers[0].objective, score, result.area)
     return float(score) if share is None else 100.0 * share

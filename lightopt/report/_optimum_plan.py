@@ -57,14 +57,14 @@ def blind_tables(draft: Draft) -> list[Block]:
     for name, lights, facts in entries:
         shares = {one["reason"]: one["share"] for one in facts["blind"]}
         lost = [percent(shares.get(reason, 0.0)) for reason in reasons]
-        rows.append([name, lights, percent(facts["seen"]), *lost])
+        rows.append([name, lights, percent(facts["seen"]), *lost, percent(facts["left_out_of_surface"])])
     images = counted(spots["seen_in"], "image")
     caption = (
         f"Shares of {spots['shares_of']}; seen: in {images} or more, of a posture or of all. "
         f"{BLIND_LIGHTS[1].capitalize()}: every light wherever it shows that defect; no one set of positions need show "
-        "all of it."
+        "all of it. Left out: of the whole surface, what the camera sees at a grazing angle only."
     )
-    header = ["posture", "lights", "seen", *reasons]
+    header = ["posture", "lights", "seen", *reasons, "left out"]
     return [Table(header=header, rows=rows, numbers_from=2, caption=caption)]
 
 
@@ -87,13 +87,14 @@ def posture_blocks(draft: Draft) -> list[Block]:
         for posture in map(Posture.from_dict, chosen["order_of_travel"])
         for number, one in [numbered[posture]]
     ]
+    sight = [f"{100.0 * chosen[f'{which}_share_of_surface']:.1f} %" for which in ("inspectable", "left_out")]
     facts = [
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
-        ("the same number of others shows at most", percent(chosen["bound"])),
+        ("the same number of others shows at most", _bound(chosen)),
         ("all candidates together show", percent(chosen["all_candidates"])),
         (
             "the camera sees, in some posture",
-            f"{percent(chosen['visible_share_of_surface'])} of the surface",
+            f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
         ),
         ("travel from (0°, 0°)", _travel(chosen, draft.document.get("rounds", ()))),
         ("each patch counts as its middle does", _grain(chosen["patches"])),
@@ -108,7 +109,7 @@ def posture_blocks(draft: Draft) -> list[Block]:
         facts.append((f"the first {first} chosen show", percent(chosen["postures"][first - 1]["share"])))
     if chosen["asked"] is not None and chosen["target"] is None and len(chosen["postures"]) < chosen["asked"]:
         facts.append(("postures that were asked for", str(chosen["asked"])))
-    if chosen["optimum"] != "proven":
+    if chosen["optimum"] != "proven" and chosen["best_of_sets"] is None:
         guarantee = f"{percent(chosen['greedy_guarantee'])} of the best with these lights"
         facts.append(("these postures have at least", guarantee))
     k = chosen["seen_in"]
@@ -190,6 +191,11 @@ def trust_blocks(draft: Draft) -> list[Block]:
         f"lights, may be off in steps of 0.05° before less than {percent(asked['target'], 0)} are kept."
     )
     return [Table(header=header, rows=rows, caption=caption)]
+
+
+def _bound(chosen: Mapping[str, Any]) -> str:
+    share, sets = percent(chosen["bound"]), chosen["best_of_sets"]
+    return share if sets is None else f"{share}: these are the best of all {sets:,} sets with these lights"
 
 
 def _travel(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.errors import percent
-from lightopt.optimize import AREA_UNIT_MM2, Draft, Levels, Thresholds, area_units
+from lightopt.optimize import Draft, Levels, Thresholds, area_text, area_units, share_text
+from lightopt.rendering import GRAZING_DEG, grain_of
 from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
@@ -26,9 +27,11 @@ SHOWN = (
     ("usable in one image only", "#f0e442"),
     ("saturated in two images or more", "#d55e00"),
     ("shaded: usable in no image", "#0b3c5d"),
+    ("left out: seen at a grazing angle", "#cc79a7"),
     ("the camera does not see it", "#c9ced6"),
 )
 _UNSEEN = len(SHOWN) - 1
+_LEFT_OUT = _UNSEEN - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,16 +45,22 @@ class Shown:
     classes
         Of all patches, indices into :data:`SHOWN`, shape (p,), uint8.
     areas
-        Of each class [µm²]; of those that the camera sees, counted as the objectives count.
+        Of each class [µm²], counted as the objectives count; of those that are inspectable.
+    left_out
+        Share of the surface that the camera sees, which it sees at a grazing angle.
+    grain
+        How far shares may be off since each patch counts as its middle does, 0 to 1.
     """
 
     posture: Posture
     classes: NDArray[np.uint8]
     areas: tuple[int, ...]
+    left_out: float
+    grain: float
 
 
 def shown_by_images(levels: Levels, thresholds: Thresholds) -> NDArray[np.uint8]:
-    """Class of each visible patch by its levels under each light, shape (lights, p); shape (p,), see :data:`SHOWN`."""
+    """Class of each inspectable patch, see :data:`SHOWN`, by its levels under each light, shape (lights, p)."""
     saturated = levels >= thresholds.saturation
     usable = ((levels >= thresholds.shade) & ~saturated).sum(axis=0)
     several = saturated.sum(axis=0) > MOST_SATURATED
@@ -107,18 +116,27 @@ def _postures(draft: Draft) -> list[Shown]:
         if result.answers[0].nothing is not None:
             continue
         for posture, levels in zip(result.postures, result.levels, strict=True):
-            seen = np.flatnonzero(table.visible[table.postures.index(posture)])
+            seen, left_out = table.inspectable(posture), table.left_out(posture)
             classes = np.full(len(table.patches), _UNSEEN, np.uint8)
+            classes[left_out] = _LEFT_OUT
             classes[seen] = shown_by_images(levels, draft.thresholds)
-            units = area_units(table.patches.areas[seen])
-            areas = tuple(int(units[classes[seen] == k].sum()) for k in range(_UNSEEN))
-            found.append(Shown(posture=posture, classes=classes, areas=areas))
+            own = table.patches.areas[seen]
+            units, grazing = area_units(own), float(table.patches.areas[left_out].sum())
+            found.append(
+                Shown(
+                    posture=posture,
+                    classes=classes,
+                    areas=tuple(int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT)),
+                    left_out=grazing / (grazing + float(own.sum())),
+                    grain=grain_of(own),
+                )
+            )
     return found
 
 
 def _layer(shown: Shown) -> SurfaceLayer:
-    visible = sum(shown.areas)
-    amounts = [*(percent(area / max(1, visible)) for area in shown.areas), ""]
+    counted = sum(shown.areas)
+    amounts = [*(share_text(area / max(1, counted), shown.grain) for area in shown.areas), "", ""]
     kinds = tuple(
         SurfaceClass(label=label, colour=colour, amount=amount)
         for (label, colour), amount in zip(SHOWN, amounts, strict=True)
@@ -133,12 +151,19 @@ def _best(shown: list[Shown]) -> NDArray[np.uint8]:
 
 def _together(draft: Draft, shown: list[Shown]) -> SurfaceLayer:
     best = _best(shown)
-    areas = draft.table.patches.areas
+    shares = _shares(draft, best)
     kinds = tuple(
-        SurfaceClass(label=label, colour=colour, amount=percent(float(areas[best == k].sum() / areas.sum())))
+        SurfaceClass(label=label, colour=colour, amount="" if k == _LEFT_OUT else percent(shares[k]))
         for k, (label, colour) in enumerate(SHOWN)
     )
     return SurfaceLayer(name="the best of all postures", classes=kinds, of_face=best)
+
+
+def _shares(draft: Draft, classes: NDArray[np.uint8]) -> list[float]:
+    # of each class, of the part's surface without what is left out; the share left out is of the whole surface
+    areas = np.bincount(classes, weights=draft.table.patches.areas, minlength=len(SHOWN))
+    counted = max(float(areas.sum() - areas[_LEFT_OUT]), 1e-300)
+    return [float(area / (areas.sum() if k == _LEFT_OUT else counted)) for k, area in enumerate(areas)]
 
 
 def _table(shown: list[Shown]) -> Table:
@@ -146,28 +171,29 @@ def _table(shown: list[Shown]) -> Table:
         [
             str(one.posture),
             *(
-                f"{area * AREA_UNIT_MM2:,.2f} mm² ({percent(area / max(1, sum(one.areas)))})"
+                f"{area_text(area, one.grain * counted)} ({share_text(area / max(1, counted), one.grain)})"
                 for area in one.areas
             ),
+            share_text(one.left_out, one.grain),
         ]
         for one in shown
+        for counted in [sum(one.areas)]
     ]
     return Table(
         header=["posture", *(label for label, _ in SHOWN[:_UNSEEN])],
         rows=rows,
-        caption="Areas, and their shares of the surface that the camera sees in the posture.",
+        caption="Areas, and their shares of the surface that the camera sees in the posture at up to "
+        f"{GRAZING_DEG:g}° to its normal. Left out: of all that it sees there, the rest.",
     )
 
 
 def _together_note(draft: Draft, shown: list[Shown]) -> list[Block]:
-    areas = draft.table.patches.areas
-    best = _best(shown)
-    unseen = float(areas[best == _UNSEEN].sum() / areas.sum())
-    usable = float(areas[best == 0].sum() / areas.sum())
+    shares = _shares(draft, _best(shown))
     which = "The posture shows" if len(shown) == 1 else f"The {len(shown)} postures together show"
     return [
         Note(
-            text=f"{which} {percent(usable)} of the part's whole surface in two usable images or more; "
-            f"{percent(unseen)} the camera never sees."
+            text=f"{which} {percent(shares[0])} of the part's surface in two usable images or more; "
+            f"{percent(shares[_UNSEEN])} the camera never sees. {percent(shares[_LEFT_OUT])} of the whole surface, "
+            "which it sees at a grazing angle only, is left out of these shares."
         )
     ]

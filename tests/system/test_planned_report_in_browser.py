@@ -160,7 +160,9 @@ def test_the_report_of_a_search_for_defects(inspected):
         check_rig_drawing(seen)
         check_blind_spots(seen, inspected)
         answers = seen.page.locator("p.answer").all_inner_texts()
-        shares = [one["objectives"][0]["share_of_visible_area"] for one in result_of(inspected)["results"]]
+        shares = [
+            one["objectives"][0]["share_of_inspectable_area"] for one in result_of(inspected)["results"]
+        ]
         assert [text.split(" of")[0] for text in answers] == [percent(share) for share in shares]
         header, *rows = table_under(seen, "Defects")
         first = result_of(inspected)["results"][0]["objectives"][0]

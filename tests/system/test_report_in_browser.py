@@ -181,7 +181,7 @@ def test_the_report_of_an_optimisation(bench, cli, images):
         page.wait_for_selector("figure[data-state=live]")
         assert page.inner_text("h1") == 'Where the lights go: <b>knob</b> & "co"'
         answers = page.locator("p.answer").all_inner_texts()
-        shares = [100 * one["objectives"][0]["share_of_visible_area"] for one in result["results"]]
+        shares = [100 * one["objectives"][0]["share_of_inspectable_area"] for one in result["results"]]
         assert [text.split(" %")[0] for text in answers] == [f"{share:.1f}" for share in shares]
         found = colours(page.locator("canvas").screenshot())
         assert sum(found.values()) > 20_000

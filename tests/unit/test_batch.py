@@ -96,7 +96,7 @@ def test_ctrl_c_ends_with_the_summary_of_what_was_done(batch, tmp_path, monkeypa
 def test_the_summary_has_every_posture(batch, tmp_path):
     def answer(share, *elevations):
         lights = [{"elevation_deg": e, "azimuth_deg": 45.0} for e in elevations]
-        return [{"share_of_visible_area": share, "lights": lights}, {"share_of_visible_area": 0.1}]
+        return [{"share_of_inspectable_area": share, "lights": lights}, {"share_of_inspectable_area": 0.1}]
 
     def place(tilt, turn):
         return {"elevation_deg": tilt, "rotation_deg": turn}

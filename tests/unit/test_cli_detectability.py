@@ -72,7 +72,7 @@ def test_result_has_scores_kinds_directions_and_blind_spots(planned):
         assert found["complete"]
         kinds = found["defects"]
         assert list(kinds) == ["scratch", "dent", "bump", "pit", "blister", "stain", "haze"]
-        assert found["share_of_visible_area"] == pytest.approx(np.mean(list(kinds.values())), abs=1e-5)
+        assert found["share_of_inspectable_area"] == pytest.approx(np.mean(list(kinds.values())), abs=1e-5)
         assert found["worst_defect"] == min(kinds, key=kinds.get)
         assert len(found["directions_deg"]) == 8
         assert found["score"] >= paper["scores_under"]["detectability"]

@@ -15,7 +15,7 @@ import trimesh
 from lightopt.cli._main import run
 from lightopt.config import load_rig
 from lightopt.images import read_image_set, read_png
-from lightopt.optimize import OptimizeOptions, optimize
+from lightopt.optimize import OptimizeOptions, area_text, optimize
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -83,7 +83,7 @@ def test_result_says_angles_scores_proof_and_provenance(optimized):
             assert [light["light"] for light in answer["lights"]] == ["light1", "light2", "light3"]
             others = [other["scores_under"][answer["objective"]] for other in group["objectives"]]
             assert max(others) == answer["score"], "no other objective's best set is better under this one"
-        assert 0 < group["objectives"][0]["share_of_visible_area"] <= 1
+        assert 0 < group["objectives"][0]["share_of_inspectable_area"] <= 1
 
 
 def test_ranking_lists_all_combinations_in_order(optimized):
@@ -165,7 +165,7 @@ def test_the_terminal_shows_the_table(optimized, cli):
     header = next(k for k, line in enumerate(lines) if line.startswith("posture "))
     assert re.split("  +", lines[header]) == [
         *("posture", "best for", "light1", "light2", "light3", "coverage", "paper"),
-        *("runner-up", "ties", "combinations"),
+        *("left out", "runner-up", "ties", "near best", "combinations"),
     ]
     # every cell is what result.json says
     rows = [re.split("  +", line.strip()) for line in lines[header + 1 : header + 5]]
@@ -175,17 +175,24 @@ def test_the_terminal_shows_the_table(optimized, cli):
         first = [f"({posture['elevation_deg']:g}°, {posture['rotation_deg']:g}°)".replace("-", "−")]
         for answer in group["objectives"]:
             covered, levels = (answer["scores_under"][name] for name in ("coverage", "paper"))
-            share = 100 * covered / group["visible_area_um2"]
-            gap = f"{answer['gap'] / 1e6:,.2f} mm²" if first else f"{answer['gap']:,}"
+            area, points = group["inspectable_area_um2"], 0 if group["grain"] >= 0.01 else 1
+            grain = group["grain"] * area
+            gap = area_text(answer["gap"], grain) if first else f"{answer['gap']:,}"
+            gap = gap if gap.startswith("<") else f"−{gap}"
+            left_out = 100 * group["left_out_of_visible_area"]
+            near = answer["near_best"]
+            assert near["at_least"] is False
             expected.append(
                 [
                     *first,
                     answer["objective"],
                     *(f"{one['elevation_deg']:g}°, {one['azimuth_deg']:g}°" for one in answer["lights"]),
-                    f"{covered / 1e6:,.2f} mm² ({share:.1f} %)",
+                    f"{area_text(covered, grain)} ({100 * covered / area:.{points}f} %)",
                     f"{levels:,}",
-                    f"−{gap}",
-                    "none" if answer["ties"] == 1 else f"{answer['ties']:,} best",
+                    f"{left_out:.{points}f} %",
+                    gap if answer["gap"] else "equal",
+                    f"{answer['ties']:,}",
+                    f"{near['combinations']:,}",
                     "12",
                 ]
             )
@@ -287,7 +294,8 @@ def test_a_limit_is_said_with_its_bound(three, cli):
     assert answer["proven"] is (answer["bound"] == answer["score"])
     assert f"with {answer['combinations']['left']} left; the best found scores {answer['score']:,}" in ran.err
     row = next(line for line in ran.out.splitlines() if " mm² (" in line)
-    assert f"≥ {answer['ties']} best" in row
+    assert f"  ≥ {answer['ties']}  ≥ {answer['near_best']['combinations']}  " in re.sub("  +", "  ", row)
+    assert answer["near_best"]["at_least"] is True
     assert "≥ −" in row
 
 
@@ -341,11 +349,66 @@ def test_options_out_of_range(three, cli, arguments, message):
     assert not three.out.exists()
 
 
-def test_too_few_lights(bench, cli):
-    with_lights(bench, "lights:\n  - {name: a, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45}\n")
-    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out)
-    assert ran.status == 2
-    assert "rig.yaml:11: lights: expected two lights or more, found one; with one light there is" in ran.err
+def sheet():
+    """A sheet that stands nearly upright, open: from above it is seen at a grazing angle only."""
+    corners = [[0, -10, 0], [1, -10, 20], [1, 10, 20], [0, 10, 0]]
+    return trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
+
+
+SHAPES = {
+    "plate": trimesh.creation.box((40, 25, 3)),
+    "ball": trimesh.creation.icosphere(subdivisions=2, radius=12),
+    "torus": trimesh.creation.torus(12, 4, major_sections=24, minor_sections=12),
+    "sheet": sheet(),
+}
+QUICK = ("--step", "30", "--no-images", "--no-report", "--posture", "0,0", "--patches", "400")
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("objective", ["coverage", "detectability"])
+def test_plain_shapes_have_an_answer_or_an_error_in_words(three, cli, shape, objective):
+    SHAPES[shape].export(three.mesh)
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *QUICK, "--objective", objective)
+    assert "nan" not in (ran.out + ran.err).lower()
+    if shape == "sheet":
+        assert ran.status == 2
+        assert "all that the camera sees, it sees at more than 80° to the normal" in ran.err
+        assert not (three.out / "result.json").exists()
+        return
+    assert ran.status == 0, ran.err
+    (group,) = result_of(three.out)["results"]
+    (answer,) = group["objectives"]
+    assert 0.0 < answer["share_of_inspectable_area"] <= 1.0
+    assert 0.0 <= group["left_out_of_visible_area"] < 0.5
+    assert (group["left_out_of_visible_area"] > 0.0) is (shape != "plate")
+
+
+ONE_LIGHT = """lights:
+  - {name: a, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [30, 60]}
+"""
+
+
+def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_images(bench, cli):
+    with_lights(bench, ONE_LIGHT)
+    refused = cli("optimize", bench.rig, bench.part, "-o", bench.out)
+    assert refused.status == 2
+    assert (
+        "objective coverage wants each patch usable in 2 images, and there is one light only" in refused.err
+    )
+    assert "use the objective detectability" in refused.err
+    arguments = ("--step", "30", "--patches", "500", "--no-images", "--no-report", "--posture", "0,0")
+    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "detectability", *arguments)
+    assert ran.status == 0, ran.err
+    (result,) = json.loads((bench.out / "result.json").read_text(encoding="utf-8"))["results"]
+    (answer,) = result["objectives"]
+    assert answer["seen_in"] == 1
+    assert answer["combinations"]["total"] == 2
+    assert 0.0 < answer["share_of_inspectable_area"] < 1.0
+    twice = cli(
+        "optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "detectability", "--seen-in", "2"
+    )
+    assert twice.status == 2
+    assert "2 images, and the rig has 1 light only; lower --seen-in" in twice.err
 
 
 def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -146,10 +147,10 @@ def test_there_is_one_share_of_the_plan_and_it_is_said_of_what(planned):
     result = result_of(planned.out)
     chosen, exposures = result["chosen_postures"], result["exposures"]
     first = result["results"][0]["objectives"][0]
-    assert first["share_of_visible_area"] == chosen["share"] == exposures["share"]
+    assert first["share_of_inspectable_area"] == chosen["share"] == exposures["share"]
     assert first["share_of"] == chosen["shares_of"] == exposures["shares_of"]
     # entries of the catalogue weigh the same
-    assert first["share_of_visible_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
+    assert first["share_of_inspectable_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
     page = (planned.out / "report.html").read_text(encoding="utf-8")
     assert f"({100.0 * chosen['share']:.1f} %)" in page
 
@@ -184,8 +185,11 @@ def test_blind_spots_are_those_of_the_whole_plan(planned):
     result = result_of(planned.out)
     spots, chosen, exposures = result["blind_spots"], result["chosen_postures"], result["exposures"]
     # the same pairs of the same patches, as a share of the whole surface
-    seen = exposures["share"] * chosen["visible_share_of_surface"]
-    assert spots["chosen"]["seen"] == pytest.approx(seen, abs=3e-6)
+    seen = exposures["share"] * chosen["inspectable_share_of_surface"]
+    # but for what the camera sees at a grazing angle only
+    assert spots["chosen"]["seen"] * (1.0 - spots["chosen"]["left_out_of_surface"]) == pytest.approx(
+        seen, abs=3e-6
+    )
     # the lights stand where they were chosen to, and what other positions could show is still told
     assert spots["any_position"]["seen"] > spots["chosen"]["seen"]
     for part in (spots, *spots["postures"]):
@@ -269,14 +273,19 @@ def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     # either posture confirms what the other shows
     assert result["chosen_postures"]["share"] > 0.0
     first = result["results"][0]["objectives"][0]
-    assert first["share_of_visible_area"] == result["chosen_postures"]["share"]
+    assert first["share_of_inspectable_area"] == result["chosen_postures"]["share"]
     assert [light["light"] for light in first["lights"]] == ["light1"]
-    seen = result["chosen_postures"]["share"] * result["chosen_postures"]["visible_share_of_surface"]
-    assert result["blind_spots"]["chosen"]["seen"] == pytest.approx(seen, abs=3e-6)
+    seen = result["chosen_postures"]["share"] * result["chosen_postures"]["inspectable_share_of_surface"]
+    spots = result["blind_spots"]["chosen"]
+    assert spots["seen"] * (1.0 - spots["left_out_of_surface"]) == pytest.approx(seen, abs=3e-6)
     assert [len(one["postures"]) for one in result["trust"]] == [2]
     assert result["overlaps"] == []
     page = (two.out / "report.html").read_text(encoding="utf-8")
     assert "highlights together" not in page
+    # the positions that there were to choose from, not only the chosen one
+    positions = 2 if reach else 1
+    assert [len(light["positions_deg"]) for light in result["candidates"]] == [positions]
+    assert re.search(rf"positions</th><td>{positions}, step 10°", page)
 
 
 @pytest.mark.slow
@@ -493,6 +502,11 @@ def test_tolerances_of_another_objective(two, cli):
         ),
         (("--choose-postures", "1", "--posture-step", "0.1"), "take a larger step"),
         (("--posture-step", "30"), "--posture-step: does nothing without --choose-postures or --target"),
+        (("--allow-outside", "3"), "--allow-outside: does nothing without --choose-postures or --target"),
+        (
+            ("--choose-postures", "1", "--allow-outside=-1"),
+            "--allow-outside: expected a number of pixels, 0 or more, found -1",
+        ),
         (("--exposure-gain", "2"), "--exposure-gain: does nothing without --exposures"),
         (("--tolerance-target", "0.9"), "does nothing without --tolerance-deg"),
         (("--exposures", "1,0"), "--exposures: expected a number from 1e-09 to 1e+09 or a fraction"),

@@ -80,26 +80,29 @@ def test_a_dark_place_tells_no_contrast_and_shows_glints_of_three_deviations(see
 
 
 def test_each_pixel_is_in_the_class_of_what_it_can_show():
-    # columns: off the part, an edge, shadow, saturated, dark, lit by one, lit by two, lit brightly by two
+    # columns: off the part, an edge, shadow, saturated, dark, lit by one, lit by two, lit brightly by two, grazing
     expected = [
         *(Reached.NO_PART, Reached.EDGE, Reached.SHADOW, Reached.SATURATED),
-        *(Reached.GLINTS, Reached.FEWER, Reached.INSPECTED, Reached.INSPECTED),
+        *(Reached.GLINTS, Reached.FEWER, Reached.INSPECTED, Reached.INSPECTED, Reached.GRAZING),
     ]
-    predicted = np.array([[0, 9, 0, 300, 0.1, 40, 2, 400], [0, 9, 0, 0, 0.1, 0.1, 2, 400]], np.float32)
-    saturated = np.array([[0, 0, 0, 1, 0, 0, 0, 0]] * 2, bool)
-    clean = np.array([0, 0, 1, 1, 1, 1, 1, 1], bool)
-    lit = np.array([[0, 0, 0, 0, 0, 1, 1, 1], [0, 0, 0, 0, 0, 0, 1, 1]], bool)
-    usable = np.array([[0, 0, 0, 0, 1, 1, 1, 1], [0, 0, 0, 0, 1, 1, 1, 1]], bool)
-    area = np.array([0, 1, 2, 4, 8, 16, 32, 64], np.float32)
+    predicted = np.array([[0, 9, 0, 300, 0.1, 40, 2, 400, 9], [0, 9, 0, 0, 0.1, 0.1, 2, 400, 9]], np.float32)
+    saturated = np.array([[0, 0, 0, 1, 0, 0, 0, 0, 0]] * 2, bool)
+    clean = np.array([0, 0, 1, 1, 1, 1, 1, 1, 0], bool)
+    grazing = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1], bool)
+    lit = np.array([[0, 0, 0, 0, 0, 1, 1, 1, 0], [0, 0, 0, 0, 0, 0, 1, 1, 0]], bool)
+    usable = np.array([[0, 0, 0, 0, 1, 1, 1, 1, 0], [0, 0, 0, 0, 1, 1, 1, 1, 0]], bool)
+    area = np.array([0, 1, 2, 4, 8, 16, 32, 64, 128], np.float32)
     predicted, saturated, lit, usable = (a[:, None, :] for a in (predicted, saturated, lit, usable))
     view = SimpleNamespace(
         part=(area > 0)[None], clean=clean[None], lights=("a", "b"), predicted=predicted, saturated=saturated,
-        limit=np.full_like(predicted, 255.0), prediction=SimpleNamespace(area=area[None]),
+        limit=np.full_like(predicted, 255.0), prediction=SimpleNamespace(area=area[None], grazing=grazing[None]),
     )  # fmt: skip
     ones = np.ones_like(predicted)
     found = measure_coverage(view, Deviations(0.0 * ones, ones, usable, lit), seen_by=2, high=HIGH)
     assert found.reached[0].tolist() == expected
-    assert (found.seen, found.inspected) == (127.0, 120.0)
+    # what is seen at a grazing angle is in no share
+    assert (found.seen, found.inspected, found.grazing) == (127.0, 120.0, 128.0)
+    assert found.as_dict()["left_out"] == pytest.approx(128 / 255, abs=1e-5)
     assert (found.edge, found.shadow, found.saturated, found.glints, found.fewer) == (1, 2, 4, 8, 16)
     assert np.isinf(found.least_contrast[0, :5]).all()
     assert found.classes == (80.0, 0.0, 0.0, 0.0, 32.0, 8.0)

@@ -10,7 +10,7 @@ import pytest
 from lightopt import build_scene
 from lightopt.inspection import Coverage, Reached, map_surface, surface_coverage
 from lightopt.mesh import face_areas
-from lightopt.rendering import cast_rays_at, trace_pixels
+from lightopt.rendering import GRAZING_COSINE, cast_rays_at, trace_pixels
 from lightopt.transforms import Posture
 
 FLAT, TURN, TILTED = Posture(0.0, 0.0), Posture(0.0, 360.0), Posture(-40.0, 170.0)
@@ -44,8 +44,11 @@ def over(scene, *postures):
 def test_the_same_view_twice_counts_once(scene):
     once = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TURN, Reached.INSPECTED, 0.1))
     assert once.area == pytest.approx(float(face_areas(scene.mesh).sum()))
-    assert once.inspected + once.edge == pytest.approx(once.seen)
-    assert 0.5 * once.seen < once.inspected < once.seen  # walls are seen at a grazing angle
+    # walls are seen at a grazing angle: in no share, and said beside them
+    assert once.inspected == pytest.approx(once.seen)
+    assert once.edge == 0.0
+    assert 0.02 * once.seen < once.grazing < 0.5 * once.seen
+    assert once.as_dict()["left_out"] == pytest.approx(once.grazing / (once.seen + once.grazing), abs=1e-5)
     assert once.share == pytest.approx(once.inspected / once.seen)
 
 
@@ -54,7 +57,7 @@ def test_a_patch_has_what_the_pixel_has_that_sees_it(scene):
     depth = (pixels.surface.points - pixels.view.camera.position) @ pixels.view.camera.forward
     side = depth * scene.camera.pixel_size / scene.camera.image_distance
     cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
-    steep = cosine > 0.15
+    steep = cosine > GRAZING_COSINE
     here = replace(scene, postures=(FLAT, TURN))
     own = coverage(scene, Reached.EDGE, np.inf)
     own.reached[pixels.row[steep], pixels.column[steep]] = Reached.INSPECTED

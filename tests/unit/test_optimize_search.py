@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from lightopt.errors import InputError
 from lightopt.optimize import OBJECTIVES, LuminanceMatrix, Space, Thresholds, area_units, search
 from lightopt.optimize._bits import bit_scores
+from lightopt.optimize._ranking import NearBest
 from lightopt.optimize._runs import run_scores
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -55,7 +56,7 @@ def as_tuples(found):
 
 def agree(found, expected, keep):
     assert as_tuples(found) == expected[:keep]
-    assert found.ties == sum(value == expected[0][0] for value, _, _ in expected)
+    assert found.ties == sum(value == expected[0][0] for value, _, _ in expected) - 1
     assert found.scored + found.excluded + found.clashing >= len(expected)
     assert found.left == 0
     assert found.proven
@@ -228,8 +229,49 @@ def test_ties_go_to_more_usable_light_then_to_lower_candidates():
     matrix = LuminanceMatrix(levels=levels, areas=np.array([0.25]))
     found = search([matrix], OBJECTIVES["coverage"], Thresholds(shade=10, saturation=255))
     assert [r.candidates for r in found.ranking] == [(1, 0), (1, 1), (0, 0), (0, 1)]
-    assert (found.best.score, found.ties, found.gap) == (250_000, 4, 0)
+    assert (found.best.score, found.ties, found.gap) == (250_000, 3, 0)
     assert found.best.usable == 250_000 * 130
+
+
+@pytest.mark.parametrize("name", ["paper", "coverage"])
+@pytest.mark.parametrize("few", [False, True], ids=["random", "ties"])
+def test_sets_near_the_best_are_those_of_the_plain_reading(name, few):
+    rng = np.random.default_rng(7)
+    levels = random_levels(rng, (4, 3, 5, 2), 40, few=few)
+    areas = rng.random(40)
+    matrix = LuminanceMatrix(levels=levels, areas=areas)
+    thresholds, objective = Thresholds(shade=10, saturation=255), OBJECTIVES[name]
+    scores = [-value for value, _, _ in plain(matrix, name, thresholds)]
+    # within 0.5 % of the best score, or 0.5 points of the area
+    whole = scores[0] if name == "paper" else int(area_units(areas).sum())
+    near = sum(1000 * (scores[0] - score) <= 5 * whole for score in scores[1:])
+    found = search([matrix], objective, thresholds)
+    assert (found.near, found.near_exact) == (near, True)
+    assert found.near >= found.ties
+    # of boxes that a bound excluded some may be near: then the count is a lower limit, and says so
+    for cells in (1, 7, 60):
+        boxed = search([matrix], objective, thresholds, keep=2, table_cells=cells)
+        assert boxed.near == near if boxed.near_exact else boxed.near <= near
+        assert boxed.ties == found.ties
+    stopped = search([matrix], objective, thresholds, keep=2, limit=8)
+    assert not stopped.near_exact
+    assert stopped.near <= near
+
+
+def test_scores_near_the_best_are_counted_whatever_the_order_and_as_many_as_there_is_room_for():
+    rng = np.random.default_rng(8)
+    scores = rng.integers(0, 2000, 3000)
+    expected = int((scores >= scores.max() - 100).sum())
+    for order in (np.sort(scores), -np.sort(-scores), scores):
+        near = NearBest(lambda best: 100)
+        for some in np.array_split(order, 17):
+            near.add(some)
+        assert (near.count, near.exact) == (expected, True)
+    full = NearBest(lambda best: 100, most=50)
+    for some in np.array_split(scores, 17):
+        full.add(some)
+    assert not full.exact
+    assert 10 < full.count < expected
 
 
 def test_areas_are_kept_when_patches_are_split_where_they_stand():
@@ -252,7 +294,7 @@ def test_areas_are_kept_when_patches_are_split_where_they_stand():
 def test_refusals_say_what_to_do():
     dark = LuminanceMatrix(levels=(np.zeros((2, 0), np.uint8),) * 3, areas=np.zeros(0))
     thresholds = Thresholds(shade=10, saturation=255)
-    with pytest.raises(InputError, match="no patch is visible"):
+    with pytest.raises(InputError, match="no patch is inspectable"):
         search([dark], OBJECTIVES["paper"], thresholds)
     two = LuminanceMatrix(levels=(np.zeros((2, 3), np.uint8),) * 2, areas=np.ones(3))
     with pytest.raises(InputError, match="nothing is left; expected at least 3 lights"):

@@ -39,14 +39,14 @@ def pack(flags):
     return words
 
 
-def visibility_of(flags, trials, areas, *, patch=None, cosines=None):
+def visibility_of(flags, trials, areas, *, patch=None, grazing=()):
     count = len(areas)
     return Visibility(
         trials=trials,
         words=tuple(pack(layer) for layer in flags),
         areas=np.asarray(areas, float),
         patch=np.arange(count, dtype=np.int32) if patch is None else np.asarray(patch, np.int32),
-        cosines=np.ones(count) if cosines is None else np.asarray(cosines, float),
+        grazing=np.array(grazing, np.int32),
     )
 
 
@@ -113,25 +113,26 @@ def test_visibility_of_other_images_is_refused():
 
 def test_reasons_are_those_that_stand_in_between():
     trials = unroll([dent(2.0)])
-    # patches: seen in both; two images, no contrast; one dark; one saturated; one dark and one saturated; grazing
+    # patches: seen in both; two images, no contrast; one dark; one saturated; one dark and one saturated
     levels = (
-        np.array([[90, 90, 2, 255, 255, 90]], np.uint8),
-        np.array([[90, 90, 90, 90, 2, 90]], np.uint8),
+        np.array([[90, 90, 2, 255, 255]], np.uint8),
+        np.array([[90, 90, 90, 90, 2]], np.uint8),
     )
-    flags = [np.zeros((1, 6, 8), bool) for _ in levels]
+    flags = [np.zeros((1, 5, 8), bool) for _ in levels]
     for layer in flags:
         layer[0, 0] = True
         layer[0, 1, :3] = True
-    cosines = np.array([1, 1, 1, 1, 1, 0.1])
-    some = visibility_of(flags, trials, [1, 1, 1, 1, 1, 2], patch=[1, 2, 3, 4, 5, 7], cosines=cosines)
+    some = visibility_of(flags, trials, [1, 1, 1, 1, 1], patch=[1, 2, 3, 4, 5], grazing=[7])
     matrix = LuminanceMatrix(levels=levels, areas=some.areas, visibility=some)
     areas = np.array([3, 1, 1, 1, 1, 1, 0, 2.0])
     found = blind_spots(areas, [shown_by([matrix], THRESHOLDS, least=2, candidates=(0, 0))])
     expected = [Blind.SEEN, Blind.CONTRAST, Blind.SHADOWED, Blind.SATURATED, Blind.SHADOWED]
     assert found.codes.tolist() == [Blind.CAMERA, *expected, Blind.CAMERA, Blind.GRAZING]
-    assert found.seen == pytest.approx((1 + 3 / 8) / 10)
+    # what is seen at a grazing angle, 2 of 10, is in no share
+    assert found.left_out == pytest.approx(0.2)
+    assert found.seen == pytest.approx((1 + 3 / 8) / 8)
     reasons = found.by_reason()
-    assert reasons == pytest.approx({1: 0.3, 2: 0.2, 3: 0.2, 4: 0.0625, 5: 0.1})
+    assert reasons == pytest.approx({1: 0.375, 3: 0.25, 4: 0.078125, 5: 0.125})
     assert found.seen + sum(reasons.values()) == pytest.approx(1.0)
     one = blind_spots(areas, [shown_by([matrix], THRESHOLDS, least=1, candidates=(0, 0))])
     assert one.codes[5] == Blind.SATURATED
@@ -142,7 +143,7 @@ def test_reasons_are_those_that_stand_in_between():
             levels=levels[k : k + 1],
             areas=some.areas,
             visibility=visibility_of(
-                flags[k : k + 1], trials, some.areas, patch=some.patch, cosines=some.cosines
+                flags[k : k + 1], trials, some.areas, patch=some.patch, grazing=some.grazing
             ),
         )
         for k in (0, 1)

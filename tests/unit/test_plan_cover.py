@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -23,6 +24,7 @@ from lightopt.plan import (
     reached,
     worth,
 )
+from lightopt.plan._best_set import best_set
 from lightopt.plan._pick_shots import Offer, pick_shots
 from lightopt.transforms import Posture
 
@@ -313,3 +315,48 @@ def test_no_other_two_exposures_add_more_together(seed):
             assert (planned[0].gain + planned[1].gain) * weights.total == pytest.approx(two)
         else:
             assert planned == []
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_best_of_all_sets_is_that_of_brute_force_and_never_worse_than_the_greedy_choice(seed, k):
+    plain, packed, weights, heavy = random_case(seed, postures=8, patches=5, trials=40, k=k)
+    for count in (1, 2, 3, 4):
+        start = greedy_cover(packed, weights, count=count).chosen
+        found, sets = best_set(packed, weights, start, count)
+        every = {
+            some: plain_reached(plain[list(some)].sum(axis=0), heavy, k)
+            for some in combinations(range(len(plain)), count)
+        }
+        assert sets == len(every) == math.comb(8, count)
+        assert every[tuple(sorted(found))] == max(every.values())
+        assert every[tuple(sorted(found))] >= plain_reached(plain[list(start)].sum(axis=0), heavy, k)
+        assert best_set(packed, weights, start, count, threads=1) == (found, sets)
+        # where greed was right it is kept
+        if plain_reached(plain[list(start)].sum(axis=0), heavy, k) == max(every.values()):
+            assert found == start
+
+
+def test_a_search_of_all_sets_that_is_too_much_work_proves_nothing():
+    _, packed, weights, _ = random_case(3, postures=8, k=1)
+    start = greedy_cover(packed, weights, count=3).chosen
+    found, sets = best_set(packed, weights, start, 3, most_work=packed[0].size * 8)
+    assert sets is None
+    assert len(found) == 3
+
+
+def test_greed_misses_what_all_sets_show():
+    # the first candidate shows most alone; the other two show more together
+    images = [[0, 1, 2, 3, 8], [0, 1, 4, 5], [2, 3, 6, 7]]
+    packed = [np.array([[[sum(1 << bit for bit in one)]]], np.uint64) for one in images]
+    weights = PairWeights(
+        areas=np.ones(1, np.int64), masks=np.array([[511]], np.uint64), factors=np.ones(1, np.int64)
+    )
+    greedy = greedy_cover(packed, weights, count=2)
+    assert (greedy.chosen, greedy.reached, greedy.proven) == ((0, 1), 7, False)
+    found, sets = best_set(packed, weights, greedy.chosen, 2)
+    assert (sorted(found), sets) == ([1, 2], 3)
+    best = replace(greedy_cover(packed, weights, count=2, among=found), sets=sets)
+    assert (best.reached, best.proven) == (8, True)
+    assert best.bound_share == best.share
+    assert best.guarantee == 1.0

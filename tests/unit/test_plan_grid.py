@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from lightopt.config import load_part, load_rig
 from lightopt.errors import InputError
 from lightopt.plan import posture_grid, usable_postures
-from lightopt.scene import build_scene
+from lightopt.scene import build_scene, frame_part, view_from_part
 from lightopt.transforms import Posture
 
 STAGE = "stage: {elevation_range_deg: [-45, 45], rotation_range_deg: [0, 360]}"
@@ -83,9 +84,9 @@ def test_bad_steps_are_refused(bench, step, expected):
         grid(bench, step)
 
 
-def usable(bench, postures):
+def usable(bench, postures, **options):
     scene = replace(build_scene(load_rig(bench.rig), load_part(bench.part)), postures=postures)
-    return usable_postures(scene, scene.lights)
+    return usable_postures(scene, scene.lights, **options)
 
 
 def test_postures_that_leave_the_view_are_left_out_with_the_reason(bench):
@@ -97,6 +98,29 @@ def test_postures_that_leave_the_view_are_left_out_with_the_reason(bench):
     assert [(out.posture.elevation_deg, out.kind) for out in left_out] == [(-45.0, "view"), (45.0, "view")]
     assert "px at the top" in left_out[0].reason
     assert "px at the bottom" in left_out[1].reason
+
+
+def test_a_posture_may_leave_the_view_by_as_much_as_is_allowed(bench):
+    bench.edit("rig.yaml", "stage: {", "stage: {pivot_mm: [0, 0, -100], ")
+    bench.edit("part.yaml", ", {elevation_deg: -10, rotation_deg: 170}", "")
+    postures = (Posture(0.0, 0.0), Posture(-45.0, 0.0), Posture(-20.0, 0.0))
+    scene = build_scene(load_rig(bench.rig), load_part(bench.part))
+    excess = {p: max(frame_part(view_from_part(scene, p).camera, scene.mesh).excess) for p in postures}
+    assert excess[postures[0]] == 0.0 < excess[postures[2]] < excess[postures[1]]
+    needed = excess[postures[2]]
+    kept, left_out = usable(bench, postures, allow_outside_px=needed)
+    assert kept == (postures[0], postures[2])
+    kept, left_out = usable(bench, postures, allow_outside_px=needed - 0.01)
+    assert kept == postures[:1]
+    # what is more than what is allowed does not read as the same
+    (reason,) = [out.reason for out in left_out if out.posture == postures[2]]
+    leaves, allowed = (float(x) for x in re.findall(r"([\d.]+) px", reason))
+    assert leaves >= needed >= leaves - 0.1
+    assert allowed <= leaves
+    assert "at the top" in reason
+    assert usable(bench, postures, allow_outside_px=0.0)[0] == postures[:1]
+    # wholly outside is of no use, whatever is allowed
+    assert Posture(-90.0, 0.0) not in usable(bench, (*postures, Posture(-90.0, 0.0)), allow_outside_px=1e6)[0]
 
 
 def test_postures_that_put_a_light_into_the_part_are_left_out(bench):

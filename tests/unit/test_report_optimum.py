@@ -11,7 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.optimize import BLIND_CLASSES, Blind, Curve, OptimizeOptions, Thresholds, area_units, optimize
+from lightopt.optimize import (
+    BLIND_CLASSES,
+    Blind,
+    Curve,
+    OptimizeOptions,
+    Thresholds,
+    area_text,
+    area_units,
+    optimize,
+)
 from lightopt.report import (
     Answer,
     Facts,
@@ -84,8 +93,13 @@ def test_figures_are_those_of_the_result(done, blocks):
     assert result["files"] == [{"file": "report.html"}]
     for row, (answer, group) in enumerate(zip(answers, result["results"], strict=True)):
         best = group["objectives"][0]
-        share = f"{100 * best['score'] / group['visible_area_um2']:.1f} %"
-        score = f"{best['score'] / 1e6:,.2f} mm²"
+        area = group["inspectable_area_um2"]
+        digits = 1 if group["grain"] < 0.01 else 0
+        share = f"{100 * best['score'] / area:.{digits}f} %"
+        left_out = f"{100 * group['left_out_of_visible_area']:.{digits}f} %"
+        score = area_text(best["score"], group["grain"] * area)
+        assert "." not in score, "the patches are coarse"
+        assert left_out in answer.text
         assert answer.figure == share
         assert score in answer.text
         expected = [f"{one['elevation_deg']:g}°,\u00a0{one['azimuth_deg']:g}°" for one in best["lights"]]
@@ -95,7 +109,10 @@ def test_figures_are_those_of_the_result(done, blocks):
         assert areas.rows[row][1] == f"{score} ({share})"
         assert list(scores.rows[2 * row][2:5]) == expected
         assert scores.rows[2 * row][6] == f"{best['scores_under']['paper']:,}"
-        assert scores.rows[2 * row][7] == f"−{best['gap'] / 1e6:,.2f}\u00a0mm²"
+        assert scores.rows[2 * row][7] == left_out
+        gap = area_text(best["gap"], group["grain"] * area).replace(" mm²", "\u00a0mm²")
+        assert scores.rows[2 * row][8] == (gap if gap.startswith("<") else f"−{gap}")
+        assert scores.rows[2 * row][9:11] == [f"{best['ties']:,}", f"{best['near_best']['combinations']:,}"]
     text = (bench.out / "report.html").read_text(encoding="utf-8")
     for row in angles.rows:
         assert all(f"<td class=number>{cell}</td>" in text for cell in row[1:])
@@ -113,12 +130,16 @@ def test_every_patch_is_painted_as_its_levels_say(done, blocks):
     for layer, result, posture in zip(
         view.surface.layers[1:], draft.results, draft.table.postures, strict=True
     ):
-        visible = draft.table.visible[draft.table.postures.index(posture)]
+        row = draft.table.postures.index(posture)
+        grazing = draft.table.grazing[row]
+        visible = draft.table.visible[row] & ~grazing
+        assert grazing.any()
         expected = []
         seen = iter(result.levels[0].T.tolist())
-        for is_seen in visible:
+        for is_seen, is_left_out in zip(visible, grazing, strict=True):
             if not is_seen:
-                expected.append("the camera does not see it")
+                left_out, unseen = "left out: seen at a grazing angle", "the camera does not see it"
+                expected.append(left_out if is_left_out else unseen)
                 continue
             levels = next(seen)
             usable = sum(10 <= level < 255 for level in levels)
