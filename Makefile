@@ -4,19 +4,27 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
 
+# commands that tests and batches start load compiled modules; without, each of them compiles the package anew
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
-.PHONY: help install demo plan batch test test-all test-nightly check golden golden-check bench docs clean
+.PHONY: help install lock demo plan batch test test-all test-nightly coverage check golden golden-check bench docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
-$(BIN)/.installed: pyproject.toml
+$(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+
+$(BIN)/.installed: pyproject.toml requirements/dev.lock | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements/dev.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
 install: $(BIN)/.installed  ## a virtual environment in .venv with lightopt and the tools to develop it
+
+lock: $(BIN)/.installed  ## renew the exact versions of requirements/*.lock within the ranges of pyproject.toml
+	$(BIN)/python scripts/lock.py
 
 RIG   ?= configs/rigs/four-panel.yaml
 PART  ?= configs/parts/cover-knob.yaml

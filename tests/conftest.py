@@ -6,11 +6,13 @@ import hashlib
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from forked_benches import ForkingProcess
 from hypothesis import settings
 
 from lightopt.cli._main import run
@@ -117,6 +119,19 @@ class Bench:
         bench.part.write_text(PART, encoding="utf-8", newline="\n")
         shutil.copyfile(ROOT / "configs" / "parts" / "cover-knob.stl", bench.mesh)
         return bench
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forked_benches() -> Generator[None]:
+    """Benches that tests start in their own process are forked, where the system can."""
+    if sys.platform != "linux":
+        yield
+        return
+    process, patch = ForkingProcess(), pytest.MonkeyPatch()
+    patch.setattr("lightopt.virtualbench._process.start_process", process.start)
+    yield
+    patch.undo()
+    process.close()
 
 
 @pytest.fixture
