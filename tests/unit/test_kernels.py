@@ -100,7 +100,10 @@ def test_what_is_not_compiled_changes_nothing(folder, old, new):
     assert module().outer(1.0) == 17.0
     again = module(SOURCE.replace(old, new))
     assert again.outer(1.0) == 17.0
-    assert (sum(again.outer.stats.cache_hits.values()), sum(again.outer.stats.cache_misses.values())) == (1, 0)
+    assert (sum(again.outer.stats.cache_hits.values()), sum(again.outer.stats.cache_misses.values())) == (
+        1,
+        0,
+    )
 
 
 def test_fields_of_named_tuples_that_change_places_are_compiled_anew(folder):

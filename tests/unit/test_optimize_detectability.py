@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference._search import all_combinations, detectability_value
+from test_optimize_visibility import visibility_of
 
 from lightopt.defects import BUILT_IN_CATALOGUE
 from lightopt.errors import InputError
 from lightopt.optimize import Detectability, LuminanceMatrix, Thresholds, Trial, area_units, search, unroll
 from lightopt.optimize import _bit_runs as bit_runs
 from lightopt.optimize import _count_runs as count_runs
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from reference._search import all_combinations, detectability_value
-from test_optimize_visibility import visibility_of
 
 THRESHOLDS = Thresholds(shade=10, saturation=255)
 

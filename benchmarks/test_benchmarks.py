@@ -1,4 +1,4 @@
-"""The benchmarks run, at toy size, and what they say is what they measured."""
+"""The benchmarks run, at toy size, and what they say is what they measured: ``make test-nightly``."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks import auto, bare, command, peers, rig_faults
+from benchmarks import auto, bare, command, peers
 from benchmarks._case import TOY, case_scene, chrome, resized
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Table, ratios, rounds
@@ -177,37 +175,6 @@ def test_the_overhead_of_a_capture_is_what_its_times_leave() -> None:
         )
 
 
-def test_the_table_of_faults_counts_every_run() -> None:
-    from benchmarks._fault_cases import Case
-    from benchmarks._fault_runs import Outcome
-    from benchmarks.faults import rows_of, table
-
-    outcomes = [
-        Outcome(Case("a"), True, True, 2, "", "off", ()),
-        Outcome(Case("a"), True, False, 0, "while", "told", ()),
-        Outcome(Case("b"), True, False, 1, "while", "LIT", ("a light burns",)),
-        Outcome(Case("b"), False, True, 0, "", "off", ()),  # never struck: not survived
-    ]
-    lines = table(rows_of(outcomes)).splitlines()
-    assert lines[2:] == [
-        "| a | 2 | 1 | 1 | 1 | 2 | 0 | 0 |",
-        "| b | 1 | 0 | 1 | 0 | 1 | 1 | 1 |",
-        "| **all** | 3 | 1 | 2 | 1 | 3 | 1 | 1 |",
-    ]
-
-
-def test_rows_of_a_table_of_rig_faults_are_renewed_and_summed() -> None:
-    """Rows that did not run stay, those of faults that there are no more go, and the last line counts what is there."""
-    head = "| fault | runs | wrong |\n|---|---:|---:|\n"
-    old = f"{head}| a, once | 2 | 1 |\n| gone | 5 | 5 |\n| c | 1 | 0 |\n| **all** | 8 | 6 |"
-    new = f"{head}| b | 3 | 0 |\n| a, once | 2 | 0 |\n| **all** | 5 | 0 |"
-    kinds = ["a, once", "a, once", "b", "c"]
-    assert rig_faults.renewed(old, new, kinds) == (
-        f"{head}| a, once | 2 | 0 |\n| b | 3 | 0 |\n| c | 1 | 0 |\n| **all** | 6 | 0 |"
-    )
-
-
-@pytest.mark.slow
 def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
     from benchmarks import inspection
 
@@ -227,7 +194,6 @@ def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFix
     assert sum(line.startswith("| cover-knob | ") for line in lines) == len(inspection.FUSIONS)
 
 
-@pytest.mark.slow
 def test_the_benchmark_of_calibration_counts_good_sets() -> None:
     from benchmarks import calibration
 
