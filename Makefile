@@ -62,7 +62,7 @@ batch: $(BIN)/.installed  ## check, render and optimise every part: make batch R
 # as many workers as tests/conftest.py says, modules kept together as long as all are busy
 PYTEST = $(BIN)/python -m pytest --numprocesses=auto --dist=worksteal
 
-test: $(BIN)/.installed  ## the tests that take less than ten minutes
+test: $(BIN)/.installed  ## the tests that take less than five minutes
 	$(PYTEST) -m "not slow and not nightly"
 
 test-all: $(BIN)/.installed  ## all tests but the long statistics
@@ -70,6 +70,9 @@ test-all: $(BIN)/.installed  ## all tests but the long statistics
 
 test-nightly: $(BIN)/.installed  ## the long statistics and campaigns
 	$(PYTEST) -m nightly
+
+coverage: $(BIN)/.installed  ## share of the code that all tests but the long statistics run, without compiled kernels; out/coverage
+	$(PYTEST) -m "not nightly" --cov --cov-report=term:skip-covered --cov-report=html:$(OUT)/coverage
 
 check: $(BIN)/.installed  ## formatting, lint, types, layers
 	$(BIN)/ruff format --check .
@@ -83,12 +86,25 @@ golden-check: $(BIN)/.installed  ## render the golden scenes anew and compare th
 golden: $(BIN)/.installed  ## renew the committed golden images
 	$(BIN)/python scripts/goldens.py renew
 
-bench: $(BIN)/.installed  ## speed against the raw ray caster and peers; prints ratios
-	$(BIN)/python -m pip install --quiet --editable '.[dev,bench]'
-	$(BIN)/python -m benchmarks.run
+# peers bring packages that change how tests run, so they have an environment of their own; one that cannot be
+# installed here is left out, as one that does not run is
+BENCH ?= .venv-bench
+PEERS  = 'mitsuba>=3.6' 'open3d>=0.19'
+$(BENCH)/.installed: pyproject.toml requirements/dev.lock
+	$(PYTHON) -m venv $(BENCH)
+	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements/dev.lock
+	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@for peer in $(PEERS); do \
+	    $(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check $$peer \
+	        || echo "$$peer cannot be installed for this Python and is left out"; \
+	done
+	@touch $@
+
+bench: $(BENCH)/.installed  ## speed against the raw ray caster and peers; prints ratios; BENCHMARKS="peers --quick" for a part
+	$(BENCH)/bin/python -m benchmarks.run $(BENCHMARKS)
 
 docs: $(BIN)/.installed  ## make the pictures and figures of docs/ anew
-	$(BIN)/python scripts/make_docs.py
+	PYTHONPATH=tests $(BIN)/python scripts/make_docs.py
 
 clean:  ## remove what was made, but not the virtual environment
 	rm -rf $(OUT) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -1,4 +1,4 @@
-"""The benchmarks run, at toy size, and what they say is what they measured: ``make test-nightly``."""
+"""The benchmarks run, at toy size, and what they say is what they measured."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks import auto, bare, command, peers
 from benchmarks._case import TOY, case_scene, chrome, resized
+from benchmarks._peer_process import PeerError, PeerProcess
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Table, ratios, rounds
 from benchmarks.run import main
@@ -37,6 +38,7 @@ def test_table_columns_line_up() -> None:
     assert text.splitlines() == ["title", "                s", "  long name     1", "  x          12.5"]
 
 
+@pytest.mark.nightly
 def test_replay_casts_the_rays_of_the_run(scene: Scene) -> None:
     rays = bare.record_rays(scene)
     images = bare.render_from_mesh(scene)
@@ -57,6 +59,7 @@ def test_a_smaller_sensor_sees_the_same(scene: Scene) -> None:
     assert wide.width * wide.pixel_size == pytest.approx(scene.camera.width * scene.camera.pixel_size)
 
 
+@pytest.mark.nightly
 def test_reference_on_a_grid_is_the_render_with_as_many_points(scene: Scene) -> None:
     caster = cast_rays_at(scene)
     column, row = (a.ravel() for a in np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5))
@@ -91,6 +94,7 @@ def test_comparison_counts_unsaturated_pixels_and_saturated_areas() -> None:
     assert math.isnan(auto.compare(levels[:2], against[:2], 255).area)
 
 
+@pytest.mark.nightly
 def test_auto_is_converged_at_the_highlights_of_chrome(scene: Scene) -> None:
     shiny = chrome(scene)
     found = auto.exactness("chrome", shiny, 48, near=False)
@@ -116,13 +120,76 @@ def test_a_peer_with_other_pictures_gets_no_ratio() -> None:
     assert other[-2:] == ("–", "–")
 
 
-def test_numpy_peer_renders_our_pictures(scene: Scene) -> None:
-    there, missing = peers.peers_of(scene)
-    images = {peer.name: peer.images(peer.build()) for peer in there}
+@pytest.mark.nightly
+def test_peers_render_our_pictures() -> None:
+    there, missing = peers.start_peers(TOY)
+    images = {}
+    for peer in there:
+        peer.build(), peer.images()
+        images[peer.name] = peer.levels()
+        peer.close()
     assert {"lightopt", "trimesh.ray + NumPy"} <= set(images)
     assert len(images) + len(missing) == 4
     for theirs in images.values():
         assert peers.agreement(theirs, images["lightopt"]) >= peers.AGREEMENT
+
+
+LLVM_TOO_OLD = """\
+jit_llvm_init(): the located LLVM version (14) is too old. The Dr.Jit LLVM backend requires LLVM 15 or newer …
+ImportError: jit_init_thread_state(): the LLVM backend is inactive because the LLVM shared library could not be found!
+"""
+NO_LLVM = """\
+jitc_llvm_init(): LLVM API initialization failed ..
+ImportError: jit_init_thread_state(): the LLVM backend is inactive because the LLVM shared library could not be found!
+"""
+
+
+@pytest.mark.parametrize(
+    ("said", "end", "words"),
+    [
+        (
+            LLVM_TOO_OLD,
+            "sys.exit(1)",
+            "LLVM 14 is too old: install Debian's package libllvm15 or a later one",
+        ),
+        (NO_LLVM, "sys.exit(1)", "there is no LLVM: install Debian's package libllvm15 or a later one"),
+        ("LLVM ERROR: unsupported", "os.abort()", "there is no LLVM: install Debian's package libllvm15"),
+        (
+            "OSError: libusb-1.0.so.0: cannot open shared object file: No such file or directory",
+            "sys.exit(1)",
+            "it lacks libusb-1.0.so.0: install Debian's package libusb-1.0-0",
+        ),
+        (
+            "ImportError: libGL.so.1: cannot open shared object file: No such file or directory",
+            "sys.exit(1)",
+            "it lacks libGL.so.1: install Debian's package libgl1",
+        ),
+        ("ModuleNotFoundError: No module named 'open3d'", "sys.exit(1)", "open3d is not installed"),
+        ("", "os.abort()", "its process was ended by signal 6"),
+        ("", "sys.exit(3)", "its process ended with status 3"),
+    ],
+)
+def test_a_peer_that_does_not_run_is_one_line_that_says_what_to_install(said, end, words) -> None:
+    program = f"import os, sys; sys.stderr.write({said!r}); sys.stderr.flush(); {end}"
+    with pytest.raises(PeerError, match=r"^other does not run here and is left out: ") as refused:
+        PeerProcess("other", TOY, program=(sys.executable, "-c", program))
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_peer_that_ends_later_on_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def start(size: object) -> tuple[list[PeerProcess], list[str]]:
+        assert size == TOY
+        ends = "import sys; print('1', flush=True); input(); sys.exit('no memory')"
+        return [PeerProcess(name, TOY, program=program(name, ends)) for name in ("lightopt", "other")], []
+
+    def program(name: str, ends: str) -> tuple[str, ...] | None:
+        return (sys.executable, "-c", ends) if name == "other" else None
+
+    monkeypatch.setattr(peers, "start_peers", start)
+    report = peers.run(TOY)
+    assert [row[0] for row in report.tables[0].rows] == ["lightopt"]
+    assert report.notes[-1] == "other does not run here and is left out: no memory"
 
 
 def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
@@ -134,6 +201,7 @@ def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
         command.measure([sys.executable, "-c", "import sys; print('sorry', file=sys.stderr); sys.exit(3)"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name",
     ["bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "inspecting", "capture"],
@@ -159,6 +227,7 @@ def test_unknown_benchmark_is_refused(capsys: pytest.CaptureFixture[str]) -> Non
     assert "no benchmark bear" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_the_overhead_of_a_capture_is_what_its_times_leave() -> None:
     from benchmarks import capture
 
@@ -175,6 +244,7 @@ def test_the_overhead_of_a_capture_is_what_its_times_leave() -> None:
         )
 
 
+@pytest.mark.nightly
 def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
     from benchmarks import inspection
 
@@ -194,6 +264,7 @@ def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFix
     assert sum(line.startswith("| cover-knob | ") for line in lines) == len(inspection.FUSIONS)
 
 
+@pytest.mark.nightly
 def test_the_benchmark_of_calibration_counts_good_sets() -> None:
     from benchmarks import calibration
 

@@ -38,7 +38,7 @@ from numba.core.sigutils import normalize_signature
 
 __all__ = ["cache_folder", "fingerprint", "kernel"]
 
-_VERSIONS = f"python {sys.version_info[:2]}, numba {numba.__version__}, llvmlite {llvmlite.__version__}, numpy {np.__version__}"
+_VERSIONS = repr((sys.version_info[:2], numba.__version__, llvmlite.__version__, np.__version__))
 
 
 @cache

@@ -160,7 +160,7 @@ def _become_bench(request: dict, stdin: int, stdout: int, stderr: int) -> None:
         runpy.run_module("lightopt.virtualbench", run_name="__main__", alter_sys=True)
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 1 if end.code else 0
-    except BaseException:
+    except BaseException:  # noqa: BLE001  (as an interpreter does)
         traceback.print_exc()
         code = 1
     finally:

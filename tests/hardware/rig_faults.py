@@ -1,9 +1,10 @@
 """What a capture notices of a rig that fails, and how; renews a table of docs/reliability.md.
 
-``python tests/hardware/rig_faults.py``. Every run is a capture of 8 images and 4 frames without light with the GigE camera
-of the virtual bench, behind its real driver, and one fault: of the camera, of a lamp, of the stage, of the room, of the
-computer. A run is *wrong* when a light burns afterwards and nobody says so, when the error names no step, when the set
-is not valid, or when `--resume` without the fault does not make of it the images of an undisturbed run.
+``python tests/hardware/rig_faults.py``. Every run is a capture of 8 images and 4 frames without light with the GigE
+camera of the virtual bench, behind its real driver, and one fault: of the camera, of a lamp, of the stage, of the
+room, of the computer. A run is *wrong* when a light burns afterwards and nobody says so, when the error names no
+step, when the set is not valid, or when `--resume` without the fault does not make of it the images of an undisturbed
+run.
 """
 
 from __future__ import annotations
