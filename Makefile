@@ -68,8 +68,8 @@ test: $(BIN)/.installed  ## the tests that take less than five minutes
 test-all: $(BIN)/.installed  ## all tests but the long statistics
 	$(PYTEST) -m "not nightly"
 
-test-nightly: $(BIN)/.installed  ## the long statistics and campaigns
-	$(PYTEST) -m nightly
+test-nightly: $(BIN)/.installed  ## the long statistics and campaigns, and Hypothesis with ten times the examples
+	$(PYTEST) -m "nightly or hypothesis" --hypothesis-profile=nightly
 
 coverage: $(BIN)/.installed  ## share of the code that all tests but the long statistics run, without compiled kernels; out/coverage
 	$(PYTEST) -m "not nightly" --cov --cov-report=term:skip-covered --cov-report=html:$(OUT)/coverage

@@ -43,7 +43,7 @@ class PeerError(Exception):
 
 
 def explain(said: str, status: int) -> str:
-    """Why a peer does not run and what to install, from what its process wrote to standard error and its exit status."""
+    """Why a peer does not run and what to install, from its standard error and its exit status."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     missing = re.search(r"(lib[\w.+-]+\.so[.\d]*): cannot open shared object file", said)
     if "LLVM" in said:

@@ -20,7 +20,7 @@ import pickle
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from functools import cache
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
@@ -161,11 +161,11 @@ class _DiskCache(NullCache):
         )  # how numba puts a kernel into bytes, which needs no state
 
     @property
-    def cache_path(self) -> str:
+    def cache_path(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
         return str(cache_folder())
 
     @contextlib.contextmanager
-    def turn(self, signature: Any) -> Iterator[None]:
+    def turn(self, signature: Any) -> Generator[None]:
         """Hold the kernel's lock where its file has yet to be made."""
         arguments = tuple(normalize_signature(signature)[0])
         path = self._path(arguments)
@@ -214,7 +214,7 @@ def _type_names(arguments: tuple[Any, ...]) -> str:
     for kind in arguments:
         names.append(str(kind))
         if isinstance(kind, types.BaseNamedTuple):
-            names.append(repr(kind.fields))
+            names.append(repr(kind.fields))  # pyright: ignore[reportAttributeAccessIssue]
         if isinstance(kind, types.BaseTuple):
             names.append(_type_names(tuple(kind)))  # pyright: ignore[reportArgumentType]
     return ", ".join(names)

@@ -18,8 +18,12 @@ from hypothesis import settings
 from lightopt.cli._main import run
 from lightopt.rendering import available_processors
 
-# a busy machine is no reason for an example to fail; "ci", which Hypothesis brings along, draws the same every time
-settings.register_profile("developer", deadline=None)
+# a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly ten times as many
+settings.register_profile("developer", deadline=None, max_examples=30)
+settings.register_profile(
+    "ci", deadline=None, max_examples=30, derandomize=True, database=None, print_blob=True
+)
+settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("ci" if os.environ.get("CI") else "developer")
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,8 +31,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than there are processors: many tests wait for simulated devices."""
-    return available_processors() + 1
+    """Twice as many as there are processors: many tests wait for simulated devices."""
+    return 2 * available_processors()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from reference._search import all_combinations, detectability_value
 from test_optimize_visibility import visibility_of
@@ -72,7 +72,6 @@ def as_tuples(found):
     return [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking]
 
 
-@settings(max_examples=80, deadline=None)
 @given(data=st.data())
 def test_plain_reading_of_any_small_matrix(data):
     """Ties, lights with one candidate, two to six lights, any weights: ranking, ties, runner-up and bound."""

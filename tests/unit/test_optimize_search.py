@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from reference._search import all_combinations, coverage_value, paper_value
 
@@ -85,7 +85,6 @@ def test_plain_reading_of_section_5_2(objective, sizes, few, kind):
     assert found.scored == len(expected)
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_plain_reading_of_any_small_matrix(data):
     lights = data.draw(st.integers(2, 5))
