@@ -4,19 +4,27 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
 
+# commands that tests and batches start load compiled modules; without, each of them compiles the package anew
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
-.PHONY: help install demo plan batch test test-all test-nightly check golden golden-check bench docs clean
+.PHONY: help install lock demo plan batch test test-all test-nightly coverage check golden golden-check bench docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
-$(BIN)/.installed: pyproject.toml
+$(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+
+$(BIN)/.installed: pyproject.toml requirements/dev.lock | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements/dev.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
 install: $(BIN)/.installed  ## a virtual environment in .venv with lightopt and the tools to develop it
+
+lock: $(BIN)/.installed  ## renew the exact versions of requirements/*.lock within the ranges of pyproject.toml
+	$(BIN)/python scripts/lock.py
 
 RIG   ?= configs/rigs/four-panel.yaml
 PART  ?= configs/parts/cover-knob.yaml
@@ -54,14 +62,17 @@ batch: $(BIN)/.installed  ## check, render and optimise every part: make batch R
 # as many workers as tests/conftest.py says, modules kept together as long as all are busy
 PYTEST = $(BIN)/python -m pytest --numprocesses=auto --dist=worksteal
 
-test: $(BIN)/.installed  ## the tests that take less than ten minutes
+test: $(BIN)/.installed  ## the tests that take less than five minutes
 	$(PYTEST) -m "not slow and not nightly"
 
 test-all: $(BIN)/.installed  ## all tests but the long statistics
 	$(PYTEST) -m "not nightly"
 
-test-nightly: $(BIN)/.installed  ## the long statistics and campaigns
-	$(PYTEST) -m nightly
+test-nightly: $(BIN)/.installed  ## the long statistics and campaigns, and Hypothesis with ten times the examples
+	$(PYTEST) -m "nightly or hypothesis" --hypothesis-profile=nightly
+
+coverage: $(BIN)/.installed  ## share of the code that all tests but the long statistics run, without compiled kernels; out/coverage
+	$(PYTEST) -m "not nightly" --cov --cov-report=term:skip-covered --cov-report=html:$(OUT)/coverage
 
 check: $(BIN)/.installed  ## formatting, lint, types, layers
 	$(BIN)/ruff format --check .
@@ -75,12 +86,25 @@ golden-check: $(BIN)/.installed  ## render the golden scenes anew and compare th
 golden: $(BIN)/.installed  ## renew the committed golden images
 	$(BIN)/python scripts/goldens.py renew
 
-bench: $(BIN)/.installed  ## speed against the raw ray caster and peers; prints ratios
-	$(BIN)/python -m pip install --quiet --editable '.[dev,bench]'
-	$(BIN)/python -m benchmarks.run
+# peers bring packages that change how tests run, so they have an environment of their own; one that cannot be
+# installed here is left out, as one that does not run is
+BENCH ?= .venv-bench
+PEERS  = 'mitsuba>=3.6' 'open3d>=0.19'
+$(BENCH)/.installed: pyproject.toml requirements/dev.lock
+	$(PYTHON) -m venv $(BENCH)
+	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements/dev.lock
+	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@for peer in $(PEERS); do \
+	    $(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check $$peer \
+	        || echo "$$peer cannot be installed for this Python and is left out"; \
+	done
+	@touch $@
+
+bench: $(BENCH)/.installed  ## speed against the raw ray caster and peers; prints ratios; BENCHMARKS="peers --quick" for a part
+	$(BENCH)/bin/python -m benchmarks.run $(BENCHMARKS)
 
 docs: $(BIN)/.installed  ## make the pictures and figures of docs/ anew
-	$(BIN)/python scripts/make_docs.py
+	PYTHONPATH=tests $(BIN)/python scripts/make_docs.py
 
 clean:  ## remove what was made, but not the virtual environment
 	rm -rf $(OUT) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -15,21 +12,16 @@ from benchmarks._case import Size, case_scene
 from benchmarks._numpy_shading import render_numpy
 from benchmarks._peer_casters import Open3DCaster, TrimeshCaster
 from benchmarks._peer_mitsuba import MitsubaPeer
-from benchmarks._report import Report, Table, ratio_text, ratios, rounds
+from benchmarks._peer_process import PeerError, PeerProcess
+from benchmarks._report import Report, Table, ratio_text, ratios
 from benchmarks.bare import THREADS
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene
 
-__all__ = ["AGREEMENT", "Peer", "agreement", "peers_of", "run", "table"]
+__all__ = ["AGREEMENT", "PEERS", "Peer", "agreement", "run", "start_peers", "table"]
 
 AGREEMENT = 0.99
 """Least share of lit pixels that a peer must have within 1e-3 of ours before its time counts."""
-
-TRIALS = {
-    "Open3D + NumPy": "import open3d",
-    "Mitsuba 3 llvm_ad_mono": "import mitsuba as mi; mi.set_variant('llvm_ad_mono'); assert (mi.Float(1) + 1)[0] == 2",
-}
-"""Programs that fail where an optional peer cannot run; in a process of their own, since a missing LLVM may end it."""
 
 Float32 = NDArray[np.float32]
 
@@ -38,43 +30,64 @@ Float32 = NDArray[np.float32]
 class Peer:
     """How to make pictures in two steps: `build` whatever the mesh needs, then `images` of all lights from it."""
 
-    name: str
     build: Callable[[], object]
     images: Callable[[object], list[Float32]]
 
 
-def peers_of(scene: Scene) -> tuple[list[Peer], list[str]]:
-    """lightopt and the peers that run here, and why the others do not."""
+def _ours(size: Size) -> Peer:
+    scene = case_scene(size)
 
-    def ours(caster: object) -> list[Float32]:
-        images = render_posture(scene, scene.postures[0], caster=caster, threads=THREADS)  # type: ignore[arg-type]
-        return [light.level for light in images.lights]
+    def images(caster: object) -> list[Float32]:
+        rendered = render_posture(scene, scene.postures[0], caster=caster, threads=THREADS)  # type: ignore[arg-type]
+        return [light.level for light in rendered.lights]
 
-    def shaded_in_numpy(caster: object) -> list[Float32]:
-        return render_numpy(scene, caster, threads=THREADS)  # type: ignore[arg-type]
-
-    everyone = [
-        Peer("lightopt", lambda: cast_rays_at(scene), ours),
-        Peer("Open3D + NumPy", lambda: Open3DCaster(scene, threads=THREADS), shaded_in_numpy),
-        Peer(
-            "Mitsuba 3 llvm_ad_mono",
-            lambda: MitsubaPeer(scene, threads=THREADS),
-            lambda peer: peer.render(),  # type: ignore[attr-defined]
-        ),
-        Peer("trimesh.ray + NumPy", lambda: TrimeshCaster(scene), shaded_in_numpy),
-    ]
-    problems = {name: problem for name, program in TRIALS.items() if (problem := _problem(program))}
-    missing = [f"{name} does not run here and is left out: {problem}" for name, problem in problems.items()]
-    return [peer for peer in everyone if peer.name not in problems], missing
+    return Peer(lambda: cast_rays_at(scene), images)
 
 
-def _problem(program: str) -> str:
-    # last line of what a program complained about; empty where it ran
-    done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
-    if done.returncode == 0:
-        return ""
-    lines = done.stderr.strip().splitlines()
-    return lines[-1] if lines else f"exit status {done.returncode}"
+def _open3d(size: Size) -> Peer:
+    import open3d  # noqa: F401  (fails at once where it lacks a library)
+
+    scene = case_scene(size)
+    return Peer(lambda: Open3DCaster(scene, threads=THREADS), _shaded_in_numpy(scene))
+
+
+def _mitsuba(size: Size) -> Peer:
+    import mitsuba
+
+    mitsuba.set_variant("llvm_ad_mono")
+    assert (mitsuba.Float(1) + 1)[0] == 2  # fails at once where there is no LLVM
+    scene = case_scene(size)
+    return Peer(lambda: MitsubaPeer(scene, threads=THREADS), lambda peer: peer.render())  # type: ignore[attr-defined]
+
+
+def _trimesh(size: Size) -> Peer:
+    scene = case_scene(size)
+    return Peer(lambda: TrimeshCaster(scene), _shaded_in_numpy(scene))
+
+
+def _shaded_in_numpy(scene: Scene) -> Callable[[object], list[Float32]]:
+    return lambda caster: render_numpy(scene, caster, threads=THREADS)  # type: ignore[arg-type]
+
+
+PEERS: dict[str, Callable[[Size], Peer]] = {
+    "lightopt": _ours,
+    "Open3D + NumPy": _open3d,
+    "Mitsuba 3 llvm_ad_mono": _mitsuba,
+    "trimesh.ray + NumPy": _trimesh,
+}
+"""How each is made, in the process of its own."""
+
+
+def start_peers(size: Size) -> tuple[list[PeerProcess], list[str]]:
+    """Processes of lightopt and of the peers that run here, and why the others do not."""
+    there: list[PeerProcess] = []
+    missing: list[str] = []
+    for name in PEERS:
+        try:
+            there.append(PeerProcess(name, size))
+        except PeerError as error:  # noqa: PERF203  (each may fail)
+            missing.append(str(error))
+    return there, missing
 
 
 def agreement(images: list[Float32], ours: list[Float32]) -> float:
@@ -87,52 +100,43 @@ def agreement(images: list[Float32], ours: list[Float32]) -> float:
 
 def run(size: Size) -> Report:
     """Check that the pictures agree, then measure building and rendering."""
-    scene = case_scene(size)
-    peers, missing = peers_of(scene)
+    peers, missing = start_peers(size)
     reference: list[Float32] = []
     first: dict[str, tuple[float, float]] = {}
     agreed: dict[str, float] = {}
-    for peer in peers:
-        start = time.perf_counter()
-        built = peer.build()
-        middle = time.perf_counter()
-        images = peer.images(built)
-        first[peer.name] = (middle - start, time.perf_counter() - middle)
+    seconds: dict[str, list[float]] = {}
+    for peer in tuple(peers):
+        try:
+            first[peer.name] = (peer.build(), peer.images())
+            images = peer.levels()
+        except PeerError as error:
+            peers.remove(peer)
+            missing.append(str(error))
+            continue
         reference = reference or images
         agreed[peer.name] = agreement(images, reference)
-    seconds = rounds(_tasks(peers), size.repeats)
-    return _report(scene, size, peers, missing, first, agreed, seconds)
-
-
-def _tasks(peers: list[Peer]) -> dict[str, Callable[[], object]]:
-    built: dict[str, object] = {}
-
-    def build(peer: Peer) -> None:
-        built[peer.name] = peer.build()
-
-    def images(peer: Peer) -> list[Float32]:
-        return peer.images(built.pop(peer.name))
-
-    tasks: dict[str, Callable[[], object]] = {}
+    for _ in range(size.repeats):
+        for peer in peers:
+            seconds.setdefault(f"{peer.name}: build", []).append(peer.build())
+            seconds.setdefault(f"{peer.name}: images", []).append(peer.images())
     for peer in peers:
-        tasks[f"{peer.name}: build"] = lambda peer=peer: build(peer)
-        tasks[f"{peer.name}: images"] = lambda peer=peer: images(peer)
-    return tasks
+        peer.close()
+    return _report(case_scene(size), size, [peer.name for peer in peers], missing, first, agreed, seconds)
 
 
 def _report(
     scene: Scene,
     size: Size,
-    peers: list[Peer],
+    names: Sequence[str],
     missing: list[str],
     first: Mapping[str, tuple[float, float]],
     agreed: Mapping[str, float],
     seconds: Mapping[str, list[float]],
 ) -> Report:
-    whole = {peer.name: _whole(peer.name, seconds) for peer in peers}
+    whole = {name: _whole(name, seconds) for name in names}
     return Report(
         "peers",
-        [table([peer.name for peer in peers], first, agreed, seconds)],
+        [table(names, first, agreed, seconds)],
         {
             "agreement": dict(agreed),
             "first_seconds": {name: {"build": a, "images": b} for name, (a, b) in first.items()},

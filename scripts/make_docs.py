@@ -153,7 +153,6 @@ def defects_picture(target: Path, folder: Path) -> None:
 
 def report_picture(target: Path, folder: Path) -> None:
     """The top of the report of an optimisation, as a browser shows it."""
-    sys.path.insert(0, str(ROOT / "tests"))
     from browsers import opened
 
     lightopt(
@@ -167,7 +166,6 @@ def report_picture(target: Path, folder: Path) -> None:
 
 def plan_pictures(blind: Path, page: Path, folder: Path) -> None:
     """Why defects stay invisible, in the first posture of a plan; and the top of the plan's report."""
-    sys.path.insert(0, str(ROOT / "tests"))
     from browsers import opened
 
     out = folder / "planned"

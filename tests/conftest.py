@@ -6,18 +6,24 @@ import hashlib
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from forked_benches import ForkingProcess
 from hypothesis import settings
 
 from lightopt.cli._main import run
 from lightopt.rendering import available_processors
 
-# a busy machine is no reason for an example to fail; "ci", which Hypothesis brings along, draws the same every time
-settings.register_profile("developer", deadline=None)
+# a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly ten times as many
+settings.register_profile("developer", deadline=None, max_examples=30)
+settings.register_profile(
+    "ci", deadline=None, max_examples=30, derandomize=True, database=None, print_blob=True
+)
+settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("ci" if os.environ.get("CI") else "developer")
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -25,8 +31,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than there are processors: many tests wait for simulated devices."""
-    return available_processors() + 1
+    """Twice as many as there are processors: many tests wait for simulated devices."""
+    return 2 * available_processors()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -117,6 +123,19 @@ class Bench:
         bench.part.write_text(PART, encoding="utf-8", newline="\n")
         shutil.copyfile(ROOT / "configs" / "parts" / "cover-knob.stl", bench.mesh)
         return bench
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forked_benches() -> Generator[None]:
+    """Benches that tests start in their own process are forked, where the system can."""
+    if sys.platform != "linux":
+        yield
+        return
+    process, patch = ForkingProcess(), pytest.MonkeyPatch()
+    patch.setattr("lightopt.virtualbench._process.start_process", process.start)
+    yield
+    patch.undo()
+    process.close()
 
 
 @pytest.fixture

@@ -30,6 +30,21 @@ _START = (
 )
 
 
+def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
+    """Start the process of a bench, with pipes to its standard input and output."""
+    places = "\n".join(place or str(Path.cwd()) for place in sys.path)
+    # A group of its own: Ctrl-C is for the client, which still has lights to switch off.
+    flags = 0x00000200 if os.name == "nt" else 0  # CREATE_NEW_PROCESS_GROUP
+    return subprocess.Popen(  # noqa: S603  (this interpreter, this package)
+        [sys.executable, "-c", _START, places, spec],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        start_new_session=os.name != "nt",
+        creationflags=flags,
+    )
+
+
 class BenchProcess:
     """A virtual bench in a process of its own, which ends with this object or with this process.
 
@@ -64,18 +79,7 @@ class BenchProcess:
         self._control: socket.socket | None = None
         self._replies: BinaryIO | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
-        places = "\n".join(place or str(Path.cwd()) for place in sys.path)
-        command = [sys.executable, "-c", _START, places, json.dumps(spec)]
-        # A group of its own: Ctrl-C is for the client, which still has lights to switch off.
-        flags = 0x00000200 if os.name == "nt" else 0  # CREATE_NEW_PROCESS_GROUP
-        self._process = subprocess.Popen(  # noqa: S603  (this interpreter, this package)
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            start_new_session=os.name != "nt",
-            creationflags=flags,
-        )
+        self._process = start_process(json.dumps(spec), self._errors)
         try:
             hello = self._hello()
             self.ports: dict[str, str] = hello["ports"]

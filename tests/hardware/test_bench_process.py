@@ -17,9 +17,16 @@ import pytest
 
 from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import LightSettings, LinkLostError, ReplyError, SerialLink, light_drivers
-from lightopt.virtualbench import BenchProcess
+from lightopt.virtualbench import BenchProcess, _process
 
+START = _process.start_process
 CCS = {"kind": "ccs", "options": {"levels": {"1": 255}}}
+
+
+@pytest.fixture(autouse=True)
+def started_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Benches of this module are not forked, as those of other tests are."""
+    monkeypatch.setattr(_process, "start_process", START)
 
 
 def alive(pid: int) -> bool:

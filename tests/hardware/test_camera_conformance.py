@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from camera_worlds import needs, viky
+from fault_cases import make_rig
 
 from lightopt.capture import CaptureOptions, capture, connect_devices, start_bench, wiring_of
 from lightopt.capture._folder_camera import FolderCamera
@@ -18,13 +19,6 @@ from lightopt.errors import HardwareError, InputError
 from lightopt.hardware import Camera, CameraSettings, open_camera
 from lightopt.transforms import Posture
 from lightopt.virtualbench import VirtualCamera
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from camera_worlds import needs, viky
-
-from benchmarks._fault_cases import make_rig
 
 KINDS = ("virtual", "folder", "aravis", "aravis-free", "genicam")
 TELLS = {"virtual", "aravis", "aravis-free"}  # can be told an exposure time
@@ -251,7 +245,7 @@ def test_the_sets_of_the_rendered_and_of_the_gige_camera_are_the_same(
 ) -> None:
     """What goes over the network is what the bench renders, bit for bit."""
     needs("aravis")
-    from benchmarks._fault_runs import OPTIONS, differences
+    from fault_runs import OPTIONS, differences
 
     rig_file, part_file = beds
     part = load_part(part_file)

@@ -13,14 +13,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
 from camera_worlds import needs
+from fault_cases import make_rig
+from rig_faults import gige_rig
 
-from benchmarks._fault_cases import make_rig
-from benchmarks.rig_faults import gige_rig
 from lightopt.capture import start_bench, wiring_of
 from lightopt.config import load_part, load_rig
 from lightopt.errors import HardwareError

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from camera_worlds import needs, viky
+from fault_cases import make_rig
 
 from lightopt.cli._main import run
 from lightopt.errors import HardwareError, InputError
@@ -16,13 +17,6 @@ from lightopt.hardware import CameraSettings, camera_drivers, cameras_here, chec
 from lightopt.hardware._genicam import GenicamSdk
 from lightopt.hardware._pixels import PIXEL_FORMATS, levels_of
 from lightopt.virtualbench._gige_formats import FORMATS, packed
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from camera_worlds import needs, viky
-
-from benchmarks._fault_cases import make_rig
 
 SETTINGS = {"where": "rig.yaml:3: camera", "resolution_px": (160, 120), "bit_depth": 8}
 

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fault_cases import Case, line_cases, make_rig, other_cases, pulled_cases
+from fault_runs import OPTIONS, differences, suffer, undisturbed
 
 from lightopt.capture import CaptureOptions, Plan, capture, connect_devices, make_plan, start_bench, wiring_of
 from lightopt.config import load_part, load_rig
@@ -18,11 +20,6 @@ from lightopt.errors import HardwareError, InputError
 from lightopt.images import read_image_set, read_png
 from lightopt.transforms import Posture
 from lightopt.virtualbench import BenchProcess, BenchTruth
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks._fault_cases import Case, line_cases, make_rig, other_cases, pulled_cases
-from benchmarks._fault_runs import OPTIONS, differences, suffer, undisturbed
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and pseudo-terminals are those of POSIX")
 
@@ -79,18 +76,21 @@ def test_an_undisturbed_run_has_no_retries(bed):
 
 
 @pytest.mark.slow
-def test_spoilt_replies_are_asked_for_again_or_end_safely(bed, tmp_path):
-    check(bed, tmp_path, every(line_cases(bed[2]["shot"][0]), 8))
+@pytest.mark.parametrize("cases", [7, pytest.param(80, marks=pytest.mark.nightly)])
+def test_spoilt_replies_are_asked_for_again_or_end_safely(bed, tmp_path, cases):
+    check(bed, tmp_path, every(line_cases(bed[2]["shot"][0]), cases))
 
 
 @pytest.mark.slow
-def test_a_pulled_cable_ends_safely_all_along_the_plan(bed, tmp_path):
-    check(bed, tmp_path, every(pulled_cases(*bed[2]["shot"]), 12))
+@pytest.mark.parametrize("cases", [7, pytest.param(60, marks=pytest.mark.nightly)])
+def test_a_pulled_cable_ends_safely_all_along_the_plan(bed, tmp_path, cases):
+    check(bed, tmp_path, every(pulled_cases(*bed[2]["shot"]), cases))
 
 
 @pytest.mark.slow
-def test_what_does_not_obey_ends_safely(bed, tmp_path):
-    check(bed, tmp_path, every(other_cases(), 12))
+@pytest.mark.parametrize("cases", [8, pytest.param(40, marks=pytest.mark.nightly)])
+def test_what_does_not_obey_ends_safely(bed, tmp_path, cases):
+    check(bed, tmp_path, every(other_cases(), cases))
 
 
 def test_one_lost_reply_is_one_retry_and_the_manifest_says_at_which_image(bed, tmp_path, patient):

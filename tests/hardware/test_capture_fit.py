@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
+from fault_cases import make_rig
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks._fault_cases import make_rig
 from lightopt.capture import CaptureOptions, capture, connect_devices
 from lightopt.config import load_part, load_rig
 from lightopt.fit import FitOptions, fit_specular

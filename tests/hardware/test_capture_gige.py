@@ -5,20 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
+import rig_faults
 from camera_worlds import needs
+from fault_runs import OPTIONS, alike, differences
+from rig_faults import RigCase, gige_rig, rig_cases, undergo
+from soak import soak
 
-from benchmarks import rig_faults
-from benchmarks._fault_runs import OPTIONS, alike, differences
-from benchmarks.rig_faults import RigCase, gige_rig, rig_cases, undergo
-from benchmarks.soak import soak
 from lightopt.capture import capture
 from lightopt.cli._main import run
 from lightopt.config import load_part, load_rig

@@ -6,14 +6,11 @@ import json
 import random
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from fault_cases import make_rig
+from fault_runs import differences, kill_sometime
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks._fault_cases import make_rig
-from benchmarks._fault_runs import differences, kill_sometime
 from lightopt.config import load_part
 from lightopt.images import read_image_set
 
@@ -116,6 +113,6 @@ def test_killed_and_resumed_it_is_the_same_set(captured, tmp_path, cli):
     kill_and_resume(captured, tmp_path, 2, seed=3, cli=cli)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_killed_at_50_moments_and_resumed_it_is_the_same_set(captured, tmp_path, cli):
     kill_and_resume(captured, tmp_path, 50, seed=2026, cli=cli)

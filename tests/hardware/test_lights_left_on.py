@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
+from fault_cases import make_rig
 
 from lightopt.capture import connect_devices, switch_off, wiring_of
 from lightopt.config import RigConfig, load_lights, load_rig
 from lightopt.errors import HardwareError, InputError
 from lightopt.virtualbench import BenchProcess
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks._fault_cases import make_rig
 
 LIT = {"kind": "ccs", "options": {"channels": 2, "levels": {"1": 200, "2": 90}}}
 HARDWARE = """\

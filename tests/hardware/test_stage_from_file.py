@@ -37,11 +37,8 @@ DARK = [(b"1=0;", b""), (b"2=0;", b"")]
 @pytest.fixture
 def wired(tmp_path, monkeypatch):
     """The small rig with a stage, and scripts that the two ports play."""
-    import sys
-    from pathlib import Path
 
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-    from benchmarks._fault_cases import make_rig
+    from fault_cases import make_rig
 
     def wired(dialogue, stage=GSC, driver="gsc", lights=DARK):
         path, part = make_rig(tmp_path)

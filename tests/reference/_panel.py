@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from ._casting import blocked
 from ._shading import dot, point_terms, shadow_point
 
-CHUNK = 2**18  # pairs of pixel and node shaded together
+CHUNK = 2**15  # pairs of pixel and node shaded together, as many as stay in a processor's cache
+
+
+gauss_legendre = cache(np.polynomial.legendre.leggauss)
 
 
 def product_rule(n, cells=1):
     """Gauss–Legendre nodes u, v in -1/2 … 1/2 and weights (sum 1), n × n in each of cells²."""
-    x, w = np.polynomial.legendre.leggauss(n)
+    x, w = gauss_legendre(n)
     x = ((x[None] / 2 + 0.5 + np.arange(cells)[:, None]) / cells - 0.5).ravel()
     w = np.tile(w / 2 / cells, cells)
     u, v = np.meshgrid(x, x)
@@ -128,7 +133,7 @@ def hidden_polygon(light, point, corners):
 
 def triangle_rule(a, b, c, n):
     """Nodes and weights (sum: the triangle's area) of a collapsed n × n Gauss–Legendre rule."""
-    x, w = np.polynomial.legendre.leggauss(n)
+    x, w = gauss_legendre(n)
     s, t = np.meshgrid(x / 2 + 0.5, x / 2 + 0.5)
     w = np.outer(w, w).ravel() / 4 * abs(cross2(b - a, c - a)) * s.ravel()
     uv = a + s.reshape(-1, 1) * ((b - a) + t.reshape(-1, 1) * (c - b))

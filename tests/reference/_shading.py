@@ -13,16 +13,18 @@ OFFSET = 1e-5  # of the part's radius, along the geometric normal, where shadow 
 
 
 def dot(a, b):
-    return np.sum(a * b, axis=-1)
+    return np.einsum("...i,...i->...", a, b)  # several times as fast as a sum over an axis of three
 
 
 def unit(a):
-    return a / np.linalg.norm(a, axis=-1, keepdims=True)
+    return a / np.sqrt(dot(a, a))[..., None]
 
 
 def angle(a, b):
     """Angle between unit vectors; accurate near zero, unlike the arc cosine of their product."""
-    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), dot(a, b))
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    sine = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
+    return np.arctan2(sine, dot(a, b))
 
 
 def emission(light, source, r):

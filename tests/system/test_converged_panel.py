@@ -50,13 +50,28 @@ def agree(image, expected):
     assert abs(found - saturated) <= 0.01 * saturated
 
 
+def sample(pixels, most):
+    """So many of the pixels, drawn at random but the same in every run; None: all."""
+    if most is None or most >= len(pixels):
+        return pixels
+    return np.sort(np.random.default_rng(5).choice(pixels, most, replace=False))
+
+
+def sampled(most):
+    """Parametrize a test with a sample of pixels, and with all pixels in the nightly tier."""
+    return pytest.mark.parametrize(
+        "most", [pytest.param(most, id="sample"), pytest.param(None, id="all", marks=pytest.mark.nightly)]
+    )
+
+
 def slow_but_one(values, fast):
     return [v if v == fast else pytest.param(v, marks=pytest.mark.slow) for v in values]
 
 
 @pytest.mark.parametrize("sigma", slow_but_one(SIGMAS, 0.003))
 @pytest.mark.parametrize("real", [False, True], ids=["paper", "falloff-and-emission"])
-def test_convex_part(sigma, real):
+@sampled(1200)
+def test_convex_part(sigma, real, most):
     camera = ref.Camera(width=60, height=45, pixel_um=85)
     light = ref.Light(
         elevation=75,
@@ -68,14 +83,14 @@ def test_convex_part(sigma, real):
     )
     mesh = cap()
     hits = ref.trace(camera, *corners(mesh))
-    lit = np.flatnonzero(hits.front)
+    lit = sample(np.flatnonzero(hits.front), most)
     unit = ref.panel_radiance(hits[lit], light, **UNIT, sigma=sigma)
     for R_s in (DIM[sigma], BRIGHT[sigma]):  # images are linear in R_s: one integral serves both
         shine = {"R_d": 45.0, "R_s": R_s, "sigma": sigma}
         image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[lit]
         expected = 45.0 * unit[0] + R_s * unit[1]
         agree(image, expected)
-    assert np.count_nonzero(expected >= 255) > 70
+    assert np.count_nonzero(expected >= 255) > (70 if most is None else 30)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +102,8 @@ def test_convex_part(sigma, real):
         ((300, 300), 100, True, {"R_d": 45.0, "R_s": 100.0, "sigma": 0.15}),
     ],
 )
-def test_large_panels_near_the_part(size, distance, real, shine):
+@sampled(150)
+def test_large_panels_near_the_part(size, distance, real, shine, most):
     """Panels that dip below the horizon of much of a steep cap, and whose fall-off varies more than the lobe does."""
     camera = ref.Camera(width=48, height=36, pixel_um=100)
     light = ref.Light(
@@ -100,7 +116,7 @@ def test_large_panels_near_the_part(size, distance, real, shine):
     )
     mesh = cap(30.0, half=15.0, cells=60)
     hits = ref.trace(camera, *corners(mesh))
-    lit = np.flatnonzero(hits.front)
+    lit = sample(np.flatnonzero(hits.front), most)
     parts = ref.panel_radiance(hits[lit], light, **shine, rule=ref.product_rule(6, 24))
     image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[lit]
     agree(image, parts[0] + parts[1])
@@ -132,17 +148,18 @@ QUICK_BOXES = [("aligned", 0.0475), ("mirror", 0.0475), ("plan", 0.15)]
         for sigma in SIGMAS
     ],
 )
-def test_box_over_a_plane(view, sigma):
+@sampled(2000)
+def test_box_over_a_plane(view, sigma, most):
     """The hidden part of the panel is a polygon here, integrated as such: the expected levels are exact."""
     camera, light = VIEWS[view]
     mesh = merged(plane(40), box(LOW, HIGH))
     hits = ref.trace(camera, *corners(mesh))
-    lit = np.flatnonzero(hits.front & (hits.face < 2))
+    lit = sample(np.flatnonzero(hits.front & (hits.face < 2)), most)
     unit = ref.panel_radiance(hits[lit], light, **UNIT, sigma=sigma)
     body = LOW + BOX_CORNERS * (HIGH - LOW)
     nodes = 64 if sigma < 0.01 else 24
     *unit, penumbra = ref.subtract_convex(hits[lit], light, *unit, body, **UNIT, sigma=sigma, n=nodes)
-    assert np.count_nonzero(penumbra) > 100
+    assert np.count_nonzero(penumbra) > (100 if most is None else 50)
     for R_s in (DIM[sigma], BRIGHT[sigma]):
         shine = {"R_d": 45.0, "R_s": R_s, "sigma": sigma}
         image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[lit]
@@ -162,8 +179,9 @@ def ball():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("view", ["plan", "mirror"])
-def test_ball_over_a_plane(view):
-    """A curved edge: at 30 pixels of the penumbra, summed over 640,000 points of the panel behind a round ball."""
+@pytest.mark.parametrize("pixels", [8, pytest.param(30, marks=pytest.mark.nightly)])
+def test_ball_over_a_plane(view, pixels):
+    """A curved edge: at some pixels of the penumbra, summed over 640,000 points of the panel behind a round ball."""
     sigma = 0.0475
     camera, light = VIEWS[view]
     mesh = merged(plane(40), ball())
@@ -183,7 +201,7 @@ def test_ball_over_a_plane(view):
         terms = ref.point_terms(one, light, sources, **UNIT, sigma=sigma)
         expected.append([light.gain * np.mean(np.where(hidden, 0, term[0])) for term in terms])
         chosen.append(pixel)
-        if len(chosen) == 30:
+        if len(chosen) == pixels:
             break
     unit = np.array(expected).T
     for R_s in (DIM[sigma], BRIGHT[sigma]):
@@ -199,8 +217,9 @@ def test_ball_over_a_plane(view):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma", SIGMAS)
-def test_spout(tmp_path, sigma):
-    """A part that shades itself, at 300 of its pixels; 128 × 128 nodes, each with a shadow ray."""
+@pytest.mark.parametrize("pixels", [60, pytest.param(300, marks=pytest.mark.nightly)])
+def test_spout(tmp_path, sigma, pixels):
+    """A part that shades itself, at some of its pixels; 128 × 128 nodes, each with a shadow ray."""
     camera = ref.Camera(width=160, height=120, pixel_um=40)
     light = ref.Light(elevation=45, azimuth=80)
     hits = lit = unit = None
@@ -224,7 +243,9 @@ def test_spout(tmp_path, sigma):
             ).shadow.reshape(-1, 9)
             partly = np.flatnonzero(hits.front & nine.any(axis=1) & ~nine.all(axis=1))
             rng = np.random.default_rng(1)
-            lit = np.union1d(rng.choice(np.flatnonzero(hits.front), 150), rng.choice(partly, 150))
+            lit = np.union1d(
+                rng.choice(np.flatnonzero(hits.front), pixels // 2), rng.choice(partly, pixels // 2)
+            )
             unit = ref.panel_radiance(
                 hits[lit], light, **UNIT, sigma=sigma, triangles=triangles, rule=ref.product_rule(16, 8)
             )

@@ -5,15 +5,12 @@ The catalogue pixel by pixel, and each kind and strewn pits by nine pixels, with
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
+from truth import SEEN_IN, compare, plot, table
+from truth_case import Case
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks._truth_case import Case
-from benchmarks.truth import SEEN_IN, compare, plot, table
 from lightopt import load_part, load_rig
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -29,10 +26,10 @@ def small_rig(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", ["cover-knob", "spout"])
+@pytest.mark.parametrize("part", ["cover-knob", pytest.param("spout", marks=pytest.mark.nightly)])
 def test_predicted_shares_are_the_counted_ones(small_rig, part, tmp_path, monkeypatch):
     # as many pixels wide as pits of 1.5 mm under the whole camera
-    monkeypatch.setattr("benchmarks._truth_pits.WIDTH_MM", 6.0)
+    monkeypatch.setattr("truth_pits.WIDTH_MM", 6.0)
     points = list(compare(small_rig, load_part(CONFIGS / "parts" / f"{part}.yaml"), patches=10_000, pits=24))
     assert {(p.finish, p.seen_in) for p in points} == {(f, k) for f in ("glossy", "satin") for k in SEEN_IN}
     whole = [p for p in points if not p.kind.startswith("pits")]
@@ -55,7 +52,7 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, tmp_path, monkey
 
 def test_a_wrong_prediction_is_found_out(small_rig, monkeypatch):
     """The comparison can fail: with a quarter of the threshold in the prediction only, shares are off."""
-    import benchmarks.truth as truth
+    import truth
 
     def too_sure(case, trials, own=Case.predict):
         from dataclasses import replace
@@ -65,7 +62,7 @@ def test_a_wrong_prediction_is_found_out(small_rig, monkeypatch):
 
     monkeypatch.setattr(Case, "predict", too_sure)
     monkeypatch.setattr(truth, "FINISHES", {"glossy": {}})
-    monkeypatch.setattr("benchmarks._truth_walls.EVERY", 5)
+    monkeypatch.setattr("truth_walls.EVERY", 5)
     points = list(
         truth.compare(small_rig, load_part(CONFIGS / "parts" / "cover-knob.yaml"), patches=2000, pits=0)
     )

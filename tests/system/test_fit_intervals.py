@@ -107,12 +107,19 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures):
 @pytest.mark.parametrize(
     ("freed", "sensor", "exposures", "seeds"),
     [
-        (Freed(), SENSOR, (1.0,), 100),
-        (Freed(), SENSOR, (1.0, 1 / 16), 40),
-        (Freed(), SENSORS["12 bit"], (1.0,), 40),
-        (Freed(gain=True, dark=True), SENSOR, (1.0,), 40),
+        pytest.param(Freed(), SENSOR, (1.0,), 40, id="8 bit"),
+        pytest.param(Freed(), SENSOR, (1.0,), 100, id="8 bit, 100 seeds", marks=pytest.mark.nightly),
+        pytest.param(Freed(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly),
+        pytest.param(Freed(), SENSORS["12 bit"], (1.0,), 40, id="12 bit", marks=pytest.mark.nightly),
+        pytest.param(
+            Freed(gain=True, dark=True),
+            SENSOR,
+            (1.0,),
+            40,
+            id="gain and dark freed",
+            marks=pytest.mark.nightly,
+        ),
     ],
-    ids=["8 bit", "two exposures", "12 bit", "gain and dark freed"],
 )
 def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures, seeds):
     """Of 100 seeds, at least 90 per parameter (of 40, 34), and standard errors are those of the scatter."""

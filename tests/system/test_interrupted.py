@@ -28,8 +28,8 @@ MOMENTS = (
     "posture_0_0/light1.png",
     "posture_-10_170/geometry.exr",
     pytest.param("manifest.json", marks=pytest.mark.slow),
-    pytest.param("posture_0_0/geometry.exr", marks=pytest.mark.slow),
-    pytest.param("posture_0_0/light3.exr", marks=pytest.mark.slow),
+    pytest.param("posture_0_0/geometry.exr", marks=pytest.mark.nightly),
+    pytest.param("posture_0_0/light3.exr", marks=pytest.mark.nightly),
     pytest.param("posture_-10_170/light1_x0.0625.png", marks=pytest.mark.slow),
 )
 """Files whose appearance is a moment to interrupt at: while tracing for patches, rendering, and writing."""
@@ -120,15 +120,16 @@ def test_a_killed_run_is_completed_by_the_same_command(shared_bench, tmp_path, u
 @pytest.mark.slow
 @one_console
 @pytest.mark.parametrize("kill", [False, True], ids=["Ctrl-C", "kill"])
-def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill):
-    """Twenty moments from the start of the process to its end; the set is valid after each, or not begun."""
+@pytest.mark.parametrize("moments", [4, pytest.param(20, marks=pytest.mark.nightly)])
+def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill, moments):
+    """Moments from the start of the process to its end; the set is valid after each, or not begun."""
     began = time.monotonic()
     complete(shared_bench, tmp_path / "whole")
     whole = time.monotonic() - began
-    for step in range(20):
+    for step in range(moments):
         out = tmp_path / str(step)
         process = start(shared_bench, out)
-        time.sleep(whole * (step + 0.5) / 20)
+        time.sleep(whole * (step + 0.5) / moments)
         process.send_signal(signal.SIGKILL if kill else signal.SIGINT)
         _, errors = process.communicate(timeout=120)
         if (out / "manifest.json").exists():
@@ -139,7 +140,7 @@ def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill):
         # in process, which saves the start of an interpreter
         completed = cli("render", shared_bench.rig, shared_bench.part, "-o", out, *OPTIONS)
         assert completed.status == 0, completed.err
-        assert snapshot(out) == undisturbed, f"interrupted after {step + 0.5} twentieths"
+        assert snapshot(out) == undisturbed, f"interrupted after {step + 0.5} of {moments}"
 
 
 # --- the same in process, at every single write: before the file is flushed, and before it is put in its place

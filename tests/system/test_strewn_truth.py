@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
+import narrow
 import numpy as np
 import pytest
+import worth
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks import narrow, worth
 from lightopt import load_part, load_rig
 from lightopt.defects import PIXEL_RATIOS
 
@@ -54,9 +52,9 @@ def test_one_wall_over_the_whole_width_is_found_out(small_rig, knob, monkeypatch
     assert max(row.predicted - row.measured for row in rows) > 0.15
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sets_of_lights_are_counted_beside_what_is_predicted_of_them(small_rig, knob, monkeypatch):
-    monkeypatch.setattr("benchmarks._worth_sets.FINISHES", {"glossy": {}})
+    monkeypatch.setattr("worth_sets.FINISHES", {"glossy": {}})
     rows = list(worth.sets(small_rig, knob, patches=3000, defects=28, step=15.0))
     assert [(row.seen_in, row.what) for row in rows] == [
         (k, what) for k in (1, 2) for what in ("detectability", "paper")
@@ -70,11 +68,11 @@ def test_sets_of_lights_are_counted_beside_what_is_predicted_of_them(small_rig, 
     assert worth.table(rows).count("cover-knob") == 4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_plans_are_counted_with_shorter_and_longer_exposures(small_rig, knob, monkeypatch):
     for name, value in {"STEP": 30.0, "POSTURES": 1, "POSTURE_STEP": 180.0, "SEEN_IN": (1,)}.items():
-        monkeypatch.setattr(f"benchmarks._worth_plans.{name}", value)
-    monkeypatch.setattr("benchmarks._worth_plans.OFFERED", {1.0: "1", 16.0: "16"})
+        monkeypatch.setattr(f"worth_plans.{name}", value)
+    monkeypatch.setattr("worth_plans.OFFERED", {1.0: "1", 16.0: "16"})
     own, own_more, chosen, chosen_more = worth.plans(
         small_rig, knob, finish="glossy", patches=2000, defects=28
     )

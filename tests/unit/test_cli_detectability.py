@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from test_cli_optimize import FEW, result_of, with_lights
 
 from lightopt import build_scene
 from lightopt.cli._main import run
 from lightopt.images import read_png
 from lightopt.optimize import Blind, blind_text
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from test_cli_optimize import FEW, result_of, with_lights
 
 LIGHTS = ("light1", "light2", "light3")
 DEFECTS = ("--objective", "detectability", "--objective", "paper", "--seen-in", "2", "--threshold", "4")

@@ -403,7 +403,7 @@ _ANYTHING = st.recursive(
 )
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_value_anywhere(tmp_path: Path, data: st.DataObject) -> None:
     document = yaml.safe_load(RIG)

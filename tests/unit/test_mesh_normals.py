@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt.mesh import LoadedMesh, face_normals, load_mesh
@@ -99,7 +99,6 @@ def test_facet_has_no_normals(tmp_path):
     assert len(loaded.mesh.vertices) == 42
 
 
-@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000), crease=st.floats(0.05, 2.0))
 def test_smoothing_matches_the_plain_reference(seed, crease):
     rng = np.random.default_rng(seed)

@@ -46,7 +46,6 @@ def reference_count(corners: np.ndarray, longest: float) -> int:
     return reference_count(first, longest) + reference_count(second, longest)
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 100_000), max_edge=st.floats(0.2, 20.0))
 def test_patches_cover_the_faces_and_each_point_finds_its_own(seed, max_edge):
     mesh = random_mesh(seed)

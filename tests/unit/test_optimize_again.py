@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import json
-import sys
 import weakref
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from test_cli_optimize import result_of, with_lights
 
 from lightopt.errors import InputError
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, Posture
 from lightopt.optimize import LuminanceMatrix, OptimizeOptions, _matrices, optimize
 from lightopt.optimize._earlier import begin_writing
 from lightopt.provenance import versions
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from test_cli_optimize import result_of, with_lights
 
 EACH = OptimizeOptions(step_deg=20.0, patch_budget=500)
 ONE = OptimizeOptions(step_deg=20.0, patch_budget=500, common_lights=True)

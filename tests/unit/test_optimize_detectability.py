@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from reference._search import all_combinations, detectability_value
+from test_optimize_visibility import visibility_of
 
 from lightopt.defects import BUILT_IN_CATALOGUE
 from lightopt.errors import InputError
@@ -24,12 +23,6 @@ from lightopt.optimize import (
 )
 from lightopt.optimize import _bit_runs as bit_runs
 from lightopt.optimize import _count_runs as count_runs
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from reference._search import all_combinations, detectability_value
-from test_optimize_visibility import visibility_of
 
 THRESHOLDS = Thresholds(shade=10, saturation=255)
 
@@ -88,7 +81,6 @@ def as_tuples(found):
     return [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking]
 
 
-@settings(max_examples=80, deadline=None)
 @given(data=st.data())
 def test_plain_reading_of_any_small_matrix(data):
     """Ties, lights with one candidate, two to six lights, any weights: ranking, ties, runner-up and bound."""

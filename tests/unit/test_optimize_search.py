@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.errors import InputError
 from lightopt.optimize import OBJECTIVES, LuminanceMatrix, Space, Thresholds, area_units, search
 from lightopt.optimize._bits import bit_scores
 from lightopt.optimize._ranking import NearBest
 from lightopt.optimize._runs import run_scores
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from reference._search import all_combinations, coverage_value, paper_value
 
 EIGHT_BITS = (np.uint8, 255)
 TWELVE_BITS = (np.uint16, 4080)
@@ -91,7 +86,6 @@ def test_plain_reading_of_section_5_2(objective, sizes, few, kind):
     assert found.scored == len(expected)
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_plain_reading_of_any_small_matrix(data):
     lights = data.draw(st.integers(2, 5))

@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -144,7 +144,6 @@ def test_no_fewer_reach_the_target_than_is_said(seed, k):
             assert plain_reached(plain[rest].sum(axis=0), heavy, k) < target * weights.total
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000), k=st.integers(1, 3), count=st.integers(1, 7))
 def test_steps_add_up_and_gains_never_grow(seed, k, count):
     plain, packed, weights, heavy = random_case(seed, patches=3, trials=5, k=k)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt.config import RigConfig, load_rig
@@ -304,7 +304,6 @@ def test_image_area_against_counted_pixels(centre, tilt, size):
     assert area == pytest.approx(counted, abs=60 + 0.02 * area)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     centre=st.tuples(*(st.floats(-80, 80),) * 2, st.floats(20, 700)),
     tilt=st.tuples(st.floats(-1.5, 1.5), st.floats(-3, 3)),

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -26,7 +26,6 @@ from lightopt.transforms import direction
     st.integers(1, 300),
     st.integers(8, 120),
 )
-@settings(max_examples=60, deadline=None)
 def test_thumbnail_fits_and_keeps_shape_and_mean(width: int, height: int, limit: int) -> None:
     rng = np.random.default_rng(width * 1000 + height)
     level = rng.random((height, width)).astype(np.float32)
@@ -132,7 +131,6 @@ def test_alignment() -> None:
 
 
 @given(st.text(max_size=40), st.integers(5, 300))
-@settings(max_examples=80, deadline=None)
 def test_any_name_fits_and_can_be_written(text: str, width: int) -> None:
     typeface = Typeface(16)
     fitted = typeface.fit(text, width)
@@ -216,7 +214,6 @@ anchors = st.lists(st.tuples(st.floats(150, 450), st.floats(150, 350)), min_size
 
 
 @given(anchors, st.integers(0, 1000))
-@settings(max_examples=40, deadline=None)
 def test_labels_never_overlap(places, seed: int) -> None:
     rng = np.random.default_rng(seed)
     ink = (rng.random((500, 600)) > 0.9).astype(float)

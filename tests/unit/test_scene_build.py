@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt import build_scene, load_part, load_rig
@@ -88,7 +88,6 @@ def test_smooth_and_facet_normals(block):
 # --- camera
 
 
-@settings(max_examples=30, deadline=None)
 @given(f=st.floats(5.0, 100.0), a=st.floats(150.0, 2000.0))
 def test_a_focal_length_is_the_image_distance_it_focuses_to(shared_bench, f, a):
     from lightopt.config import RigConfig

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt.mesh import TriangleMesh, points_inside, transformed
@@ -50,7 +50,6 @@ def box(sides=(30.0, 20.0, 10.0), at=(0.0, 0.0, 5.0)) -> TriangleMesh:
     return TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     elevation=st.floats(1.0, 179.0),
     azimuth=st.floats(-360.0, 360.0),
@@ -185,7 +184,6 @@ def test_framing_of_a_box_out_of_view_or_around_the_camera():
     assert not around.outside
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     elevation=st.floats(20.0, 160.0),
     azimuth=st.floats(0.0, 360.0),
@@ -242,7 +240,6 @@ def test_between_two_boxes_is_not_inside():
 # --- lights
 
 
-@settings(max_examples=30, deadline=None)
 @given(elevation=st.floats(5.0, 175.0), azimuth=st.floats(-360, 360), k=st.integers(1, 6))
 def test_panel_points_stand_at_cell_centres(elevation, azimuth, k):
     light = place_light(
@@ -292,7 +289,6 @@ def test_total_weight(points, normalisation, gain, total):
 # --- the part's view
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     elevation=st.floats(-45, 45), rotation=st.floats(-360, 360), pivot=st.tuples(*[st.floats(-20, 20)] * 3)
 )

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pieces import Piece, piece_of
 
-from benchmarks._pieces import Piece, piece_of
 from lightopt.defects import PlacedDefect
 from lightopt.mesh import Patches
 from lightopt.raycast import RayCaster

@@ -1,4 +1,4 @@
-"""Captures that suffer faults, one each; renews the table of docs/reliability.md: ``python -m benchmarks.faults``.
+"""Captures that suffer faults, one each; renews the table of docs/reliability.md: ``python tests/hardware/faults.py``.
 
 Every run is a capture of 8 images and 4 frames without light on the virtual bench, with the drivers and wires of a real
 one. A run passes when it finishes with the images of an undisturbed run, or stops with an error that names the step,
@@ -22,14 +22,15 @@ from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks._fault_cases import BEDS, Case, driver_cases, line_cases, make_rig, other_cases, pulled_cases
-from benchmarks._fault_runs import Outcome, differences, kill_sometime, suffer, undisturbed
+from fault_cases import BEDS, Case, driver_cases, line_cases, make_rig, other_cases, pulled_cases
+from fault_runs import Outcome, differences, kill_sometime, suffer, undisturbed
+
 from lightopt.errors import LightoptError
 from lightopt.images import read_image_set
 
 __all__ = ["Row", "main", "rows_of", "table"]
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 BEGIN, END = "<!-- faults: begin -->", "<!-- faults: end -->"
 KILLED = "kill -9 at a random moment"
 
@@ -82,7 +83,7 @@ def table(rows: dict[str, Row]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the campaign and write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.faults", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/hardware/faults.py", description=__doc__)
     parser.add_argument("--every", type=int, default=1, help="hit every so many-th message only")
     parser.add_argument("--most", type=int, help="so many faults at most, of every kind about as many")
     parser.add_argument("--kills", type=int, default=50, help="runs that are killed")
@@ -104,7 +105,7 @@ def main(arguments: list[str] | None = None) -> int:
     minutes = (time.monotonic() - begun) / 60
     most = "" if options.most is None else f" --most {options.most}"
     jobs = "" if options.jobs == 1 else f" --jobs {options.jobs}"
-    command = f"python -m benchmarks.faults --every {options.every}{most} --kills {options.kills}{jobs}"
+    command = f"python tests/hardware/faults.py --every {options.every}{most} --kills {options.kills}{jobs}"
     about = f"`{command}`, {minutes:.0f} minutes."
     page = options.page.read_text(encoding="utf-8")
     before, _, rest = page.partition(BEGIN)

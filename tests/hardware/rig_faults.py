@@ -1,9 +1,10 @@
 """What a capture notices of a rig that fails, and how; renews a table of docs/reliability.md.
 
-``python -m benchmarks.rig_faults``. Every run is a capture of 8 images and 4 frames without light with the GigE camera
-of the virtual bench, behind its real driver, and one fault: of the camera, of a lamp, of the stage, of the room, of the
-computer. A run is *wrong* when a light burns afterwards and nobody says so, when the error names no step, when the set
-is not valid, or when `--resume` without the fault does not make of it the images of an undisturbed run.
+``python tests/hardware/rig_faults.py``. Every run is a capture of 8 images and 4 frames without light with the GigE
+camera of the virtual bench, behind its real driver, and one fault: of the camera, of a lamp, of the stage, of the
+room, of the computer. A run is *wrong* when a light burns afterwards and nobody says so, when the error names no
+step, when the set is not valid, or when `--resume` without the fault does not make of it the images of an undisturbed
+run.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from benchmarks._fault_cases import make_rig
-from benchmarks._fault_runs import OPTIONS, Steps, differences
+from fault_cases import make_rig
+from fault_runs import OPTIONS, Steps, differences
+
 from lightopt.capture import Devices, Plan, capture, connect_devices, start_bench
 from lightopt.config import load_part, load_rig
 from lightopt.errors import HardwareError, InputError, LightoptError
@@ -32,7 +34,7 @@ from lightopt.virtualbench import BenchProcess, BenchTruth
 
 __all__ = ["RigCase", "Seen", "gige_rig", "main", "rig_cases", "table", "undergo"]
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 BEGIN, END = "<!-- rig faults: begin -->", "<!-- rig faults: end -->"
 
 HOW = (
@@ -268,7 +270,7 @@ def renewed(old: str, new: str, kinds: list[str]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the campaign and write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.rig_faults", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/hardware/rig_faults.py", description=__doc__)
     parser.add_argument(
         "--moments", type=int, default=3, help="how many moments of a run each fault strikes at"
     )
@@ -300,7 +302,7 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"  WRONG: {wrong}")
     minutes = (time.monotonic() - begun) / 60
     only = "" if chosen.only is None else f' --only "{chosen.only}"'
-    about = f"`python -m benchmarks.rig_faults --moments {chosen.moments}{only}`, {minutes:.0f} minutes."
+    about = f"`python tests/hardware/rig_faults.py --moments {chosen.moments}{only}`, {minutes:.0f} minutes."
     page = chosen.page.read_text(encoding="utf-8")
     before, _, rest = page.partition(BEGIN)
     there, _, after = rest.partition(END)

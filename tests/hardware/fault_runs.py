@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from fault_cases import Case
 
-from benchmarks._fault_cases import Case
 from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
 from lightopt.config import load_part, load_rig
 from lightopt.errors import HardwareError

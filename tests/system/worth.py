@@ -1,6 +1,6 @@
 """What ``detectability`` is worth, counted: strewn defects seen under its lights, and under those of ``paper``.
 
-``python -m benchmarks.worth [PART.yaml …] [--plan [--finish satin]] [--out DIR]``; the sample parts by default. A
+``python tests/system/worth.py [PART.yaml …] [--plan [--finish satin]] [--out DIR]``; the sample parts by default. A
 catalogue is strewn over what the camera sees, rendered under each set of lights and exposed with noise; an image shows
 a defect where one of its pixels passes the plain contrast test, and a defect is seen where enough images show it.
 Beside each count is the objective's own: defects with a bit set on the patch of one of their walls, in as many images.
@@ -20,10 +20,11 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks._worth_looked import Row
-from benchmarks._worth_plans import plans
-from benchmarks._worth_sets import DEFECTS, sets
-from benchmarks.truth import FINISHES, PARTS, RIG
+from truth import FINISHES, PARTS, RIG
+from worth_looked import Row
+from worth_plans import plans
+from worth_sets import DEFECTS, sets
+
 from lightopt import load_part, load_rig
 
 __all__ = ["Row", "main", "plans", "sets", "table"]
@@ -45,7 +46,7 @@ def table(rows: Sequence[Row]) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Count, print a table, write all rows."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.worth", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/system/worth.py", description=__doc__)
     parser.add_argument("parts", nargs="*", type=Path, metavar="PART", default=list(PARTS), help="part files")
     parser.add_argument("--rig", type=Path, default=RIG, help="rig file")
     parser.add_argument("--plan", action="store_true", help="postures and exposures instead of lights")

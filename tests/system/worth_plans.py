@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from benchmarks._worth_looked import Looked, Row, finished, look_at, places_text
-from benchmarks._worth_sets import DEFECTS, STEP
-from benchmarks.truth import SEEN_IN
+from truth import SEEN_IN
+from worth_looked import Looked, Row, finished, look_at, places_text
+from worth_sets import DEFECTS, STEP
+
 from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import counted as counted_text

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from contrasts import off
 from numpy.typing import NDArray
+from truth_case import MEANS, SEEN_IN, Case, Point, noisy_levels, trace
 
-from benchmarks._contrast_test import off
-from benchmarks._truth_case import MEANS, SEEN_IN, Case, Point, noisy_levels, trace
 from lightopt.config import PartConfig
 from lightopt.defects import tangent_references
 from lightopt.optimize import Trial, flags_of, unroll
@@ -37,7 +37,7 @@ def walls(case: Case, part: PartConfig, finish: str) -> Iterator[Point]:
     part, finish
         Its catalogue, and the finish's name.
     """
-    # walls that fill the pixel, whatever the size of the defect: how far it does is for benchmarks.narrow
+    # walls that fill the pixel, whatever the size of the defect: how far it does is for narrow.py
     trials = tuple(replace(trial, length=FILLS_MM, width=FILLS_MM) for trial in unroll(build_catalogue(part)))
     visibility = case.predict(trials).visibility
     assert visibility is not None

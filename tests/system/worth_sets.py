@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from truth import FINISHES, SEEN_IN
+from worth_looked import Looked, Row, finished, look_at, places_text
 
-from benchmarks._worth_looked import Looked, Row, finished, look_at, places_text
-from benchmarks.truth import FINISHES, SEEN_IN
 from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig
 from lightopt.optimize import (

@@ -1,6 +1,6 @@
 """Does ``detectability`` tell the truth: its predicted share of defects seen against noisy renders, counted plainly.
 
-``python -m benchmarks.truth [PART.yaml …] [--out DIR] [--plot PNG]``; the sample parts by default. For each part,
+``python tests/system/truth.py [PART.yaml …] [--out DIR] [--plot PNG]``; the sample parts by default. For each part,
 finish and number of images, two countings, both with noise and with a test that knows nothing of patches: a pixel shows
 a defect where its level is off the noise-free image of the good part by the threshold times the noise there.
 
@@ -13,7 +13,7 @@ those just below the threshold across it, and by the mean of nine pixels.
 *Pits*: cones of known slope are strewn over the part by the function behind ``lightopt defects``, rendered by
 ``render_posture``, exposed with noise, and the pixels on their walls counted, each alone and by the mean of it and its
 eight neighbours. Compared with what the patches under those pixels predict of a wall that leans as theirs does, to the
-nearest of 32 directions. Defects of about a pixel are for ``python -m benchmarks.narrow``.
+nearest of 32 directions. Defects of about a pixel are for ``python tests/system/narrow.py``.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from truth_case import MEANS, SEED, SEEN_IN, Case, Point
+from truth_pits import pits_of
+from truth_walls import walls
 
-from benchmarks._truth_case import MEANS, SEED, SEEN_IN, Case, Point
-from benchmarks._truth_pits import pits_of
-from benchmarks._truth_walls import walls
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.errors import counted
@@ -39,7 +39,7 @@ from lightopt.report._chart import ChartPanel, draw_chart
 
 __all__ = ["FINISHES", "PARTS", "RIG", "SEED", "SEEN_IN", "Point", "compare", "main", "plot", "table"]
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 RIG = ROOT / "configs" / "rigs" / "four-panel.yaml"
 PARTS = tuple(ROOT / "configs" / "parts" / f"{name}.yaml" for name in ("cover-knob", "spout"))
 
@@ -127,7 +127,7 @@ def write(points: list[Point], folder: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Compare, print a table, write all points."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.truth", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/system/truth.py", description=__doc__)
     parser.add_argument("parts", nargs="*", type=Path, metavar="PART", default=list(PARTS), help="part files")
     parser.add_argument("--rig", type=Path, default=RIG, help="rig file")
     parser.add_argument("--patches", type=int, default=50_000, help="about how many patches are visible")

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from contrasts import off
 from numpy.typing import NDArray
+from pieces import leans_of
+from strewn import strew
+from truth_case import MEANS, SEED, SEEN_IN, Case, Point, noisy_levels, trace
 
-from benchmarks._contrast_test import off
-from benchmarks._pieces import leans_of
-from benchmarks._strewn import strew
-from benchmarks._truth_case import MEANS, SEED, SEEN_IN, Case, Point, noisy_levels, trace
 from lightopt.config import CatalogueEntryConfig, PartConfig, RigConfig
 from lightopt.defects import CatalogueEntry, PlacedDefect, mark_surface, radial_place, surface_coordinates
 from lightopt.optimize import flags_of, unroll

@@ -10,7 +10,7 @@ from typing import Any
 
 __all__ = ["BEDS", "Case", "driver_cases", "line_cases", "make_rig", "other_cases", "pulled_cases"]
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 _RIG = """\
 format: lightopt-rig/1

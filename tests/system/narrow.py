@@ -1,6 +1,6 @@
 """Are narrow defects predicted as often as images show them: pits, dents and scratches of a third of a pixel to two.
 
-``python -m benchmarks.narrow [PART.yaml …] [--matt] [--out DIR]``; the sample parts by default, glossy and satin, or
+``python tests/system/narrow.py [PART.yaml …] [--matt] [--out DIR]``; the sample parts by default, glossy and satin, or
 without highlights. Defects of one kind, width and slope are strewn over the part, their pixels rendered with 36 to 256
 rays each and exposed with noise, and a defect counts as shown by an image where one of the pixels that it touches
 passes the plain contrast test. Beside it is what the objective's bits say of the patch at its middle: a wall to one of
@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from contrasts import counted
 from numpy.typing import NDArray
+from strewn import strew
+from touched import touched
+from truth import FINISHES, PARTS, RIG, SEED, SEEN_IN
 
-from benchmarks._contrast_test import counted
-from benchmarks._strewn import strew
-from benchmarks._touched import touched
-from benchmarks.truth import FINISHES, PARTS, RIG, SEED, SEEN_IN
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import CatalogueEntryConfig, PartConfig, RigConfig
 from lightopt.defects import CatalogueEntry, DefectShape, PlacedDefect
@@ -201,7 +201,7 @@ def shares(row: Narrow) -> tuple[str, str]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Compare, print a table, write all rows."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.narrow", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/system/narrow.py", description=__doc__)
     parser.add_argument("parts", nargs="*", type=Path, metavar="PART", default=list(PARTS), help="part files")
     parser.add_argument("--rig", type=Path, default=RIG, help="rig file")
     parser.add_argument(

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from contrasts import counted, predicted
 from numpy.typing import NDArray
+from strewn import strew
+from touched import Touched, touched
+from truth import FINISHES, SEED
 
-from benchmarks._contrast_test import counted, predicted
-from benchmarks._strewn import strew
-from benchmarks._touched import Touched, touched
-from benchmarks.truth import FINISHES, SEED
 from lightopt.config import PartConfig, RigConfig
 from lightopt.defects import PlacedDefect
 from lightopt.optimize import Contrast, Inspection, Trial, unroll

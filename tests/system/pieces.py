@@ -70,7 +70,7 @@ def piece_of(
     pixels, labels
         Column and row of each, shape (n, 2), and index of the defect that it is looked at for, ascending, shape (n,).
     samples, stretch_px
-        As for :func:`benchmarks._touched.touched`.
+        As for :func:`touched.touched`.
     """
     camera, each = view.camera, samples * samples
     inner = (np.arange(samples) + 0.5) / samples

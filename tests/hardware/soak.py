@@ -1,4 +1,4 @@
-"""A long capture on a rig that fails at random: ``python -m benchmarks.soak`` renews a line of docs/reliability.md.
+"""A long capture on a rig that fails at random: ``python tests/hardware/soak.py`` renews a line of docs/reliability.md.
 
 Images are taken with the GigE camera of the virtual bench behind its real driver. At a stated rate each, frames do not
 come, come in part, or have an older time stamp, and replies of the light controller and the stage are lost or spoilt. A
@@ -16,8 +16,9 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks._fault_runs import alike
-from benchmarks.rig_faults import gige_rig
+from fault_runs import alike
+from rig_faults import gige_rig
+
 from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.errors import HardwareError
@@ -26,7 +27,7 @@ from lightopt.virtualbench import BenchProcess
 
 __all__ = ["Soaked", "main", "soak"]
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 BEGIN, END = "<!-- soak: begin -->", "<!-- soak: end -->"
 FAULTS = (
     ("camera", "lost"),
@@ -147,7 +148,7 @@ def _resident() -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Soak and write down what came of it."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/hardware/soak.py", description=__doc__)
     parser.add_argument("--postures", type=int, default=125, help="four images in each")
     parser.add_argument(
         "--rate", type=float, default=0.01, help="chance of each fault at each frame or reply"
@@ -164,7 +165,7 @@ def main(arguments: list[str] | None = None) -> int:
         f"| {found.asked} | {found.there} | {found.asked - found.there} | {found.struck} | {found.retries} "
         f"| {found.stops} | {found.begun_bytes / MIB:.0f} | {found.ended_bytes / MIB:.0f} "
         f"| {found.seconds / 60:.1f} |\n"
-        f"\n`python -m benchmarks.soak --postures {chosen.postures} --rate {chosen.rate:g} --seed {chosen.seed}`."
+        f"\n`python tests/hardware/soak.py --postures {chosen.postures} --rate {chosen.rate:g} --seed {chosen.seed}`."
     )
     print(text)
     page = chosen.page.read_text(encoding="utf-8")

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from touched import Touched
 
-from benchmarks._touched import Touched
 from lightopt.optimize import Contrast, Visibility, flags_of
 from lightopt.scene import Scene
 from lightopt.sensor import expose, image_rng

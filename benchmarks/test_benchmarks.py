@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks import auto, bare, command, peers, rig_faults
+from benchmarks import auto, bare, command, peers
 from benchmarks._case import TOY, case_scene, chrome, resized
+from benchmarks._peer_process import PeerError, PeerProcess
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Table, ratios, rounds
 from benchmarks.run import main
@@ -39,6 +38,7 @@ def test_table_columns_line_up() -> None:
     assert text.splitlines() == ["title", "                s", "  long name     1", "  x          12.5"]
 
 
+@pytest.mark.nightly
 def test_replay_casts_the_rays_of_the_run(scene: Scene) -> None:
     rays = bare.record_rays(scene)
     images = bare.render_from_mesh(scene)
@@ -59,6 +59,7 @@ def test_a_smaller_sensor_sees_the_same(scene: Scene) -> None:
     assert wide.width * wide.pixel_size == pytest.approx(scene.camera.width * scene.camera.pixel_size)
 
 
+@pytest.mark.nightly
 def test_reference_on_a_grid_is_the_render_with_as_many_points(scene: Scene) -> None:
     caster = cast_rays_at(scene)
     column, row = (a.ravel() for a in np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5))
@@ -93,6 +94,7 @@ def test_comparison_counts_unsaturated_pixels_and_saturated_areas() -> None:
     assert math.isnan(auto.compare(levels[:2], against[:2], 255).area)
 
 
+@pytest.mark.nightly
 def test_auto_is_converged_at_the_highlights_of_chrome(scene: Scene) -> None:
     shiny = chrome(scene)
     found = auto.exactness("chrome", shiny, 48, near=False)
@@ -118,13 +120,76 @@ def test_a_peer_with_other_pictures_gets_no_ratio() -> None:
     assert other[-2:] == ("–", "–")
 
 
-def test_numpy_peer_renders_our_pictures(scene: Scene) -> None:
-    there, missing = peers.peers_of(scene)
-    images = {peer.name: peer.images(peer.build()) for peer in there}
+@pytest.mark.nightly
+def test_peers_render_our_pictures() -> None:
+    there, missing = peers.start_peers(TOY)
+    images = {}
+    for peer in there:
+        peer.build(), peer.images()
+        images[peer.name] = peer.levels()
+        peer.close()
     assert {"lightopt", "trimesh.ray + NumPy"} <= set(images)
     assert len(images) + len(missing) == 4
     for theirs in images.values():
         assert peers.agreement(theirs, images["lightopt"]) >= peers.AGREEMENT
+
+
+LLVM_TOO_OLD = """\
+jit_llvm_init(): the located LLVM version (14) is too old. The Dr.Jit LLVM backend requires LLVM 15 or newer …
+ImportError: jit_init_thread_state(): the LLVM backend is inactive because the LLVM shared library could not be found!
+"""
+NO_LLVM = """\
+jitc_llvm_init(): LLVM API initialization failed ..
+ImportError: jit_init_thread_state(): the LLVM backend is inactive because the LLVM shared library could not be found!
+"""
+
+
+@pytest.mark.parametrize(
+    ("said", "end", "words"),
+    [
+        (
+            LLVM_TOO_OLD,
+            "sys.exit(1)",
+            "LLVM 14 is too old: install Debian's package libllvm15 or a later one",
+        ),
+        (NO_LLVM, "sys.exit(1)", "there is no LLVM: install Debian's package libllvm15 or a later one"),
+        ("LLVM ERROR: unsupported", "os.abort()", "there is no LLVM: install Debian's package libllvm15"),
+        (
+            "OSError: libusb-1.0.so.0: cannot open shared object file: No such file or directory",
+            "sys.exit(1)",
+            "it lacks libusb-1.0.so.0: install Debian's package libusb-1.0-0",
+        ),
+        (
+            "ImportError: libGL.so.1: cannot open shared object file: No such file or directory",
+            "sys.exit(1)",
+            "it lacks libGL.so.1: install Debian's package libgl1",
+        ),
+        ("ModuleNotFoundError: No module named 'open3d'", "sys.exit(1)", "open3d is not installed"),
+        ("", "os.abort()", "its process was ended by signal 6"),
+        ("", "sys.exit(3)", "its process ended with status 3"),
+    ],
+)
+def test_a_peer_that_does_not_run_is_one_line_that_says_what_to_install(said, end, words) -> None:
+    program = f"import os, sys; sys.stderr.write({said!r}); sys.stderr.flush(); {end}"
+    with pytest.raises(PeerError, match=r"^other does not run here and is left out: ") as refused:
+        PeerProcess("other", TOY, program=(sys.executable, "-c", program))
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_peer_that_ends_later_on_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def start(size: object) -> tuple[list[PeerProcess], list[str]]:
+        assert size == TOY
+        ends = "import sys; print('1', flush=True); input(); sys.exit('no memory')"
+        return [PeerProcess(name, TOY, program=program(name, ends)) for name in ("lightopt", "other")], []
+
+    def program(name: str, ends: str) -> tuple[str, ...] | None:
+        return (sys.executable, "-c", ends) if name == "other" else None
+
+    monkeypatch.setattr(peers, "start_peers", start)
+    report = peers.run(TOY)
+    assert [row[0] for row in report.tables[0].rows] == ["lightopt"]
+    assert report.notes[-1] == "other does not run here and is left out: no memory"
 
 
 def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
@@ -136,6 +201,7 @@ def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
         command.measure([sys.executable, "-c", "import sys; print('sorry', file=sys.stderr); sys.exit(3)"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name",
     ["bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "inspecting", "capture"],
@@ -161,6 +227,7 @@ def test_unknown_benchmark_is_refused(capsys: pytest.CaptureFixture[str]) -> Non
     assert "no benchmark bear" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_the_overhead_of_a_capture_is_what_its_times_leave() -> None:
     from benchmarks import capture
 
@@ -177,37 +244,7 @@ def test_the_overhead_of_a_capture_is_what_its_times_leave() -> None:
         )
 
 
-def test_the_table_of_faults_counts_every_run() -> None:
-    from benchmarks._fault_cases import Case
-    from benchmarks._fault_runs import Outcome
-    from benchmarks.faults import rows_of, table
-
-    outcomes = [
-        Outcome(Case("a"), True, True, 2, "", "off", ()),
-        Outcome(Case("a"), True, False, 0, "while", "told", ()),
-        Outcome(Case("b"), True, False, 1, "while", "LIT", ("a light burns",)),
-        Outcome(Case("b"), False, True, 0, "", "off", ()),  # never struck: not survived
-    ]
-    lines = table(rows_of(outcomes)).splitlines()
-    assert lines[2:] == [
-        "| a | 2 | 1 | 1 | 1 | 2 | 0 | 0 |",
-        "| b | 1 | 0 | 1 | 0 | 1 | 1 | 1 |",
-        "| **all** | 3 | 1 | 2 | 1 | 3 | 1 | 1 |",
-    ]
-
-
-def test_rows_of_a_table_of_rig_faults_are_renewed_and_summed() -> None:
-    """Rows that did not run stay, those of faults that there are no more go, and the last line counts what is there."""
-    head = "| fault | runs | wrong |\n|---|---:|---:|\n"
-    old = f"{head}| a, once | 2 | 1 |\n| gone | 5 | 5 |\n| c | 1 | 0 |\n| **all** | 8 | 6 |"
-    new = f"{head}| b | 3 | 0 |\n| a, once | 2 | 0 |\n| **all** | 5 | 0 |"
-    kinds = ["a, once", "a, once", "b", "c"]
-    assert rig_faults.renewed(old, new, kinds) == (
-        f"{head}| a, once | 2 | 0 |\n| b | 3 | 0 |\n| c | 1 | 0 |\n| **all** | 6 | 0 |"
-    )
-
-
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
     from benchmarks import inspection
 
@@ -227,7 +264,7 @@ def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFix
     assert sum(line.startswith("| cover-knob | ") for line in lines) == len(inspection.FUSIONS)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_benchmark_of_calibration_counts_good_sets() -> None:
     from benchmarks import calibration
 

@@ -1,0 +1,157 @@
+"""Each peer in a process of its own: a library that is missing, or that ends its process, takes no other peer along.
+
+As a program, ``python -m benchmarks._peer_process NAME SIZE`` reads ``build`` and ``images`` from standard input, one
+a line, does it, and answers each with the seconds that it took; ``save PATH`` writes the images.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks._case import FULL, QUICK, TOY, Size
+
+__all__ = ["PeerError", "PeerProcess", "explain"]
+
+Float32 = NDArray[np.float32]
+
+DEBIAN = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+    "libgomp.so.1": "libgomp1",
+}
+"""Debian package of each library that a peer may lack."""
+
+LLVM = "install Debian's package libllvm15 or a later one, or name its libLLVM.so in DRJIT_LIBLLVM_PATH"
+
+
+class PeerError(Exception):
+    """A peer that does not run here; the message is one line that says what to do."""
+
+
+def explain(said: str, status: int) -> str:
+    """Why a peer does not run and what to install, from its standard error and its exit status."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    missing = re.search(r"(lib[\w.+-]+\.so[.\d]*): cannot open shared object file", said)
+    if "LLVM" in said:
+        old = re.search(r"LLVM version \((\d+)\) is too old", said)
+        return f"LLVM {old[1]} is too old: {LLVM}" if old else f"there is no LLVM: {LLVM}"
+    if missing and missing[1] in DEBIAN:
+        return f"it lacks {missing[1]}: install Debian's package {DEBIAN[missing[1]]}"
+    if missing:
+        return f"it lacks {missing[1]}: install the Debian package that has it (apt-file search {missing[1]})"
+    if module := re.search(r"No module named '([\w.]+)'", said):
+        return f"{module[1]} is not installed: make bench installs it where there is a wheel for this Python"
+    if status < 0:
+        return f"its process was ended by signal {-status}" + (f": {lines[-1]}" if lines else "")
+    return lines[-1] if lines else f"its process ended with status {status}"
+
+
+class PeerProcess:
+    """One peer's process.
+
+    Raises
+    ------
+    PeerError
+        Where it does not start, or ends later on.
+    """
+
+    def __init__(self, name: str, size: Size, *, program: tuple[str, ...] | None = None) -> None:
+        self.name = name
+        self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115
+        own = (sys.executable, "-m", "benchmarks._peer_process", name, size.name)
+        self._process = subprocess.Popen(
+            program or own,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            text=True,
+            encoding="utf-8",
+        )
+        self._answer()
+
+    def build(self) -> float:
+        """Build whatever the mesh needs; the seconds that it took."""
+        return float(self._ask("build"))
+
+    def images(self) -> float:
+        """Make the images of all lights from what was built; the seconds that it took."""
+        return float(self._ask("images"))
+
+    def levels(self) -> list[Float32]:
+        """The images that were made last."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "images.npy"
+            self._ask(f"save {path}")
+            return list(np.load(path))
+
+    def close(self) -> None:
+        """End the process."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._process.wait()
+        self._errors.close()
+
+    def _ask(self, what: str) -> str:
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # of which the missing answer tells
+            self._process.stdin.write(what + "\n")
+            self._process.stdin.flush()
+        return self._answer()
+
+    def _answer(self) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if line.endswith("\n"):
+            return json.loads(line)
+        status = self._process.wait()
+        self._errors.seek(0)
+        reason = explain(self._errors.read(), status)
+        self.close()
+        raise PeerError(f"{self.name} does not run here and is left out: {reason}")
+
+
+def _serve(name: str, size: Size) -> None:
+    # libraries may print: what they print to standard output must not be taken for an answer
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+
+    def answer(found: object) -> None:
+        answers.write(json.dumps(found) + "\n")
+        answers.flush()
+
+    from benchmarks.peers import PEERS
+
+    peer = PEERS[name](size)
+    built: object = None
+    images: list[Float32] = []
+    answer("ready")
+    for line in sys.stdin:
+        what, _, path = line.rstrip("\n").partition(" ")
+        gc.collect()
+        begun = time.perf_counter()
+        if what == "build":
+            built = peer.build()
+        elif what == "images":
+            images = peer.images(built)
+        else:
+            np.save(path, np.stack(images))
+        answer(time.perf_counter() - begun)
+
+
+if __name__ == "__main__":
+    _serve(sys.argv[1], {size.name: size for size in (FULL, QUICK, TOY)}[sys.argv[2]])
