@@ -117,7 +117,7 @@ def _across_outline(pixels: PosturePixels) -> tuple[NDArray[np.int32], NDArray[n
     wide = ndimage.binary_dilation(shows, iterations=reach)
     # the image's border is no outline
     narrow = ndimage.binary_erosion(shows, iterations=reach, border_value=1)
-    index = _some(np.flatnonzero(wide & ~narrow), OUTLINE_PIXELS)
+    index = _some(np.flatnonzero(np.logical_and(wide, np.logical_not(narrow))), OUTLINE_PIXELS)
     row, column = np.unravel_index(index, pixels.shape)
     return row.astype(np.int32), column.astype(np.int32)
 
