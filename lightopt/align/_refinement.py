@@ -118,9 +118,9 @@ def _across_outline(pixels: PosturePixels) -> tuple[NDArray[np.int32], NDArray[n
     shows = np.zeros(pixels.shape, np.bool_)
     shows[pixels.row, pixels.column] = True
     reach = OUTLINE_HALF_WIDTH_PX
-    wide = ndimage.binary_dilation(shows, iterations=reach)
+    wide: Bool = np.asarray(ndimage.binary_dilation(shows, iterations=reach), np.bool_)
     # the image's border is no outline
-    narrow = ndimage.binary_erosion(shows, iterations=reach, border_value=1)
+    narrow: Bool = np.asarray(ndimage.binary_erosion(shows, iterations=reach, border_value=1), np.bool_)
     index = _some(np.flatnonzero(wide & ~narrow), OUTLINE_PIXELS)
     row, column = np.unravel_index(index, pixels.shape)
     return row.astype(np.int32), column.astype(np.int32)
