@@ -24,6 +24,9 @@ Float64 = NDArray[np.float64]
 PIXELS = 6000
 """Pixels per posture that the part is looked for with."""
 
+MOST_LIGHTS = 8
+"""And under so many lights."""
+
 MARGIN_MM = 3.0
 """Pixels up to this far around the part's nominal outline are looked at."""
 
@@ -47,7 +50,7 @@ BLACK_SHARE = 1e-3
 
 
 def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[PixelSet]:
-    """A grid of pixels on and around the part in each posture, under its longest exposure of each light.
+    """A grid of pixels on and around the part in each posture, under the longest exposure of up to eight lights.
 
     Parameters
     ----------
@@ -73,6 +76,7 @@ def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[Pix
         )
         mine = sorted((o for o in observations if o.posture == posture), key=lambda o: o.exposure)
         longest = list({o.light: o for o in mine}.values())
+        longest = longest[:: math.ceil(len(longest) / MOST_LIGHTS)]
         sets.append(PixelSet.look_up(posture, row, column, longest, scene.sensor.black_level))
     return sets
 
@@ -110,35 +114,23 @@ def refuse_useless_images(
             f"{where}: no pixel of the {images} shows a lit surface of the part where its file has it; check the "
             "part's placement, the postures, and where the rig's camera and lights look"
         )
-    lit = [np.any(s, axis=0) for s in shown]
-    if all(bool(p.saturated[:, on].all()) for p, on in zip(sets, lit, strict=True)):
-        shortest = _all_saturated(sets, lit, observations)
-        if shortest:
-            raise InputError(
-                f"{where}: every pixel of the part is saturated in each of {images}: they show nothing; take them with "
-                "a shorter exposure or less light"
-            )
-    sensor = scene.sensor
-    above = CLEAR * math.sqrt(sensor.noise_variance(0.0)) + 0.5
-    share = [float(np.mean(p.levels[:, on] > above)) for p, on in zip(sets, lit, strict=True) if on.any()]
-    if max(share) < BLACK_SHARE:
-        brightest = max(float(p.levels.mean()) for p in sets)
+    lit = {p.posture: np.any(s, axis=0) for p, s in zip(sets, shown, strict=True)}
+    at = {p.posture: (p.row[lit[p.posture]], p.column[lit[p.posture]]) for p in sets}
+    expected = [o for o in observations if o.posture in at]
+    if all(bool(o.saturated[at[o.posture]].all()) for o in expected):
         raise InputError(
-            f"{where}: the {images} are black where the part is expected: {max(brightest, 0.0):.3g} sensor levels "
-            "above the black level on the mean; check the lens cap, that the lights burn, and the exposure"
+            f"{where}: every pixel of the part is saturated in each of {images}: they show nothing; take them with a "
+            "shorter exposure or less light"
         )
-
-
-def _all_saturated(
-    sets: Sequence[PixelSet], lit: Sequence[NDArray[np.bool_]], observations: Sequence[Observation]
-) -> bool:
-    # the other exposures as well
-    return all(
-        bool(o.saturated[p.row[on], p.column[on]].all())
-        for p, on in zip(sets, lit, strict=True)
-        for o in observations
-        if o.posture == p.posture
-    )
+    sensor = scene.sensor
+    above = sensor.black_level + CLEAR * math.sqrt(sensor.noise_variance(0.0)) + 0.5
+    seen = [o.levels[at[o.posture]] for o in expected]
+    if max(float(np.mean(levels > above)) if levels.size else 0.0 for levels in seen) < BLACK_SHARE:
+        mean = float(np.mean([levels.mean() for levels in seen if levels.size])) - sensor.black_level
+        raise InputError(
+            f"{where}: the {images} are black where the part is expected: {max(mean, 0.0):.3g} sensor levels above the "
+            "black level on the mean; check the lens cap, that the lights burn, and the exposure"
+        )
 
 
 def search_placement(

@@ -27,6 +27,9 @@ INNER_PIXELS = 12_000
 OUTLINE_PIXELS = 800
 """Pixels per posture: away from silhouettes and creases, and across silhouettes."""
 
+MOST_ENTRIES = 15_000_000
+"""Entries of the matrix of slopes; with many images fewer pixels of each are looked at."""
+
 OUTLINE_HALF_WIDTH_PX = 2
 OUTLINE_RAYS = 9
 """Rays of a pixel that the outline crosses."""
@@ -85,10 +88,11 @@ def choose_pixels(
     caster = RayCaster(placed.mesh.vertices, placed.mesh.faces)
     inner: list[PixelSet] = []
     edges: list[PixelSet] = []
+    budget = max(200, min(INNER_PIXELS, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 1))))
     for posture in dict.fromkeys(o.posture for o in images):
         mine = [o for o in images if o.posture == posture]
         pixels = trace_pixels(placed, posture, caster, threads=threads)
-        clean = _some(np.flatnonzero(pixels.clean), INNER_PIXELS)
+        clean = _some(np.flatnonzero(pixels.clean), budget)
         if len(clean):
             inner.append(
                 PixelSet.look_up(
@@ -114,10 +118,10 @@ def _across_outline(pixels: PosturePixels) -> tuple[NDArray[np.int32], NDArray[n
     shows = np.zeros(pixels.shape, np.bool_)
     shows[pixels.row, pixels.column] = True
     reach = OUTLINE_HALF_WIDTH_PX
-    wide = ndimage.binary_dilation(shows, iterations=reach)
+    wide: Bool = np.asarray(ndimage.binary_dilation(shows, iterations=reach), np.bool_)
     # the image's border is no outline
-    narrow = ndimage.binary_erosion(shows, iterations=reach, border_value=1)
-    index = _some(np.flatnonzero(np.logical_and(wide, np.logical_not(narrow))), OUTLINE_PIXELS)
+    narrow: Bool = np.asarray(ndimage.binary_erosion(shows, iterations=reach, border_value=1), np.bool_)
+    index = _some(np.flatnonzero(wide & ~narrow), OUTLINE_PIXELS)
     row, column = np.unravel_index(index, pixels.shape)
     return row.astype(np.int32), column.astype(np.int32)
 
