@@ -150,8 +150,8 @@ def newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> F
     """Step of the parameters at `moving`; a damping of 1 halves it, or shortens it more along a ridge."""
     matrix = here.curvature[np.ix_(moving, moving)]
     diagonal = np.maximum(np.diag(matrix), 1e-9)
-    step: Float64 = np.linalg.solve(matrix + np.diag(damping * diagonal), here.gradient[moving])
-    return step
+    step = np.linalg.solve(matrix + np.diag(damping * diagonal), here.gradient[moving])
+    return np.asarray(step, dtype=np.float64)
 
 
 def _promise(here: Evaluation, moving: NDArray[np.intp]) -> float:
