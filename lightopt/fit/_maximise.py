@@ -151,7 +151,7 @@ def newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> F
     matrix = here.curvature[np.ix_(moving, moving)]
     diagonal = np.maximum(np.diag(matrix), 1e-9)
     step = np.linalg.solve(matrix + np.diag(damping * diagonal), here.gradient[moving])
-    return np.asarray(step, np.float64)
+    return np.asarray(step, dtype=np.float64)
 
 
 def _promise(here: Evaluation, moving: NDArray[np.intp]) -> float:

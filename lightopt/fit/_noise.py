@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -72,8 +73,8 @@ def measure_noise(samples: Samples) -> MeasuredNoise:
         The observations.
     """
     typical = image_noise(samples)
-    index, response = window_responses(samples)
-    level = samples.level[index].astype(np.float64)
+    # by the level of the window: that of a pixel alone would be chosen along with its noise
+    index, response, level = window_responses(samples)
     clear = (level > CLEAR_OF_ENDS * typical) & (
         level < samples.sensor.saturated_from - CLEAR_OF_ENDS * typical
     )
@@ -174,12 +175,12 @@ def image_noise(samples: Samples) -> float:
 
     Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle.
     """
-    _, response = window_responses(samples)
+    _, response, _ = window_responses(samples)
     return 1.4826 * float(np.median(np.abs(response))) / 6.0 if len(response) else 0.0
 
 
-def window_responses(samples: Samples) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Observations of lit, unsaturated pixels, and what the window leaves there: 6 times the noise's deviation.
+def window_responses(samples: Samples) -> tuple[NDArray[np.intp], Float64, Float64]:
+    """Observations of lit, unsaturated pixels, what the window leaves there (6 times the noise), and its mean level.
 
     Parameters
     ----------
@@ -192,7 +193,7 @@ def window_responses(samples: Samples) -> tuple[NDArray[np.intp], NDArray[np.flo
     use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
     use &= (samples.diffuse[samples.sample] > 0.0) & (samples.level > 0.0) & ~samples.saturated
     index = np.flatnonzero(use)
-    response = np.zeros(len(index))
+    response, mean = np.zeros(len(index)), np.zeros(len(index))
     order = np.argsort(samples.image[index], kind="stable")
     ends = np.searchsorted(samples.image[index][order], np.arange(len(samples.images) + 1))
     for number, image in enumerate(samples.images):
@@ -203,4 +204,6 @@ def window_responses(samples: Samples) -> tuple[NDArray[np.intp], NDArray[np.flo
             response[here] += factor * level[r + y, c + x]
         for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             response[here] -= 2.0 * level[r + y, c + x]
-    return index, response
+        for y, x in product((-1, 0, 1), (-1, 0, 1)):
+            mean[here] += level[r + y, c + x] / 9.0
+    return index, response, mean
