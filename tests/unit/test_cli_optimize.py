@@ -315,7 +315,7 @@ def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
     assert optimize(three.rig, three.part, three.out, options=options, force=True).reused == 0
     kept = three.out / "posture_0_0" / "matrix.npz"
     with np.load(kept) as arrays:
-        assert set(arrays) == {"key", "areas_mm2"} | {f"light_{k}" for k in range(3)} | {
+        assert set(arrays) == {"key", "areas_mm2", "grazing_mm2"} | {f"light_{k}" for k in range(3)} | {
             f"angles_{k}_deg" for k in range(3)
         }
     kept.write_bytes(kept.read_bytes()[:1000])
