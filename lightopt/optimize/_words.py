@@ -63,11 +63,10 @@ def gap_text(answer: Answer, result: SetResult) -> str:
     if found.gap is None:
         return "-"
     gap = shown_text(found.gap, answer.objective, result)
-    return (
-        ("" if found.complete else "≥ ") + (gap if gap.startswith("<") else f"−{gap}")
-        if found.gap
-        else "equal"
-    )
+    if not found.gap:
+        return "equal"
+    # a gap below the patches' grain is that small whatever is left
+    return gap if gap.startswith("<") else f"{'' if found.complete else '≥ '}−{gap}"
 
 
 def ties_text(answer: Answer) -> str:

@@ -296,7 +296,7 @@ def test_a_limit_is_said_with_its_bound(three, cli):
     row = next(line for line in ran.out.splitlines() if " mm² (" in line)
     assert f"  ≥ {answer['ties']}  ≥ {answer['near_best']['combinations']}  " in re.sub("  +", "  ", row)
     assert answer["near_best"]["at_least"] is True
-    assert "≥ −" in row
+    assert "< 10 mm²  " in row, "the gap is below what so few patches can tell"
 
 
 def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
@@ -315,7 +315,7 @@ def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
     assert optimize(three.rig, three.part, three.out, options=options, force=True).reused == 0
     kept = three.out / "posture_0_0" / "matrix.npz"
     with np.load(kept) as arrays:
-        assert set(arrays) == {"key", "areas_mm2"} | {f"light_{k}" for k in range(3)} | {
+        assert set(arrays) == {"key", "areas_mm2", "grazing_mm2"} | {f"light_{k}" for k in range(3)} | {
             f"angles_{k}_deg" for k in range(3)
         }
     kept.write_bytes(kept.read_bytes()[:1000])
@@ -352,7 +352,7 @@ def test_options_out_of_range(three, cli, arguments, message):
 def sheet():
     """A sheet that stands nearly upright, open: from above it is seen at a grazing angle only."""
     corners = [[0, -10, 0], [1, -10, 20], [1, 10, 20], [0, 10, 0]]
-    return trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
 
 
 SHAPES = {

@@ -105,7 +105,7 @@ def test_large_flat_faces_are_cut_however_fine_the_rest_is(shared_bench, tmp_pat
 
 def test_the_grain_is_the_scatter_of_shares_by_chance(scene):
     table = build_patches(scene, caster=cast_rays_at(scene), budget=3_000)
-    areas = table.patches.areas[table.visible.any(axis=0)]
+    areas = table.patches.areas[table.inspectable_anywhere]
     shares = np.random.default_rng(1).integers(0, 2, (4_000, len(areas))) @ areas / areas.sum()
     assert table.grain == pytest.approx(float(shares.std()), rel=0.05)
 
