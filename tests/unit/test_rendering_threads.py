@@ -47,3 +47,18 @@ def test_nobody_is_stopped_elsewhere():
     run_all([(lambda: (end_if_stopped(), seen.append(1)), ())], threads=1)
     assert seen == [1]
     assert in_threads(lambda start: end_if_stopped() or start, [1, 2, 3], 2) == [1, 2, 3]
+
+
+def test_one_thread_is_one_thread_whatever_is_done(cli, bench, monkeypatch):
+    """With --threads 1 no pool is made, not even to read images."""
+
+    def pool(*_, **__):
+        raise AssertionError("a pool of threads")
+
+    monkeypatch.setattr("lightopt.rendering._threads.ThreadPoolExecutor", pool)
+    few = ("--threads", "1", "-q")
+    images = bench.folder / "images"
+    ran = cli("render", bench.rig, bench.part, "-o", images, "--posture", "0,0", "--patches", "500", *few)
+    assert ran.status == 0, ran.err
+    ran = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.out, *few)
+    assert ran.status == 0, ran.err
