@@ -228,7 +228,7 @@ def test_a_calibration_holds_its_rate_on_other_good_sets_and_finds_defects(cli, 
     ran = inspect(cli, bench, [bad], "--calibration", path, out="bad")
     assert ran.status == 0
     result = found(bench.folder / "bad")
-    assert result["provenance"]["calibration"]["file"] == "calibration.json"
+    assert result["provenance"]["inputs"]["calibration"]["file"] == "calibration.json"
     assert result["provenance"]["options"]["false_alarms"] == RATE
     truth = read_image_set(bad).manifest.extra["defects"][0]
     assert any(math.dist(one["position_mm"], truth["position_mm"]) < 2.0 for one in result["defects"])

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from lightopt.rendering import end_if_stopped, in_threads, run_all
+from lightopt.rendering import _threads, end_if_stopped, in_threads, run_all
 
 
 def endless() -> None:
@@ -47,3 +47,21 @@ def test_nobody_is_stopped_elsewhere():
     run_all([(lambda: (end_if_stopped(), seen.append(1)), ())], threads=1)
     assert seen == [1]
     assert in_threads(lambda start: end_if_stopped() or start, [1, 2, 3], 2) == [1, 2, 3]
+
+
+def test_one_thread_is_one_thread_whatever_is_done(cli, bench, monkeypatch):
+    """With --threads 1 no pool has more, not even the one that reads images."""
+    images = bench.folder / "images"
+    ran = cli("render", bench.rig, bench.part, "-o", images, "--posture", "0,0", "--patches", "500", "-q")
+    assert ran.status == 0, ran.err
+    plain = _threads.ThreadPoolExecutor
+
+    def pool(threads, **options):
+        assert threads == 1
+        return plain(threads, **options)
+
+    monkeypatch.setattr(_threads, "ThreadPoolExecutor", pool)
+    monkeypatch.setattr(_threads, "available_processors", lambda: 2)
+    few = ("--threads", "1", "-q")
+    ran = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.out, *few)
+    assert ran.status == 0, ran.err
