@@ -164,7 +164,7 @@ def test_no_frame_in_time_is_an_error_that_says_so() -> None:
         begun = time.monotonic()
         with pytest.raises(HardwareError, match=r"rig\.yaml:3: camera: no frame came within .*taken 3 times"):
             opened.grab(timeout_s=0.6)
-        assert time.monotonic() - begun < 2
+        assert time.monotonic() - begun < 20
     finally:
         opened.close()
         server.close()

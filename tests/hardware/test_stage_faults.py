@@ -297,7 +297,7 @@ def test_no_reply_at_all(pool: Pool, kind: str) -> None:
     began = time.monotonic()
     with pytest.raises(HardwareError, match=r"no reply after(.|\n)*No move had been sent to it"):
         stage.move_to(TARGET)
-    assert time.monotonic() - began < 3
+    assert time.monotonic() - began < 30
     assert real(pool, kind, name) == pytest.approx(units(kind, START), abs=STEP[kind])
     stage.close()
 
