@@ -20,7 +20,7 @@ from lightopt.fit._highlights import LEAST_R_S, WIDENINGS, diffuse_only
 from lightopt.fit._noise import measure_noise, noise_words
 from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._paper import paper_diffuse, paper_specular
-from lightopt.fit._quality import appraise, poor_fit, words
+from lightopt.fit._quality import appraise, mean_levels, poor_fit, words
 from lightopt.fit._regions import PointsRow, compare_regions
 from lightopt.fit._result import FitResult, FittedValue, below_zero, fitted_dark, fitted_gains, fitted_values
 from lightopt.fit._samples import Samples
@@ -97,7 +97,7 @@ def fit_diffuse(
     )
     dark = fitted_dark(world.scene, found) if options.dark else None
     said += below_zero(dark)
-    noise = measure_noise(samples)
+    noise = measure_noise(samples, mean_levels(samples, found))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     return FitResult(
@@ -219,7 +219,7 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
     exposures = {o.exposure for o in world.observations}
     said = [*unconverged(found, samples.lights), *shifted]
     said += [*words(found, quality, interval, shorter=len(exposures) > 1), *held_r_d(found)]
-    noise = measure_noise(samples)
+    noise = measure_noise(samples, mean_levels(samples, found))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)
