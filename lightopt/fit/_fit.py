@@ -84,7 +84,7 @@ def fit_diffuse(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
     quality = appraise(plain, found)
-    said = [*unconverged(found, samples.lights), *shifted, *poor_fit(found, quality)]
+    said = [*unconverged(found), *shifted, *poor_fit(found, quality)]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
@@ -217,7 +217,7 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in world.observations}
-    said = [*unconverged(found, samples.lights), *shifted]
+    said = [*unconverged(found), *shifted]
     said += [*words(found, quality, interval, shorter=len(exposures) > 1), *held_r_d(found)]
     noise = measure_noise(samples, mean_levels(samples, found))
     if options.write_noise:
