@@ -65,20 +65,13 @@ def refuse_out_of_range(found: Estimate) -> None:
         )
 
 
-def unconverged(found: Estimate, lights: tuple[str, ...]) -> tuple[str, ...]:
-    """What to say where the optimiser did not come to an end.
-
-    Parameters
-    ----------
-    found
-        The fit.
-    lights
-        Names of the scene's lights.
-    """
+def unconverged(found: Estimate) -> tuple[str, ...]:
+    """What to say where the optimiser did not come to an end."""
     said: list[str] = []
     if not found.maximum.converged:
+        lights = found.criterion.samples.lights
         names = [parameter_name(place, lights) for place in found.maximum.unsettled]
-        along = f" along {', '.join(names)}" if lights and names else ""
+        along = f" along {', '.join(names)}" if names else ""
         said.append(
             f"the fit did not converge: after {found.maximum.steps} steps it still improves{along}; its values and "
             "intervals are not those of an optimum. Other images, or fewer parameters that are freed, may help"

@@ -21,7 +21,7 @@ from lightopt.fit._mismatch import refuse_other_images
 from lightopt.fit._noise import measure_noise, noise_words
 from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._paper import paper_diffuse, paper_specular
-from lightopt.fit._quality import appraise, poor_fit, words
+from lightopt.fit._quality import appraise, mean_levels, poor_fit, words
 from lightopt.fit._regions import PointsRow, compare_regions
 from lightopt.fit._result import FitResult, FittedValue, below_zero, fitted_dark, fitted_gains, fitted_values
 from lightopt.fit._samples import Samples
@@ -82,7 +82,7 @@ def fit_diffuse(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
     quality = appraise(plain, found)
-    said = [*world.warnings, *unconverged(found, samples.lights), *poor_fit(found, quality)]
+    said = [*world.warnings, *unconverged(found), *poor_fit(found, quality)]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
@@ -95,7 +95,7 @@ def fit_diffuse(
     )
     dark = fitted_dark(world.scene, found) if options.dark else None
     said += below_zero(dark)
-    noise = measure_noise(samples)
+    noise = measure_noise(samples, mean_levels(samples, found))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     return FitResult(
@@ -213,9 +213,9 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in world.observations}
-    said = [*world.warnings, *unconverged(found, samples.lights)]
+    said = [*world.warnings, *unconverged(found)]
     said += [*words(found, quality, interval, shorter=len(exposures) > 1), *held_r_d(found)]
-    noise = measure_noise(samples)
+    noise = measure_noise(samples, mean_levels(samples, found))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)

@@ -1,10 +1,9 @@
-"""The noise that the images show themselves, whatever the model makes of them."""
+"""The noise that the images show."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -22,10 +21,7 @@ CLEAR_OF_ENDS = 4.0
 """Levels nearer than this many deviations to black or to saturation are clipped, and show less noise than there is."""
 
 TRIM, TRIMMED_VARIANCE = 3.0, 0.97334
-"""Windows beyond this many deviations hold an edge or dust; what is left of a Gaussian's variance within."""
-
-OVERLAP = (70.0 / 36.0) ** 2
-"""Neighbouring windows share pixels: so many of them tell as much as one (sum of squared autocorrelations)."""
+"""Residuals beyond this many deviations are dust; what is left of a Gaussian's variance within."""
 
 SIGNIFICANT = 3.0
 WELL_KNOWN = 0.3
@@ -34,7 +30,7 @@ WELL_KNOWN = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredNoise:
-    """Noise of the camera, from the variance within windows of 3 × 3 px over their level.
+    """Noise of the camera, from the variance of measured minus predicted level over the level.
 
     Attributes
     ----------
@@ -64,32 +60,34 @@ class MeasuredNoise:
         return {**numbers, "hindrance": self.hindrance or None}
 
 
-def measure_noise(samples: Samples) -> MeasuredNoise:
+def measure_noise(samples: Samples, mean: Float64) -> MeasuredNoise:
     """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer).
 
     Parameters
     ----------
     samples
         The observations.
+    mean
+        Levels predicted by a model that describes them, shape (N,).
     """
     typical = image_noise(samples)
-    # by the level of the window: that of a pixel alone would be chosen along with its noise
-    index, response, level = window_responses(samples)
-    clear = (level > CLEAR_OF_ENDS * typical) & (
-        level < samples.sensor.saturated_from - CLEAR_OF_ENDS * typical
+    # by the level that is predicted: that of a pixel itself would be chosen along with its noise
+    clear = (mean > CLEAR_OF_ENDS * typical) & (
+        mean < samples.sensor.saturated_from - CLEAR_OF_ENDS * typical
     )
+    clear &= (samples.diffuse[samples.sample] > 0.0) & ~samples.saturated
     # a mean of N frames has an N-th of the variance
-    frames = samples.facts.frames[samples.image[index]]
-    signal = np.maximum(level - samples.sensor.black_level, 0.0)[clear]
-    response = (response * np.sqrt(frames))[clear] / 6.0
+    frames = samples.facts.frames[samples.image][clear]
+    signal = np.maximum(mean - samples.sensor.black_level, 0.0)[clear]
+    residual = (samples.level[clear] - mean[clear]) * np.sqrt(frames)
     if len(signal) < 2 * LEAST_PER_BIN:
         return MeasuredNoise(hindrance="too few lit pixels that are neither black nor saturated")
     order = np.argsort(signal, kind="stable")
     bins = np.array_split(order, min(LEVEL_BINS, len(order) // LEAST_PER_BIN))
     rounding = float(np.mean(frames)) / 12.0
     at = np.array([float(np.mean(signal[b])) for b in bins])
-    variance = np.array([_variance(response[b]) for b in bins]) - rounding
-    error = (variance + rounding) * np.sqrt(2.0 * OVERLAP / np.array([len(b) for b in bins]))
+    variance = np.array([_variance(residual[b]) for b in bins]) - rounding
+    error = (variance + rounding) * np.sqrt(2.0 / np.array([len(b) for b in bins]))
     if np.median(variance) < rounding:
         return MeasuredNoise(hindrance="the noise is less than that of rounding to whole levels")
     return _photon_transfer(at, variance, error, samples.sensor)
@@ -163,7 +161,7 @@ def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor:
 
 def _variance(values: Float64) -> float:
     # without the tails: edges and dust
-    spread = max(1.4826 * float(np.median(np.abs(values))), 1.0 / 6.0)
+    spread = max(1.4826 * float(np.median(np.abs(values))), 0.2)
     for _ in range(2):
         inside = values[np.abs(values) <= TRIM * spread]
         spread = math.sqrt(float(np.mean(inside**2)) / TRIMMED_VARIANCE)
@@ -175,25 +173,19 @@ def image_noise(samples: Samples) -> float:
 
     Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle.
     """
-    _, response, _ = window_responses(samples)
+    response = _window_responses(samples)
     return 1.4826 * float(np.median(np.abs(response))) / 6.0 if len(response) else 0.0
 
 
-def window_responses(samples: Samples) -> tuple[NDArray[np.intp], Float64, Float64]:
-    """Observations of lit, unsaturated pixels, what the window leaves there (6 times the noise), and its mean level.
-
-    Parameters
-    ----------
-    samples
-        The observations.
-    """
+def _window_responses(samples: Samples) -> Float64:
+    # of the lit, unsaturated pixels: 6 times the noise
     row = np.concatenate([group.row for group in samples.groups])[samples.sample]
     column = np.concatenate([group.column for group in samples.groups])[samples.sample]
     height, width = samples.images[0].levels.shape
     use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
     use &= (samples.diffuse[samples.sample] > 0.0) & (samples.level > 0.0) & ~samples.saturated
     index = np.flatnonzero(use)
-    response, mean = np.zeros(len(index)), np.zeros(len(index))
+    response = np.zeros(len(index))
     order = np.argsort(samples.image[index], kind="stable")
     ends = np.searchsorted(samples.image[index][order], np.arange(len(samples.images) + 1))
     for number, image in enumerate(samples.images):
@@ -204,6 +196,4 @@ def window_responses(samples: Samples) -> tuple[NDArray[np.intp], Float64, Float
             response[here] += factor * level[r + y, c + x]
         for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             response[here] -= 2.0 * level[r + y, c + x]
-        for y, x in product((-1, 0, 1), (-1, 0, 1)):
-            mean[here] += level[r + y, c + x] / 9.0
-    return index, response, mean
+    return response

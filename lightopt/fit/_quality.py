@@ -14,7 +14,7 @@ from lightopt.fit._likelihood import predicted
 from lightopt.fit._noise import image_noise
 from lightopt.fit._samples import Samples
 
-__all__ = ["Quality", "appraise", "poor_fit", "words"]
+__all__ = ["Quality", "appraise", "mean_levels", "poor_fit", "words"]
 
 POOR_EPSILON = 0.02
 POOR_NOISE = 3.0
@@ -92,7 +92,7 @@ class Quality:
 def appraise(samples: Samples, found: Estimate) -> Quality:
     """Compare a fit with the pixels that it was made from."""
     sensor = samples.sensor
-    mean = predicted(samples, samples.specular(found.sigma), found.x)
+    mean = mean_levels(samples, found)
     level = samples.level.astype(np.float64)
     seen = ~samples.saturated & (mean < sensor.saturated_from)
     residual = (level - np.maximum(mean, 0.0))[seen]
@@ -114,6 +114,11 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
         misfit=0.0 if found.lack_of_fit is None else found.lack_of_fit.ratio,
         describes=found.describes,
     )
+
+
+def mean_levels(samples: Samples, found: Estimate) -> NDArray[np.float64]:
+    """Sensor levels, not clipped, that a fit predicts for the observations, shape (N,)."""
+    return predicted(samples, samples.specular(found.sigma), found.x)
 
 
 def words(found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool) -> tuple[str, ...]:

@@ -129,7 +129,7 @@ class FitResult:
     @property
     def converged(self) -> bool:
         """Whether the optimiser found no way to anything better."""
-        return self.estimate is None or not unconverged(self.estimate, ())
+        return self.estimate is None or not unconverged(self.estimate)
 
     @property
     def not_left_out(self) -> tuple[str, ...]:
