@@ -54,9 +54,10 @@ images that say so move them."""
 POSE, R_D, R_S, SIGMA, GAINS = slice(0, 3), 3, 4, 5, 6
 """Parameters: pose, ln R_d, ln R_s, ln σ, ln of each light's gain, dark level [sensor level]."""
 
-_INNER_STEP = 0.05
+_INNER_STEP = 0.5
 _OUTLINE_STEP = 0.7
-"""Differences are taken so far to both sides [px]: rays are few, and an outline must cross some."""
+"""Differences are taken so far to both sides [px]: an outline must cross some rays; and over much less, the facets of a
+round part would seem to determine its turn."""
 
 _SIGMA_STEP = 0.003
 
