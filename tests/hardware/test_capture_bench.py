@@ -164,7 +164,7 @@ def test_a_folder_is_replayed_as_it_was_captured(bed, tmp_path):
 @pytest.fixture
 def light_ms():
     """Long enough for a second command to start, on however busy a machine, while the first has its first light on."""
-    return 20_000
+    return 60_000
 
 
 @pytest.fixture
@@ -196,7 +196,7 @@ def start(rig, part, out, *options):
 
 
 def until_lit(bench: BenchProcess, process):
-    end = time.monotonic() + 60
+    end = time.monotonic() + 600
     while not any(bench.levels("lights").values()):
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end
@@ -210,7 +210,7 @@ def test_lights_go_off_when_the_command_is_told_to_end(outside, tmp_path, name):
     process = start(rig, part, tmp_path / "out")
     until_lit(bench, process)
     process.send_signal(getattr(signal, name))
-    _, errors = process.communicate(timeout=30)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 130
     # a busy machine may make a reply late, which is told
     first, last = (line for line in errors.splitlines() if not line.startswith("warning: "))
@@ -230,7 +230,7 @@ def test_lights_left_on_by_a_killed_command_are_off_before_the_next_moves(outsid
     process.communicate()
     assert any(bench.levels("lights").values())  # nothing helps against kill -9 but the next command
     process = start(rig, part, tmp_path / "out", "--resume")
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 0, errors
     assert not any(bench.levels("lights").values())
 
@@ -242,7 +242,7 @@ def test_a_cable_pulled_is_exit_3_and_says_in_which_step(outside, tmp_path):
     process = start(rig, part, tmp_path / "out")
     until_lit(bench, process)
     bench.unplug("lights")
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 3
     warnings = [line for line in errors.splitlines() if line.startswith("warning: ")]
     assert "device lost" in warnings[-1]  # told as it happens
@@ -257,11 +257,11 @@ def test_a_port_in_use_is_exit_3_and_nothing_moves(outside, tmp_path):
     process = start(rig, part, tmp_path / "out")
     until_lit(bench, process)
     second = start(rig, part, tmp_path / "second")
-    _, errors = second.communicate(timeout=60)
+    _, errors = second.communicate(timeout=600)
     assert second.returncode == 3, errors
     assert "in use by another program" in errors
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    process.communicate(timeout=600)
     assert not any(bench.levels("lights").values())
 
 
@@ -281,7 +281,7 @@ def test_the_serial_log_has_every_byte_up_to_a_kill(outside, tmp_path):
 def test_no_bench_outlives_the_command(bed, tmp_path):
     rig, part = bed[1]["shot"]
     process = start(rig, part, tmp_path / "out")
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 600
     while not (tmp_path / "out" / "manifest.json").exists():
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -289,7 +289,7 @@ def test_no_bench_outlives_the_command(bed, tmp_path):
     process.kill()
     process.communicate()
     if sys.platform == "linux":
-        end = time.monotonic() + 20
+        end = time.monotonic() + 120
         while _children_of_the_dead(str(rig)):
             assert time.monotonic() < end, "the bench's process still runs"
             time.sleep(0.1)

@@ -80,15 +80,28 @@ def errors_by_hand(samples, found):
     return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
 
 
-@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS.keys())
+# one of each in every run; all of them, with two seeds each, in the nightly tier
+SAMPLED = {
+    ("0.8 levels", "one"): (),
+    ("12 bit", "one"): pytest.mark.slow,
+    ("5 levels", "two"): pytest.mark.slow,
+}
+
+
 @pytest.mark.parametrize(
-    "exposures",
-    [pytest.param((1.0,), id="one"), pytest.param((1.0, 1 / 16), id="two", marks=pytest.mark.slow)],
+    ("sensor", "exposures", "seeds"),
+    [
+        pytest.param(SENSORS[name], exposures, seeds, id=f"{name}, {count}, {seeds} seeds", marks=marks)
+        for name in SENSORS
+        for count, exposures in (("one", (1.0,)), ("two", (1.0, 1 / 16)))
+        for seeds, marks in ((1, SAMPLED.get((name, count))), (2, pytest.mark.nightly))
+        if marks is not None
+    ],
 )
-def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures):
+def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
     samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=3000)
     by_hand = errors_by_hand(samples, estimate(samples))
-    for seed in range(2):
+    for seed in range(seeds):
         found = estimate(remeasured(samples, deliver(seed)))
         errors = [found.standard_error(place) for place in TRUTH]
         print("errors over those by hand", np.round(errors / by_hand, 3), "inflation", found.inflation)

@@ -58,11 +58,11 @@ METAL = {"R_d": 12.0, "R_s": 30_000.0, "sigma": 0.03}
     ("part", "reflectance"),
     [
         ("cover-knob.yaml", PREDICTED),
-        pytest.param("spout.yaml", PREDICTED, marks=pytest.mark.slow),
-        pytest.param("cover-knob.yaml", GLOSS, marks=pytest.mark.slow),
+        pytest.param("spout.yaml", PREDICTED, marks=pytest.mark.nightly),
+        pytest.param("cover-knob.yaml", GLOSS, marks=pytest.mark.nightly),
         pytest.param("spout.yaml", GLOSS, marks=pytest.mark.slow),
         pytest.param("cover-knob.yaml", METAL, marks=pytest.mark.slow),
-        pytest.param("spout.yaml", METAL, marks=pytest.mark.slow),
+        pytest.param("spout.yaml", METAL, marks=pytest.mark.nightly),
     ],
 )
 def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(
