@@ -140,15 +140,16 @@ class _Chooser:
             enough = count = max(1, len(rough.cover.steps))
         while count > 1 and self._of_drawn(count - 1).cover.share >= target - DRAWN_MARGIN:
             count -= 1
+        hopeless = 0
         while True:
             now = self._on_all(self._of_drawn(count))
             if now.cover.share < target and len(now.cover.steps) < count:
                 # more than these add nothing on drawn patches, and may on all
                 now = self._on_all(self._of_drawn(count), count)
             short = now.cover.share < target and len(now.cover.steps) == count < most
-            # with so many, not even all postures under these lights
-            hopeless = count >= enough and now.cover.all_reached < target * now.cover.total
-            if not short or hopeless:
+            # with so many, not even all postures under these lights; those of the next number may show more
+            hopeless += count >= enough and now.cover.all_reached < target * now.cover.total
+            if not short or hopeless > 1:
                 return now
             count += 1
 

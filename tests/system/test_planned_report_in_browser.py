@@ -13,6 +13,7 @@ from browsers import Opened, opened
 from PIL import Image
 
 from lightopt.cli._main import run
+from lightopt.optimize import share_text
 from lightopt.report import Page, Table, page_html
 
 LIGHTS = """\
@@ -161,9 +162,10 @@ def test_the_report_of_a_search_for_defects(inspected):
         check_blind_spots(seen, inspected)
         answers = seen.page.locator("p.answer").all_inner_texts()
         shares = [
-            one["objectives"][0]["share_of_inspectable_area"] for one in result_of(inspected)["results"]
+            share_text(one["objectives"][0]["share_of_inspectable_area"], one["grain"])
+            for one in result_of(inspected)["results"]
         ]
-        assert [text.split(" of")[0] for text in answers] == [percent(share) for share in shares]
+        assert [text.split(" of")[0] for text in answers] == shares
         header, *rows = table_under(seen, "Defects")
         first = result_of(inspected)["results"][0]["objectives"][0]
         assert [rows[0][header.index(name)] for name in first["defects"]] == list(
@@ -175,10 +177,10 @@ def test_the_report_of_a_search_for_defects(inspected):
 def test_the_scores_of_several_objectives_are_no_wider_than_the_page(tmp_path):
     lights = ["50°,\u00a045°", "45°,\u00a0135°", "50°,\u00a0225°", "50°,\u00a0315°"]
     names = [*(f"light{k}" for k in range(1, 5)), "detectability", "paper"]
-    first = ["1,338.83\u00a0mm² (66.3\u00a0%)", "4,717,061", "not counted", "not counted", "not counted"]
-    other = ["1,156.74\u00a0mm² (57.3\u00a0%)", "5,994,229", "−166,197", "none", "2,401"]
+    first = ["1,339\u00a0mm² (66.3\u00a0%)", "4,717,061", "23.1 %", *["not counted"] * 4]
+    other = ["1,157\u00a0mm² (57.3\u00a0%)", "5,994,229", "23.1 %", "−166,197", "0", "2,299", "2,401"]
     table = Table(
-        header=["posture", "best for", *names, "runner-up", "ties", "combinations"],
+        header=["posture", "best for", *names, "left out", "runner-up", "ties", "near best", "combinations"],
         rows=[
             ["all 3 postures", "detectability", *lights, *first],
             ["all 3 postures", "paper", *lights, *other],

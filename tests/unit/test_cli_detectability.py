@@ -82,16 +82,23 @@ def test_result_has_scores_kinds_directions_and_blind_spots(planned):
     assert max(p["chosen"]["seen"] for p in spots["postures"]) <= spots["chosen"]["seen"]
     for one, part in zip(result["results"], spots["postures"], strict=True):
         seen = one["objectives"][0]["score"] / (7 * 8) * 1e-6
-        assert part["chosen"]["seen"] * spots["surface_mm2"] == pytest.approx(seen, rel=1e-4)
+        counted = spots["surface_mm2"] * (1.0 - part["chosen"]["left_out_of_surface"])
+        assert part["chosen"]["seen"] * counted == pytest.approx(seen, rel=1e-4)
+        assert part["chosen"]["left_out_of_surface"] > 0.0
 
 
 def test_table_and_surface_say_the_same_in_the_part_files_coordinates(planned):
     spots = result_of(planned.out)["blind_spots"]
     with (planned.out / "blind.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    whole = {r["what"]: float(r["share"]) for r in rows if (r["postures"], r["lights"]) == ("all", "chosen")}
+    own = [r for r in rows if (r["postures"], r["lights"]) == ("all", "chosen")]
+    whole = {r["what"]: float(r["share"]) for r in own if r["share_of"] != "surface"}
+    (left_out,) = (r for r in own if r["share_of"] == "surface")
     assert whole["seen"] == pytest.approx(spots["chosen"]["seen"], abs=1e-6)
     assert sum(whole.values()) == pytest.approx(1.0, abs=1e-5)
+    assert left_out["what"] == "left out: seen at a grazing angle"
+    assert float(left_out["share"]) == pytest.approx(spots["chosen"]["left_out_of_surface"], abs=1e-6)
+    assert sum(float(r["area_mm2"]) for r in own) == pytest.approx(spots["surface_mm2"], rel=1e-4)
     lines, vertices, faces = ply_of(planned.out / "blind.ply")
     assert any("lengths in mm, coordinates of the part's own file" in line for line in lines)
     assert [line for line in lines if line.startswith("comment code 6")] == [
@@ -105,10 +112,11 @@ def test_table_and_surface_say_the_same_in_the_part_files_coordinates(planned):
     a, b, c = (vertices[faces["corners"][:, k]].astype(float) for k in range(3))
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     assert areas.sum() == pytest.approx(spots["surface_mm2"], rel=1e-4)
-    assert (areas * faces["seen"]).sum() / areas.sum() == pytest.approx(whole["seen"], abs=1e-4)
+    counted = areas[faces["code"] != Blind.GRAZING].sum()
+    assert (areas * faces["seen"]).sum() / counted == pytest.approx(whole["seen"], abs=1e-4)
     for code in np.unique(faces["code"]):
-        lost = (areas * (1 - faces["seen"]))[faces["code"] == code].sum() / areas.sum()
-        if code != Blind.SEEN:
+        lost = (areas * (1 - faces["seen"]))[faces["code"] == code].sum() / counted
+        if code not in (Blind.SEEN, Blind.GRAZING):
             assert lost == pytest.approx(whole[blind_text(int(code), LIGHTS)], abs=1e-4)
     assert trimesh.load(planned.out / "blind.ply", process=False).faces.shape == (len(faces), 3)
 
@@ -189,7 +197,10 @@ def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(t
         (("--seen-in", "2"), "--seen-in is of --objective detectability, which was not given"),
         (("--threshold", "2"), "--threshold is of --objective detectability, which was not given"),
         (("--objective", "detectability", "--seen-in", "0"), "--seen-in: expected the number of images"),
-        (("--objective", "detectability", "--seen-in", "4"), "seen in 4 images, and there are 3 lights only"),
+        (
+            ("--objective", "detectability", "--seen-in", "4"),
+            "seen in 4 images, and the rig has 3 lights only",
+        ),
         (("--objective", "detectability", "--threshold", "0"), "--threshold: expected a number above 0"),
         (("--objective", "detectability", "--threshold", "nan"), "--threshold: expected a number above 0"),
     ],

@@ -13,6 +13,7 @@ from lightopt.cli._main import run
 from lightopt.cli._plan_tables import show_plan
 from lightopt.config import load_part, load_rig
 from lightopt.images import read_image_set
+from lightopt.optimize import share_text
 from lightopt.plan import Brackets, PlanResult, Shot
 from lightopt.transforms import Posture
 
@@ -152,7 +153,7 @@ def test_there_is_one_share_of_the_plan_and_it_is_said_of_what(planned):
     # entries of the catalogue weigh the same
     assert first["share_of_inspectable_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
     page = (planned.out / "report.html").read_text(encoding="utf-8")
-    assert f"({100.0 * chosen['share']:.1f} %)" in page
+    assert f"({share_text(chosen['share'], result['results'][0]['grain'])})" in page
 
 
 def test_other_objectives_are_searched_in_the_chosen_postures(planned):

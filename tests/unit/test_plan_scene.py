@@ -40,7 +40,7 @@ from lightopt.plan import _places as placing
 from lightopt.plan import _turns as turning
 from lightopt.plan._looked import looked_at
 from lightopt.plan._unreached import unreached
-from lightopt.rendering import build_patches, cast_rays_at, visible_points
+from lightopt.rendering import build_patches, cast_rays_at, sight_of
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
 from lightopt.transforms import Posture
 
@@ -81,14 +81,20 @@ def drawn_few(survey):
     return replace(survey, table=drawn_patches(survey.table, 300))
 
 
-def pairs_of(survey, posture, panels, *, exposure=1.0):
-    """Plain flags (image, patch of the part, trial) of one image per panel, however the part lies."""
-    view = view_from_part(survey.scene, posture)
+def table_at(survey, posture):
+    """The patches that count in some posture, as the camera sees them in another one."""
     patches = survey.table.patches
     facets = face_normals(survey.scene.mesh)[patches.face]
-    visible = visible_points(patches.centroids, facets, view, survey.caster)
-    visible &= survey.table.visible.any(axis=0)
-    table = replace(survey.table, postures=(posture,), visible=visible[None])
+    view = view_from_part(survey.scene, posture)
+    visible, grazing = sight_of(patches.centroids, patches.normals, facets, view, survey.caster)
+    visible &= survey.table.inspectable_anywhere
+    return replace(survey.table, postures=(posture,), visible=visible[None], grazing=grazing[None])
+
+
+def pairs_of(survey, posture, panels, *, exposure=1.0):
+    """Plain flags (image, patch of the part, trial) of one image per panel, however the part lies."""
+    patches = survey.table.patches
+    table = table_at(survey, posture)
     seen = (
         replace(survey, table=table)
         .matrices(posture, [[p] for p in panels], exposures=(exposure,))[0]
@@ -143,8 +149,8 @@ def test_drawn_patches_stand_for_all_by_their_area(world):
     _, survey = world
     whole = build_patches(survey.scene, caster=survey.caster, budget=3000)
     drawn = drawn_patches(whole, 200)
-    seen = whole.visible.any(axis=0)
-    left = drawn.visible.any(axis=0)
+    seen = whole.inspectable_anywhere
+    left = drawn.inspectable_anywhere
     assert 100 < left.sum() <= 200
     assert not (left & ~seen).any()
     assert drawn.patches.areas[left].sum() == pytest.approx(whole.patches.areas[seen].sum())
@@ -207,12 +213,7 @@ def test_tolerances_of_coverage_are_those_of_recounting_every_corner(world):
         total = 0
         for posture in postures:
             there = Posture(posture.elevation_deg + pose[0], posture.rotation_deg + pose[1])
-            facets = face_normals(survey.scene.mesh)[survey.table.patches.face]
-            visible = visible_points(
-                survey.table.patches.centroids, facets, view_from_part(survey.scene, there), survey.caster
-            )
-            visible &= survey.table.visible.any(axis=0)
-            table = replace(survey.table, postures=(there,), visible=visible[None])
+            table = table_at(survey, there)
             matrix = luminance_matrix(survey.scene, table, there, panels, caster=survey.caster)
             levels = np.stack([layer[0] for layer in matrix.levels])
             usable = (levels >= 10) & (levels < 255)
@@ -359,7 +360,7 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
 
     free = looks()
     # room for three places of the five that each light has, at three exposures
-    room = 3 * matrix_bytes(survey.scene, int(survey.table.visible[0].sum()), 3, survey.inspection)
+    room = 3 * matrix_bytes(survey.scene, len(survey.table.inspectable(POSTURES[0])), 3, survey.inspection)
     monkeypatch.setattr("lightopt.plan._survey.MOST_BYTES", room)
     monkeypatch.setitem(luminance_matrices.__kwdefaults__, "most_bytes", room)
     with pytest.raises(InputError, match="there is room for"):
@@ -376,7 +377,7 @@ def test_a_target_that_drawn_patches_fall_short_of_is_counted_on_all(world, move
     # drawn ones that one posture shows all of that any shows, and that is little
     weights = survey.table.patches.areas
     shown = np.array([pairs_of(survey, posture, lights).any(axis=0).sum(axis=1) for posture in POSTURES])
-    seen = survey.table.visible.any(axis=0)
+    seen = survey.table.inspectable_anywhere
     poor = np.flatnonzero(seen & (shown.max(axis=0) == shown[0]))
     poor = poor[np.argsort(shown[0][poor], kind="stable")][:3]
     visible = np.zeros_like(survey.table.visible)
@@ -536,7 +537,7 @@ def test_more_starts_are_never_worse_than_the_lights_as_they_stand_alone(world, 
     rig, survey = world
     wanted = Wanted(count=count)
     candidates = find_candidates(rig, step_deg=5.0)
-    turns = turning.Turns(survey, POSTURES, candidates, least=1, where="all patches", tell=None)
+    turns = turning.Turns(survey, POSTURES, candidates, least=1, where="all patches", prove=True, tell=None)
     alone = turns.settled(turns.begin(build_lights(rig), None, wanted), 6, wanted)
     found = choose_postures(survey, survey, POSTURES, build_lights(rig), candidates, wanted)
     assert found.starts > 1
