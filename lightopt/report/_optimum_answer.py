@@ -85,7 +85,7 @@ def scores_table(draft: Draft) -> Table:
     )
 
 
-COUNTS = ("left out", "runner-up", "ties", "near best", "combinations")
+COUNTS = ("left out", "runner-up", "ties / near best", "combinations")
 """Columns beside the scores."""
 
 
@@ -212,8 +212,7 @@ def _scores(draft: Draft, result: SetResult, answer: Best, names: list[str]) -> 
         *(_unbroken(score_text(answer.scores[name], objectives[name], result)) for name in names),
         left_out_text(result),
         _unbroken(gap_text(answer, result)),
-        ties_text(answer),
-        near_text(answer),
+        ties_text(answer) if answer.proven_of is not None else f"{ties_text(answer)} / {near_text(answer)}",
         looked_text(answer),
     ]
 
