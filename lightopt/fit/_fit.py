@@ -95,7 +95,7 @@ def fit_diffuse(
     )
     dark = fitted_dark(world.scene, found) if options.dark else None
     said += below_zero(dark)
-    noise = measure_noise(samples, mean_levels(samples, found))
+    noise = measure_noise(plain, mean_levels(plain, found))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     return FitResult(

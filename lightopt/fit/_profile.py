@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._criterion import LOG_SIGMA, R_D
+from lightopt.fit._criterion import R_D
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._maximise import maximise
+from lightopt.fit._maximise import bounds, maximise
 
 __all__ = ["fall", "profile_interval"]
 
@@ -43,18 +43,14 @@ def _end(estimate: Estimate, place: int, sign: float) -> float:
     i = estimate.free.index(place)
     target = estimate.critical * float(estimate.inflation[i])
     expected = math.sqrt(target * float(estimate.covariance[i, i]))
-    if place == LOG_SIGMA:
-        edge = estimate.criterion.sigma_range[0 if sign < 0.0 else 1]
-        if math.isfinite(edge) and fall(estimate, place, edge) < target:
-            return sign * math.inf
     # distances from the maximum at which the likelihood has fallen too little and too much
-    short, far = 0.0, math.inf
+    short, far, bounded = 0.0, math.inf, False
     distance = expected
     for _ in range(ROUNDS):
         if place == R_D and sign < 0.0 and best - distance <= 0.0:
             if best <= 0.0 or fall(estimate, place, 0.0) <= target:
                 return 0.0
-            far = min(far, best)
+            far, bounded = min(far, best), True
             distance = 0.5 * (short + far)
             continue
         drop = fall(estimate, place, best + sign * distance)
@@ -63,14 +59,15 @@ def _end(estimate: Estimate, place: int, sign: float) -> float:
         if drop < target:
             short = distance
         else:
-            far = distance
+            # beyond the values that a parameter may have the criterion falls without end, which bounds nothing
+            far, bounded = distance, bounded or math.isfinite(drop)
         # a parabola through the maximum and here, unless that leaves what is known to hold the end
         distance *= min(max(math.sqrt(target / drop), 0.3), 3.0) if drop > 0.0 else 2.0
         if not short < distance < far:
             distance = 0.5 * (short + far) if math.isfinite(far) else 2.0 * short
         if short > FARTHEST * expected:
             return sign * math.inf
-    return best + sign * 0.5 * (short + far) if math.isfinite(far) else sign * math.inf
+    return best + sign * 0.5 * (short + far) if bounded else sign * math.inf
 
 
 def fall(estimate: Estimate, place: int, at: float) -> float:
@@ -83,11 +80,11 @@ def fall(estimate: Estimate, place: int, at: float) -> float:
     place
         Of a parameter that was fitted.
     at
-        In its own coordinate; beyond the σ that the criterion knows, it falls without end.
+        In its own coordinate; beyond the values that it may have, infinite.
     """
     criterion = estimate.criterion
-    low, high = criterion.sigma_range
-    if place == LOG_SIGMA and not low <= at <= high:
+    low, high = bounds(criterion)
+    if not low[place] <= at <= high[place]:
         return math.inf
     column = estimate.covariance[:, estimate.free.index(place)]
     variance = float(column[estimate.free.index(place)])

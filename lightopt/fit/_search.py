@@ -55,6 +55,9 @@ CLOSE_CALL = 20.0
 
 MOST_RESTARTS = 3
 
+UNDETERMINED = 1e3
+"""Standard error of a parameter that least squares do not feel, such as the σ of a lobe without light."""
+
 SETTLED = 0.1
 """Least squares have converged where no parameter has a step left of more than this share of its standard error."""
 
@@ -253,12 +256,13 @@ def _by_least_squares(
     best, criterion = squares.best, squares.criterion
     plain = tuple(free[:-2])
     scatter = leave_groups_out(criterion, best.x, plain)
+    spread = np.sqrt(np.diag(scatter.covariance))
     # no less than that of independent pixels, which the scatter of few groups may be by chance
-    newton = np.linalg.pinv(best.evaluation.curvature[np.ix_(plain, plain)], hermitian=True)
-    errors = np.sqrt(np.maximum(np.diag(scatter.covariance), np.diag(newton)))
-    scale = errors / np.sqrt(np.maximum(np.diag(scatter.covariance), 1e-300))
-    covariance = scatter.covariance * np.outer(scale, scale)
-    np.fill_diagonal(covariance, errors**2)
+    alone = np.sqrt(1.0 / np.maximum(np.diag(best.evaluation.curvature)[list(plain)], 1e-300))
+    errors = np.clip(np.maximum(spread, alone), 0.0, UNDETERMINED)
+    correlation = scatter.covariance / np.outer(np.maximum(spread, 1e-100), np.maximum(spread, 1e-100))
+    np.fill_diagonal(correlation, 1.0)
+    covariance = correlation * np.outer(errors, errors)
     if not best.converged:
         # a clipped level bends the criterion at single pixels: what counts is the step that is left, in standard errors
         moving = np.array([place for place in plain if place != R_D or best.x[R_D] > 0.0])
@@ -285,13 +289,11 @@ def _by_least_squares(
         scatter=f"{scatter.groups} {scatter.of}",
     )
     # a standard error is where the criterion has fallen by this: 1 for a model that is right
-    drops = np.array(
-        [
-            0.5 * sum(fall(found, place, best.x[place] + sign * error) for sign in (-1.0, 1.0))
-            for place, error in zip(plain, errors, strict=True)
-        ]
-    )
-    inflation = np.where(np.isfinite(drops) & (drops > 0.0), drops, 1.0)
+    inflation = np.ones(len(plain))
+    for i, (place, error) in enumerate(zip(plain, errors, strict=True)):
+        drops = [fall(found, place, best.x[place] + sign * error) for sign in (-1.0, 1.0)]
+        drops = [drop for drop in drops if 0.0 < drop < math.inf]
+        inflation[i] = np.mean(drops) if drops else 1.0
     root = np.sqrt(inflation)
     return replace(found, covariance=covariance / np.outer(root, root), inflation=inflation)
 

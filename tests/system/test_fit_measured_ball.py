@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 import pytest
-from measured_like import Ball, Surface, hemisphere
+from measured_ball import Ball, Surface, hemisphere
 
 from lightopt import build_scene
 from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, collect_samples, estimate, profile_interval
