@@ -203,9 +203,18 @@ class _DiskCache(NullCache):
 
     def _path(self, arguments: tuple[Any, ...]) -> Path:
         codegen = self._compiled.targetctx.codegen()
-        key = f"{fingerprint(self._compiled)} {_type_names(arguments)} {codegen.magic_tuple()}"
+        options = sorted((name, repr(value)) for name, value in self._compiled.targetoptions.items())
+        key = f"{fingerprint(self._compiled)} {_type_names(arguments)} {codegen.magic_tuple()} {options} {_settings()}"
         name = re.sub(r"\W", "", self._compiled.py_func.__name__)
         return cache_folder() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.kernel"
+
+
+def _settings() -> list[tuple[str, str]]:
+    """What the environment tells numba's compiler, such as to check bounds."""
+    other = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
+    return sorted(
+        (name, value) for name, value in os.environ.items() if name.startswith("NUMBA_") and name not in other
+    )
 
 
 def _type_names(arguments: tuple[Any, ...]) -> str:

@@ -88,7 +88,7 @@ def refuse_other_images(
     if not quality.poor:
         return
     if world.registration is None:
-        shift = find_displacement(world, samples, found, quality, threads=threads)
+        shift = find_displacement(world, samples, quality, threads=threads)
         if shift is not None and shift.explains > LEAST_EXPLAINED:
             raise InputError(
                 "the images do not look like this part where its file has it: with the part shifted by "
@@ -111,12 +111,7 @@ def refuse_other_images(
 
 
 def find_displacement(
-    world: World,
-    samples: Samples,
-    found: Estimate,
-    quality: Quality,
-    *,
-    threads: int | None = None,
+    world: World, samples: Samples, quality: Quality, *, threads: int | None = None
 ) -> Displacement | None:
     """Where else the part may lie, and how much of the residual that explains; None where the images do not tell.
 
@@ -137,10 +132,12 @@ def find_displacement(
     there = collect_samples(
         moved, world.observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads
     )
-    again = estimate(there, threads=threads)
+    # the same fit at both places: what another reflectance explains is not blamed on the place
+    here = thinned(samples, BUDGET)
     noise = quality.floor**2
-    before = _misfit(thinned(samples, BUDGET), found, threads) - noise
-    after = _misfit(there, again, threads) - noise
+    before, after = (
+        _misfit(some, estimate(some, threads=threads), threads) - noise for some in (here, there)
+    )
     explains = 1.0 - after / before if before > 0.0 else 0.0
     return Displacement(pixels=pixels, mm=mm, turn=abs(float(turn)), explains=min(explains, 1.0))
 

@@ -58,6 +58,9 @@ MOST_RESTARTS = 3
 UNDETERMINED = 1e3
 """Standard error of a parameter that least squares do not feel, such as the σ of a lobe without light."""
 
+ERROR_STEPS = (1.0, 0.3, 0.1)
+"""How far from the best the fall of the criterion is looked at [standard errors]; the first that is within range."""
+
 SETTLED = 0.1
 """Least squares have converged where no parameter has a step left of more than this share of its standard error."""
 
@@ -291,9 +294,15 @@ def _by_least_squares(
     # a standard error is where the criterion has fallen by this: 1 for a model that is right
     inflation = np.ones(len(plain))
     for i, (place, error) in enumerate(zip(plain, errors, strict=True)):
-        drops = [fall(found, place, best.x[place] + sign * error) for sign in (-1.0, 1.0)]
-        drops = [drop for drop in drops if 0.0 < drop < math.inf]
-        inflation[i] = np.mean(drops) if drops else 1.0
+        for step in ERROR_STEPS:
+            # where one error away is out of range, nearer: the criterion falls like a parabola
+            drops = [
+                fall(found, place, best.x[place] + sign * step * error) / step**2 for sign in (-1.0, 1.0)
+            ]
+            drops = [drop for drop in drops if 0.0 < drop < math.inf]
+            if drops:
+                inflation[i] = np.mean(drops)
+                break
     root = np.sqrt(inflation)
     return replace(found, covariance=covariance / np.outer(root, root), inflation=inflation)
 
@@ -350,6 +359,9 @@ def _by_likelihood(
         final = _final(samples, _climb(few, better, free, USUAL_TABLE, threads), threads, start=better)
         found = _of_likelihood(final, ())
         scan, better = _profile_on_samples(samples, few, profile, final, threads)
+    if better is not None:  # there is something better still: said, and not passed for the best
+        found = replace(found, maximum=replace(found.maximum, converged=False))
+        scan = _scan_points(profile, None)
     report("refining", 1.0)
     return replace(
         found,

@@ -177,7 +177,8 @@ class Manifest:
     @property
     def options(self) -> Mapping[str, Any]:
         """What the run was asked for, as far as it changes the images."""
-        options = self.provenance.get("options")
+        # sets that were written before there was a provenance have them at the top
+        options = self.provenance.get("options", self.extra.get("options"))
         return options if isinstance(options, Mapping) else {}
 
     @property

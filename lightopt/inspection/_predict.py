@@ -99,7 +99,8 @@ def predict(
     clean[pixels.row, pixels.column] = pixels.clean
     grazing = np.zeros(pixels.shape, np.bool_)
     facing = np.einsum("ij,ij->i", pixels.surface.normals, pixels.surface.views)
-    grazing[pixels.row, pixels.column] = facing < GRAZING_COSINE
+    # back faces are no grazing views: they are black, and counted
+    grazing[pixels.row, pixels.column] = pixels.surface.front & (facing < GRAZING_COSINE)
     cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
     area = np.zeros(pixels.shape, np.float32)
     view = view_from_part(scene, posture).camera

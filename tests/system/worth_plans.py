@@ -23,7 +23,6 @@ from lightopt.plan import (
     posture_grid,
     usable_postures,
 )
-from lightopt.rendering import cast_rays_at
 from lightopt.scene import PanelLight, build_lights
 from lightopt.transforms import Posture
 
@@ -43,7 +42,7 @@ def plans(
     scene = build_scene(rig, part, defects=False)
     grid = replace(scene, postures=posture_grid(rig, part, step_deg=POSTURE_STEP))
     places = tuple(panel for some in candidates.panels for panel in some)
-    usable, _ = usable_postures(grid, places, cast_rays_at(scene))
+    usable, _ = usable_postures(grid, places)
     looked = look_at(rig, part, replace(scene, postures=usable), patches=patches, defects=defects)
     looked = finished(looked, finish)
     own = tuple(posture for posture in scene.postures if posture in usable)[:POSTURES]

@@ -65,7 +65,7 @@ def sets(
 def _best_sets(looked: Looked, rig: RigConfig, part: PartConfig, finish: str, step: float) -> Iterator[Row]:
     survey = looked.survey
     scene, posture = survey.scene, survey.scene.postures[0]
-    candidates = find_candidates(rig, step_deg=step, scene=scene, caster=survey.caster)
+    candidates = find_candidates(rig, step_deg=step, scene=scene)
     matrix = luminance_matrix(
         scene, survey.table, posture, candidates.panels, caster=survey.caster, inspection=survey.inspection
     )
