@@ -39,6 +39,9 @@ Float64 = NDArray[np.float64]
 STAGES = 4
 """Pixels are chosen anew where the part moved, so many times at most."""
 
+STAGE_ITERATIONS = 15
+"""Steps of each: images that show this part take about ten, others never settle."""
+
 SETTLED_PX = 0.5
 """A part that moved by less than this keeps its pixels."""
 
@@ -167,7 +170,7 @@ def refine_placement(
             scene, observations, frame.placement(x[POSE]), outline=outline, threads=threads
         )
         problem = Refinement(scene, frame, inner, edges, x, caster=caster, threads=threads)
-        solution = solve(problem, x, limits)
+        solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
         moved = frame.distance_px(frame.placement(x[POSE]), frame.placement(solution.x[POSE]))
         if progress is not None:
