@@ -36,6 +36,10 @@ NO_DESCENT_PROMISE = 0.05
 """And where no step lowers the cost, when it promised less than this: a step of 0.3 standard errors."""
 
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e5
+RELEASED = 2.0
+"""A direction that is held at nominal is let go again where the residuals tell this many times what they must. At the
+start, where the spread is still that of a misfit, they tell less than they do in the end."""
+
 WILD = 10.0
 """A pixel that a trial step leaves without a prediction counts as a residual of this many spreads."""
 
@@ -216,7 +220,7 @@ def solve(
     Parameters
     ----------
     problem
-        Rows without a finite residual at the start, or without finite slopes, do not count.
+        Rows without a finite residual at the start do not count; those without finite slopes pull nowhere.
     start
         Shape (K,).
     limits
@@ -271,7 +275,7 @@ class _Solver:
                 self._spread = spread
                 here = self._point(here.x)
             if self._hold(here):
-                before = self._at_nominal(before)
+                before = self._at_nominal(start)
                 here = self._point(self._at_nominal(here.x))
                 done = False
             if done:
@@ -359,17 +363,20 @@ class _Solver:
         return normal, pull
 
     def _hold(self, here: _Point) -> bool:
-        # keep the directions at nominal that the residuals do not determine; whether there are new ones
+        # keep the directions at nominal that the residuals do not determine, release those that they do; whether their
+        # number is another
         of = self._of_interest
         if not len(of):
             return False
         normal, _ = self._normal(here, self._slopes(here.x))
         values, vectors = np.linalg.eigh(self._information(normal))
-        held = np.zeros((int(np.sum(values < 1.0)), self._size))
-        held[:, of] = vectors[:, values < 1.0].T
-        if len(held) <= len(self._held):
+        unknown, before = values < 1.0, len(self._held)
+        if np.sum(unknown) < before:
+            unknown = values < RELEASED
+        if np.sum(unknown) == before:
             return False
-        self._held = held
+        self._held = np.zeros((int(np.sum(unknown)), self._size))
+        self._held[:, of] = vectors[:, unknown].T
         return True
 
     def _information(self, normal: Float64) -> Float64:
@@ -465,9 +472,10 @@ class _Solver:
             covariance = root @ back @ ((basis.T @ middle @ basis) / np.outer(scale, scale)) @ back @ root.T
         if len(self._held):
             of, res = self._of_interest, self._in_resolution()
-            values, vectors = np.linalg.eigh(self._information(normal))
-            low = values < 1.0
-            spread = vectors[:, low] / np.maximum(values[low], _TINY) @ vectors[:, low].T
+            held = self._held[:, of]
+            told = np.linalg.eigh(held @ self._information(normal) @ held.T)
+            rows = told.eigenvectors.T @ held
+            spread = rows.T / np.maximum(told.eigenvalues, _TINY) @ rows
             covariance[np.ix_(of, of)] += spread * np.outer(res[of], res[of])
         return 0.5 * (covariance + covariance.T)
 

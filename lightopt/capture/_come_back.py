@@ -159,9 +159,10 @@ def came_back(
         nominal=np.zeros(4),
         reach=reach,
         step=reach,
-        prior=np.full(4, np.inf),
-        # an angle that could be UNSEEN_DEG off stays 0
-        resolution=np.array([UNSEEN_DEG / CERTAIN, UNSEEN_DEG / CERTAIN, np.inf, np.inf]),
+        # all but nothing, and an error of MOST_DEG for an angle that changes no cell
+        prior=np.array([MOST_DEG, MOST_DEG, np.inf, np.inf]),
+        # nothing is held at 0: errors say what is seen, and they come from the scatter, not from the bound
+        resolution=np.full(4, np.inf),
     )
     found = solve(
         linear_problem(columns / unit, (after - before)[usable] / unit, weight),

@@ -65,6 +65,7 @@ def curved(rng, rows=400, outliers=0.0):
 def sound(found, limits, problem=None):
     assert np.isfinite(found.x).all()
     assert np.isfinite(found.errors).all()
+    assert np.all(found.errors > 0.0)
     assert np.isfinite(found.covariance).all()
     assert np.isfinite([found.cost_before, found.cost_after, found.spread]).all()
     assert found.cost_after <= found.cost_before
@@ -111,6 +112,32 @@ def test_what_nothing_determines_stays_nominal():
     assert found.x == pytest.approx([0.5, 0.5, -0.2], abs=0.02)
     assert found.errors[0] == pytest.approx(5.0)  # the greatest that is possible
     assert found.errors[2] < 0.01
+
+
+@pytest.mark.parametrize("away", [0.0, 4.0])
+def test_a_direction_is_let_go_once_the_misfit_of_the_start_is_gone(away):
+    """Far from the optimum the residuals scatter so much that they seem to tell nothing about the third parameter."""
+    rng = np.random.default_rng(5)
+    truth = np.array([0.4, -0.7, 2.0])
+    a = rng.normal(size=(400, 3)) * np.array([30.0, 30.0, 0.4])
+    problem = linear_problem(a, a @ truth + rng.normal(size=400))
+    found = solve(problem, np.array([away, -away, 0.0]), FREE)
+    sound(found, FREE)
+    assert found.converged
+    assert found.determined
+    assert found.errors[2] == pytest.approx(1.0 / (0.4 * np.sqrt(400)), rel=0.3)
+    assert np.all(np.abs(found.x - truth) < 4.0 * found.errors)
+
+
+def test_what_is_barely_determined_has_the_error_that_it_has():
+    """Whether it is held at nominal or not: never one of nothing."""
+    rng = np.random.default_rng(6)
+    for told in (0.5, 0.9, 1.1, 1.5, 1.9, 2.1):
+        size = np.sqrt(told / (400 * 0.5**2))
+        a = rng.normal(size=(400, 3)) * np.array([30.0, 30.0, size])
+        found = solve(linear_problem(a, rng.normal(size=400)), np.array([3.0, -3.0, 0.0]), FREE)
+        sound(found, FREE)
+        assert found.errors[2] == pytest.approx(0.5 / np.sqrt(told), rel=0.4)
 
 
 def test_an_optimum_out_of_reach_is_the_limit():

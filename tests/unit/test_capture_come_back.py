@@ -23,11 +23,17 @@ POSTURE = Posture(0.0, 0.0)
 FIXTURE = Placement(x=0.5, y=-0.3, turn=np.radians(0.5))
 
 
-def scene_of(part: str) -> Scene:
-    """The sample, seen by one light with 1/4 of the pixels each way."""
+def scene_of(part: str, shrunk: int = 4) -> Scene:
+    """The sample, seen by one light with 1/4 of the pixels each way, or fewer."""
     rig = load_rig(CONFIGS / "rigs" / "four-panel.yaml")
     scene = build_scene(rig, load_part(CONFIGS / "parts" / part), postures=[POSTURE])
-    camera = replace(scene.camera, width=400, height=300, pixel_size=4 * scene.camera.pixel_size)
+    camera = scene.camera
+    camera = replace(
+        camera,
+        width=camera.width // shrunk,
+        height=camera.height // shrunk,
+        pixel_size=shrunk * camera.pixel_size,
+    )
     return replace(scene, camera=camera, lights=scene.lights[:1])
 
 
@@ -81,6 +87,22 @@ def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(
         assert found.off is not None
         assert (found.tilt_deg, found.turn_deg) == pytest.approx((tilt, turn), abs=0.7)
         assert ("elevation" if tilt else "rotation") in found.off
+
+
+def test_a_third_of_a_degree_is_told_in_a_small_image_or_said_to_be_unseen() -> None:
+    """100 × 75 pixels: the errors are those of the scatter, not of how much a cell may pull."""
+    scene = scene_of("cover-knob.yaml", shrunk=16)
+    same, found = looked_again(scene, scene, 0.0, 0.0), looked_again(scene, scene, 0.3, 0.0)
+    assert same is not None
+    assert found is not None
+    assert (same.off, same.unseen) == (None, "")
+    assert found.off is not None
+    assert found.off.startswith("its elevation by roughly +")
+    assert "rotation" not in found.off
+    world = replace(scene, reflectance=replace(scene.reflectance, **METAL))
+    dim = looked_again(scene, world, 0.3, 0.0)
+    assert dim is not None
+    assert (dim.off, dim.unseen) == (None, "elevation and rotation")
 
 
 def test_what_cannot_be_seen_is_said_to_be_so() -> None:
