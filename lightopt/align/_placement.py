@@ -26,7 +26,8 @@ class Placement:
     errors
         Standard errors of the three, in the same order; 0 where not known.
     observable
-        Whether the images determine each of the three; what they do not is as in the part file.
+        Whether the images determine each of the three; what they do not is as in the part file. Where they leave a
+        direction between two of them open, these have large errors.
     """
 
     x: float = 0.0

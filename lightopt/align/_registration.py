@@ -77,6 +77,16 @@ class Registration:
     outline: bool = False
     warnings: tuple[str, ...] = ()
 
+    def as_dict(self) -> dict[str, bool | int | float]:
+        """JSON form of how the search went; the place itself is the placement's."""
+        return {
+            "converged": self.converged,
+            "iterations": self.iterations,
+            "cost_per_pixel_before": float(f"{self.cost_before:.6g}"),
+            "cost_per_pixel_after": float(f"{self.cost_after:.6g}"),
+            "by_outline": self.outline,
+        }
+
 
 def register(
     scene: Scene,
@@ -193,6 +203,7 @@ def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outl
     # exactly as in the part file, not but for rounding
     pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[POSE])
     words = _undetermined_words(directions, share)
+    known = share <= ALONG_AXIS
     converged = solution.converged
     if len(directions) < 3:
         if solution.at_limit[POSE].any():
@@ -206,7 +217,7 @@ def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outl
     return Registration(
         placement=replace(
             frame.placement(pose, solution.covariance[POSE, POSE]),
-            observable=(bool(share[0] < 0.5), bool(share[1] < 0.5), bool(share[2] < 0.5)),
+            observable=(bool(known[0]), bool(known[1]), bool(known[2])),
         ),
         converged=converged or len(directions) == 3,
         iterations=iterations,

@@ -82,7 +82,8 @@ def fit_diffuse(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
     quality = appraise(plain, found)
-    said = [*world.warnings, *unconverged(found), *poor_fit(found, quality)]
+    first = [f"where the highlights are: {text}" for text in unconverged(whole)]
+    said = [*world.warnings, *first, *unconverged(found), *poor_fit(found, quality)]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
@@ -108,11 +109,11 @@ def fit_diffuse(
         dark=dark,
         noise=noise,
         write_noise=options.write_noise and quality.describes,
-        placement=world.placement,
+        registration=world.registration,
         in_file=world.in_file,
-        highlights=(whole.R_s, whole.sigma),
-        observations=len(plain.sample),
-        pixels=len(np.unique(plain.sample)),
+        first=whole,
+        observations=len(found.criterion.samples.sample),
+        pixels=len(np.unique(found.criterion.samples.sample)),
         quality=quality,
         words=tuple(said),
         estimate=replace(found, scan=whole.scan),
@@ -232,11 +233,12 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
         dark=dark,
         noise=noise,
         write_noise=options.write_noise and quality.describes,
-        placement=world.placement,
+        registration=world.registration,
         in_file=world.in_file,
         correlation=found.correlation(LOG_R_S, LOG_SIGMA),
-        observations=len(samples.sample),
-        pixels=len(samples.diffuse),
+        # least squares have done with fewer
+        observations=len(found.criterion.samples.sample),
+        pixels=len(found.criterion.samples.diffuse),
         quality=quality,
         words=tuple(said),
         estimate=found,

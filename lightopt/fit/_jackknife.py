@@ -14,17 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from lightopt.fit._criterion import FIRST_GAIN
 from lightopt.fit._least_squares import LeastSquares
 from lightopt.fit._maximise import maximise
 from lightopt.fit._samples import Samples
 
-__all__ = ["Jackknife", "leave_groups_out"]
+__all__ = ["UNDETERMINED", "Jackknife", "leave_groups_out", "with_errors"]
 
 Float64 = NDArray[np.float64]
 
 LEAST_GROUPS, MOST_GROUPS = 4, 24
 """Groups of images: lights, where there are so many, else lights by posture, else pieces of the images. Further lights
 share a group."""
+
+UNDETERMINED = 1e3
+"""Standard error of a parameter that the images do not tell, such as the σ of a lobe without light."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,17 +38,14 @@ class Jackknife:
     Attributes
     ----------
     covariance
-        Shape (k, k).
-    groups
-        Number of groups.
+        Shape (k, k); that of parameters that nothing determines where there is but one group.
     of
-        What a group is.
+        Number of groups and what they are, such as "12 lights".
     quantile
         Student's t of a two-sided 95 % interval for so many groups.
     """
 
     covariance: Float64
-    groups: int
     of: str
     quantile: float
 
@@ -57,38 +58,62 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     criterion, x
         The fit.
     free
-        Places of the parameters that were fitted.
+        Places of the parameters that were fitted. A light that is left out tells nothing of its own gain, nor do the
+        others of what theirs are relative to: where gains are free, pieces of the images tell as well.
     """
-    label, of = _groups(criterion.samples)
-    numbers = np.unique(label)
-    count = len(numbers)
+    by_light, by_piece = _by_light(criterion.samples), _by_piece(criterion.samples)
+    label, of = next((one for one in (*by_light, by_piece) if _count(one[0]) >= LEAST_GROUPS), by_piece)
+    covariance, count, of = _scatter(criterion, x, free, label, of)
+    if any(place >= FIRST_GAIN for place in free) and label is not by_piece[0]:
+        # at least as much as between pieces
+        pieces, _, _ = _scatter(criterion, x, free, *by_piece)
+        covariance = with_errors(covariance, np.sqrt(np.maximum(np.diag(covariance), np.diag(pieces))))
+    quantile = float(stdtrit(max(count - 1, 1), 0.975))
+    return Jackknife(covariance=covariance, of=of, quantile=quantile)
+
+
+def with_errors(covariance: Float64, errors: Float64) -> Float64:
+    """A covariance with the same correlations and other standard errors."""
+    spread = np.maximum(np.sqrt(np.diag(covariance)), 1e-100)
+    correlation = covariance / np.outer(spread, spread)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation * np.outer(errors, errors)
+
+
+def _scatter(
+    criterion: LeastSquares, x: Float64, free: Sequence[int], label: NDArray[np.intp], of: str
+) -> tuple[Float64, int, str]:
+    # covariance, number of groups and what they are
+    count = _count(label)
+    each = math.ceil(count / MOST_GROUPS)
+    if each > 1:
+        # neighbours in number are rarely neighbours in place
+        label, of = label % math.ceil(count / each), f"groups of {of}"
+        count = _count(label)
     index = list(free)
-    found = np.array([maximise(criterion.without(label == number), x, free).x[index] for number in numbers])
+    if count < 2:
+        return UNDETERMINED**2 * np.eye(len(index)), count, f"{count} {of}"
+    found = np.array([maximise(criterion.without(label == k), x, free).x[index] for k in range(count)])
     off = found - found.mean(axis=0)
-    return Jackknife(
-        covariance=(count - 1.0) / count * off.T @ off,
-        groups=count,
-        of=of,
-        quantile=float(stdtrit(count - 1, 0.975)),
-    )
+    return (count - 1.0) / count * off.T @ off, count, f"{count} {of}"
 
 
-def _groups(samples: Samples) -> tuple[NDArray[np.intp], str]:
+def _count(label: NDArray[np.intp]) -> int:
+    return int(label.max(initial=-1)) + 1
+
+
+def _by_light(samples: Samples) -> list[tuple[NDArray[np.intp], str]]:
     # a number per observation: what is left out together
     light = samples.facts.light[samples.image].astype(np.intp)
     postures = list(dict.fromkeys(image.posture for image in samples.images))
     posture = np.array([postures.index(image.posture) for image in samples.images])[samples.image]
-    number, count, of = light, 0, ""
-    for label, what in (
-        (light, "lights"),
-        (light * len(postures) + posture, "lights and postures"),
-        (samples.block[samples.sample].astype(np.intp), "pieces of the images"),
-    ):
-        of = what
-        _, number = np.unique(label, return_inverse=True)
-        count = int(number.max(initial=0)) + 1
-        if count >= LEAST_GROUPS:
-            break
-    each = math.ceil(count / MOST_GROUPS)
-    # neighbours in number are rarely neighbours in place
-    return number % math.ceil(count / each), of
+    both = light * len(postures) + posture
+    return [(_numbered(light), "lights"), (_numbered(both), "lights and postures")]
+
+
+def _by_piece(samples: Samples) -> tuple[NDArray[np.intp], str]:
+    return _numbered(samples.block[samples.sample].astype(np.intp)), "pieces of the images"
+
+
+def _numbered(label: NDArray[np.intp]) -> NDArray[np.intp]:
+    return np.unique(label, return_inverse=True)[1].astype(np.intp)

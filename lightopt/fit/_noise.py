@@ -138,10 +138,10 @@ def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor:
             hindrance="shot noise hides the read noise; darker images would show it",
         )
     if abs(own - b) > SIGNIFICANT * b_error:
-        least = 1.0 / max(b + SIGNIFICANT * b_error, 1e-12)
+        most = b + SIGNIFICANT * b_error
+        least = f": there are at least {1.0 / most:.3g} electrons per level" if most > 0.0 else ""
         return MeasuredNoise(
-            hindrance=f"the images show less shot noise than the rig file's electrons_per_level makes: there are at "
-            f"least {least:.3g} electrons per level"
+            hindrance=f"the images show less shot noise than the rig file's electrons_per_level makes{least}"
             if own > b
             else "the noise changes with the level, but not surely enough to tell read noise from shot noise; images "
             "of more levels would"

@@ -163,10 +163,17 @@ def poor_fit(found: Estimate, quality: Quality) -> tuple[str, ...]:
             f"{quality.noise:.2g}: give read_noise_levels and electrons_per_level of the sensor"
         )
     if not quality.describes:
-        said.append(
+        badly = found.lack_of_fit is None or found.lack_of_fit.significant
+        left = (
             f"the model describes these images badly: its best fit leaves {quality.misfit:.1f} times the noise "
-            f"({quality.rms:.3g} sensor levels rms). The values are those of least squares over all pixels, which "
-            f"predict such images best, and the intervals come from the scatter between {found.scatter}. {REASONS}"
+            f"({quality.rms:.3g} sensor levels rms)"
+            if badly
+            else f"what the model leaves of these images ({quality.rms:.3g} sensor levels rms) is not much more than "
+            "the noise, but neither noise nor dust"
+        )
+        said.append(
+            f"{left}. The values are those of least squares over all pixels, which predict such images best, and the "
+            f"intervals come from the scatter between {found.scatter}. {REASONS}"
         )
     elif quality.poor:
         said.append(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from lightopt.align import Placement, PlacementInFile
+from lightopt.align import Placement, PlacementInFile, Registration
 from lightopt.fit._checks import unconverged
 from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._estimate import Estimate, Interval
@@ -78,10 +78,10 @@ class FitResult:
         Black level as it belongs into the rig file [sensor level], where it was freed.
     noise, write_noise
         As the images show it, and whether it belongs into the rig file.
-    placement, in_file
+    registration, in_file
         Where the part was found to lie, where that was freed, and the same as it belongs into the part file.
-    highlights
-        R_s [grey level] and σ [rad] by which a diffuse fit knew where the highlights are; None in other fits.
+    first
+        A diffuse fit's first one, of the whole model, by which it knew where the highlights are; None in other fits.
     correlation
         Of ln R_s and ln σ; None where they were not both fitted.
     observations, pixels
@@ -109,9 +109,9 @@ class FitResult:
     dark: FittedValue | None = None
     noise: MeasuredNoise | None = None
     write_noise: bool = False
-    placement: Placement | None = None
+    registration: Registration | None = None
     in_file: PlacementInFile | None = None
-    highlights: tuple[float, float] | None = None
+    first: Estimate | None = None
     correlation: float | None = None
     observations: int = 0
     pixels: int = 0
@@ -128,8 +128,20 @@ class FitResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the optimiser found no way to anything better."""
-        return self.estimate is None or not unconverged(self.estimate)
+        """Whether the optimiser of every fit, and the search for the part's place, found no way to anything better."""
+        fits = [found for found in (self.first, self.estimate) if found is not None]
+        placed = self.registration is None or self.registration.converged
+        return placed and not any(unconverged(found) for found in fits)
+
+    @property
+    def placement(self) -> Placement | None:
+        """Where the part was found to lie; None where it was taken as in its file."""
+        return None if self.registration is None else self.registration.placement
+
+    @property
+    def highlights(self) -> tuple[float, float] | None:
+        """R_s [grey level] and σ [rad] by which a diffuse fit knew where the highlights are; None in other fits."""
+        return None if self.first is None else (self.first.R_s, self.first.sigma)
 
     @property
     def not_left_out(self) -> tuple[str, ...]:
@@ -163,6 +175,7 @@ class FitResult:
             "black_level": None if self.dark is None else self.dark.as_dict(),
             "noise": None if self.noise is None else self.noise.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
+            "registration": None if self.registration is None else self.registration.as_dict(),
             "criterion": None if found is None else ("likelihood" if found.describes else "least squares"),
             "uncertainty_from": None if found is None else (found.scatter or "profile likelihood"),
             "converged": self.converged,

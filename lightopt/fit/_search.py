@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._estimate import Estimate, Freed, Optimum, ScanPoint
-from lightopt.fit._jackknife import leave_groups_out
+from lightopt.fit._jackknife import UNDETERMINED, leave_groups_out, with_errors
 from lightopt.fit._lack_of_fit import LackOfFit, find_dust, measure_lack_of_fit
 from lightopt.fit._least_squares import LeastSquares, SpecularTable
 from lightopt.fit._likelihood import Likelihood, predicted
@@ -54,9 +54,6 @@ CLOSE_CALL = 20.0
 """Peaks of the scan within this of the best are decided on all samples [nat of those]."""
 
 MOST_RESTARTS = 3
-
-UNDETERMINED = 1e3
-"""Standard error of a parameter that least squares do not feel, such as the σ of a lobe without light."""
 
 ERROR_STEPS = (1.0, 0.3, 0.1)
 """How far from the best the fall of the criterion is looked at [standard errors]; the first that is within range."""
@@ -147,7 +144,7 @@ def estimate(
     """
     report = progress or (lambda _stage, _share: None)
     freed = freed or Freed()
-    budget = max(50, SCAN_SAMPLES // (8 * len(samples.groups)))
+    budget = _scan_budget(samples)
     few = thinned(samples, budget)
     free = _places(samples, freed)
     guess = first_guess(few)
@@ -198,8 +195,10 @@ def refine(
     free = tuple(p for p in start.free if not only_reflectance or p < DARK or p >= size - 2)
     if start.describes:
         return _of_likelihood(_climb(samples, start.x, free, USUAL_TABLE, threads), start.scan)
-    criterion = LeastSquares(samples, SpecularTable(samples, threads=threads), threads=threads)
-    criterion = criterion.without(find_dust(samples, predicted(samples, criterion.light(start.x), start.x)))
+    # as many pixels as the estimate itself is from
+    few = thinned(samples, _scan_budget(samples))
+    criterion = LeastSquares(few, SpecularTable(few, threads=threads), threads=threads)
+    criterion = criterion.without(find_dust(few, predicted(few, criterion.light(start.x), start.x)))
     return replace(start, x=maximise(criterion, start.x, free).x, free=free, criterion=criterion)
 
 
@@ -263,9 +262,7 @@ def _by_least_squares(
     # no less than that of independent pixels, which the scatter of few groups may be by chance
     alone = np.sqrt(1.0 / np.maximum(np.diag(best.evaluation.curvature)[list(plain)], 1e-300))
     errors = np.clip(np.maximum(spread, alone), 0.0, UNDETERMINED)
-    correlation = scatter.covariance / np.outer(np.maximum(spread, 1e-100), np.maximum(spread, 1e-100))
-    np.fill_diagonal(correlation, 1.0)
-    covariance = correlation * np.outer(errors, errors)
+    covariance = with_errors(scatter.covariance, errors)
     if not best.converged:
         # a clipped level bends the criterion at single pixels: what counts is the step that is left, in standard errors
         moving = np.array([place for place in plain if place != R_D or best.x[R_D] > 0.0])
@@ -289,7 +286,7 @@ def _by_least_squares(
         mean_log_likelihood=noise.evaluation.value / max(1, len(samples.sample)),
         unexplained=_share(noise.x),
         lack_of_fit=squares.lack_of_fit,
-        scatter=f"{scatter.groups} {scatter.of}",
+        scatter=scatter.of,
     )
     # a standard error is where the criterion has fallen by this: 1 for a model that is right
     inflation = np.ones(len(plain))
@@ -452,6 +449,11 @@ def _of_likelihood(final: _Climbed, scan: tuple[ScanPoint, ...]) -> Estimate:
         mean_log_likelihood=final.value / max(1, len(final.likelihood.samples.level)),
         unexplained=_share(final.maximum.x),
     )
+
+
+def _scan_budget(samples: Samples) -> int:
+    # pixels per octave, light and posture that the scan and least squares look at
+    return max(50, SCAN_SAMPLES // (8 * len(samples.groups)))
 
 
 def _share(x: Float64) -> float:

@@ -79,14 +79,16 @@ def inspect_set(
         postures.append(_inspect_posture(view, options, laid, learned, where=where))
     placement = laid.placement if options.shift else None
     asked = part_postures(part)
+    told = () if laid.registration is None else laid.registration.warnings
     words = inspection_words(
-        rig, postures, options, asked=asked, registration=laid.warnings, calibrated=calibration is not None
+        rig, postures, options, asked=asked, registration=told, calibrated=calibration is not None
     )
     coverages = [(p.view.posture, p.coverage) for p in postures]
     return Inspection(
         defects=gather([s for p in postures for s in p.sightings]),
         postures=tuple(postures),
         placement=placement,
+        registration=laid.registration,
         words=words,
         nominal=laid.nominal,
         surface=surface_coverage(laid.nominal, coverages, predictions.surface_of(laid.scene, asked)),

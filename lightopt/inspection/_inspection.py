@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Placement
+from lightopt.align import Placement, Registration
 from lightopt.inspection._coverage import Coverage
 from lightopt.inspection._sightings import FoundDefect, Sighting
 from lightopt.inspection._surface import SurfaceCoverage
@@ -88,6 +88,8 @@ class Inspection:
         In the set's order.
     placement
         Where the part lies from where its file has it; None where it was not looked for.
+    registration
+        The search that found it, or the part of the batch that it lies near; None where there was none.
     words
         What a person should know: missing lights and postures, and so on.
     nominal
@@ -99,6 +101,7 @@ class Inspection:
     defects: tuple[FoundDefect, ...]
     postures: tuple[InspectedPosture, ...]
     placement: Placement | None
+    registration: Registration | None = None
     words: tuple[str, ...]
     nominal: Scene = field(repr=False, compare=False)
     surface: SurfaceCoverage
@@ -110,5 +113,6 @@ class Inspection:
             "postures": [posture.as_dict() for posture in self.postures],
             "surface": self.surface.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
+            "registration": None if self.registration is None else self.registration.as_dict(),
             "warnings": list(self.words),
         }

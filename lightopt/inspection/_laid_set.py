@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Observation, Placement
+from lightopt.align import Observation, Placement, Registration
 from lightopt.config import PartConfig, RigConfig
 from lightopt.images import ImageSet
 from lightopt.inspection._options import InspectOptions
@@ -35,15 +35,15 @@ class LaidSet:
         That the model is predicted from: the part lies where it was found, or nearly there.
     views
         Of each posture, in the set's order, made one at a time; with the exposures of its images.
-    warnings
-        Of the registration, in words.
+    registration
+        That found the part, or the part that it lies near; None where it was not looked for.
     """
 
     nominal: Scene
     placement: Placement
     scene: Scene
     views: Iterator[tuple[PostureView, Shots]]
-    warnings: tuple[str, ...] = ()
+    registration: Registration | None = None
 
 
 def lay_set(
@@ -76,8 +76,7 @@ def lay_set(
         if options.shift and off is None:
             predictions.measure_misfit(scene, observations)
 
-    warnings = predictions.warnings if options.shift else ()
-    return LaidSet(nominal, placement, scene, views(), warnings)
+    return LaidSet(nominal, placement, scene, views(), predictions.registration if options.shift else None)
 
 
 def _find(
@@ -94,7 +93,7 @@ def _find(
     if near is None:
         scene, found = lay_over(nominal, observations, threads=options.threads, progress=progress)
         scene, placement = predictions.moved_to(scene, found.placement)
-        predictions.warnings = found.warnings
+        predictions.registration = found
         return scene, placement, None
     scene, placement, off = near
     return scene, placement, off

@@ -90,6 +90,7 @@ def fit_photometry(
     x = np.append(np.ones(n), 0.0)
     held = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
     nominal = x.copy()
+    # not with align.solve: each image has a spread of its own here, and sums in one pass need no matrix of all pixels
     for _ in range(ROUNDS):
         normal, right = np.diag(held), held * nominal
         for light, model, level, noise in rows:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Observation, Placement
+from lightopt.align import Observation, Placement, Registration
 from lightopt.inspection._nearby import LOOSE, TIGHT, Known, NearbyPlace, Sample, fit_place, sample_of
 from lightopt.inspection._predict import Prediction, predict
 from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, shifted
@@ -49,8 +49,8 @@ class Predictions:
         What was rendered, by posture and lights.
     slopes
         How that changes with the part's place.
-    warnings
-        Of that part's registration, in words.
+    registration
+        That part's; None where it was not looked for.
     misfit
         Of that part's images to its predictions, by the postures and lights of its set.
     samples
@@ -65,7 +65,7 @@ class Predictions:
     caster: RayCaster | None = None
     by_posture: dict[Key, Prediction] = field(default_factory=dict)
     slopes: dict[Key, Slopes] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    registration: Registration | None = None
     misfit: float | None = None
     samples: dict[tuple[Key, str, bool], Sample] = field(default_factory=dict)
     surface: dict[tuple[Posture, ...], SurfaceMap] = field(default_factory=dict)

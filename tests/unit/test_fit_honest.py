@@ -207,6 +207,35 @@ def test_what_did_not_converge_is_said_and_exits_1(cli, bench, noisy, monkeypatc
     assert "did not converge" in allowed.err
 
 
+def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, monkeypatch):
+    """Where the highlights are comes from it, and R_d from the pixels beside."""
+
+    def few_steps(criterion, x, free, **options):
+        whole = LOG_SIGMA in free
+        return maximise(criterion, x, free, **({**options, "most_steps": 2} if whole else options))
+
+    monkeypatch.setattr(_search, "maximise", few_steps)
+    monkeypatch.setattr(_search, "MOST_TABLES", 1)
+    ran = cli("fit-diffuse", bench.rig, bench.part, noisy, "-o", bench.out, "--pixels", 6000)
+    assert ran.status == 1
+    assert "where the highlights are: the fit did not converge" in ran.err
+    assert json.loads((bench.out / "fit.json").read_text())["converged"] is False
+
+
+def test_a_search_for_the_place_that_did_not_converge_exits_1(cli, bench, noisy, monkeypatch):
+    from lightopt.align import _registration
+
+    monkeypatch.setattr(_registration, "STAGE_ITERATIONS", 1)
+    monkeypatch.setattr(_registration, "STAGES", 1)
+    ran = fit(cli, bench, noisy, bench.out, "--free", "shift")
+    assert ran.status == 1
+    assert "the search for the part's place did not converge" in ran.err
+    facts = json.loads((bench.out / "fit.json").read_text())
+    assert facts["converged"] is False
+    assert facts["registration"]["converged"] is False
+    assert facts["registration"]["iterations"] >= 1
+
+
 def test_the_profile_that_is_drawn_peaks_at_the_reported_value(cli, bench, noisy):
     for number, more in enumerate(((), ("--free", "gain"))):
         out = bench.folder / f"drawn{number}"
