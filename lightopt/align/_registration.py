@@ -57,6 +57,9 @@ class Registration:
     ----------
     placement
         With standard errors and what of it the images determine.
+    pose_errors
+        Standard errors of the shift of the part's middle in x and y [mm] and of the turn about it [rad]; those of the
+        placement are larger where the part lies off the stage's axis.
     converged
         Whether a further step would change nothing, and the place is none of the furthest allowed.
     iterations
@@ -70,6 +73,7 @@ class Registration:
     """
 
     placement: Placement
+    pose_errors: tuple[float, float, float]
     converged: bool = True
     iterations: int = 0
     cost_before: float = 0.0
@@ -203,7 +207,7 @@ def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outl
     # exactly as in the part file, not but for rounding
     pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[POSE])
     words = _undetermined_words(directions, share)
-    known = share <= ALONG_AXIS
+    known, errors = share <= ALONG_AXIS, solution.errors[POSE]
     converged = solution.converged
     if len(directions) < 3:
         if solution.at_limit[POSE].any():
@@ -219,6 +223,7 @@ def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outl
             frame.placement(pose, solution.covariance[POSE, POSE]),
             observable=(bool(known[0]), bool(known[1]), bool(known[2])),
         ),
+        pose_errors=(float(errors[0]), float(errors[1]), float(errors[2])),
         converged=converged or len(directions) == 3,
         iterations=iterations,
         cost_before=solution.cost_before,

@@ -120,13 +120,12 @@ def find_displacement(
     """
     registration = find_part(world.scene, world.observations, caster=world.caster, threads=threads)
     frame, place = PoseFrame.of(world.scene), registration.placement
-    x, y, turn = frame.pose(place)
-    mm = math.hypot(x, y)
+    pose = frame.pose(place)
+    turn = float(pose[2])
+    mm = math.hypot(pose[0], pose[1])
     pixels = mm / frame.pixel
-    certain = (
-        mm > LEAST_CERTAIN * math.hypot(*place.errors[:2]) or abs(turn) > LEAST_CERTAIN * place.errors[2]
-    )
-    if not certain or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
+    certain = np.abs(pose) > LEAST_CERTAIN * np.array(registration.pose_errors)
+    if not certain.any() or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
         return None
     moved = place_part(world.scene, place)
     there = collect_samples(
@@ -139,7 +138,7 @@ def find_displacement(
         _misfit(some, estimate(some, threads=threads), threads) - noise for some in (here, there)
     )
     explains = 1.0 - after / before if before > 0.0 else 0.0
-    return Displacement(pixels=pixels, mm=mm, turn=abs(float(turn)), explains=min(explains, 1.0))
+    return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=min(explains, 1.0))
 
 
 def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Float64, Float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -65,23 +66,26 @@ class ImageSet:
         return self.folder / name
 
     def fingerprint(self) -> dict[str, Any]:
-        """What a result of this set depends on: hashes of the manifest, and of images that it lists without one.
+        """What a result of this set depends on: hashes of the manifest, and of the images as they are on disk.
+
+        The manifest's own hashes of images are not asked: a file may have been edited since.
 
         Raises
         ------
         OSError
-            When a file cannot be read.
+            When the manifest cannot be read.
         """
-        named = (
-            (i.sha256, kind, name) for i in self.images for kind, name in (("png", i.png), ("exr", i.exr))
-        )
-        unlisted = {
-            name: file_sha256(self.path(name))
-            for hashes, kind, name in named
-            if name is not None and kind not in hashes
+        read = [name for i in self.images if (name := i.png or i.exr) is not None]
+        read += [name for name in self.manifest.files if name.endswith(".png")]  # frames without light
+        digest = hashlib.sha256()
+        for name in read:
+            path = self.path(name)
+            # whoever reads a missing one says so
+            digest.update(f"{name} {file_sha256(path) if path.is_file() else 'missing'}\n".encode())
+        return {
+            "manifest_sha256": file_sha256(self.path(MANIFEST_NAME)),
+            "images_sha256": digest.hexdigest(),
         }
-        manifest = file_sha256(self.path(MANIFEST_NAME))
-        return {"manifest_sha256": manifest, **({"images": unlisted} if unlisted else {})}
 
     def load(self, entry: ImageEntry) -> LoadedImage:
         """Read an image: its PNG with the manifest's exposure, the EXR only where there is no PNG.

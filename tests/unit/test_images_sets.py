@@ -171,6 +171,24 @@ def test_manifest_reads_back_as_it_was_written(whole: Path):
     assert [image.key for image in manifest.images] == PLAN
 
 
+def test_a_set_is_another_once_an_image_was_edited(whole: Path, tmp_path: Path):
+    """Whatever hash the manifest has of it; and only what is read counts: of an image with a PNG, not its EXR."""
+    folder = tmp_path / "copy"
+    shutil.copytree(whole, folder)
+    images = read_image_set(folder)
+    before = images.fingerprint()
+    assert before == read_image_set(whole).fingerprint()
+    (folder / "posture_0_0/light2.exr").write_bytes(b"edited")
+    assert images.fingerprint() == before
+    assert images.images[0].png is not None
+    images.path(images.images[0].png).write_bytes(b"edited")
+    edited = images.fingerprint()
+    assert edited != before
+    assert edited["manifest_sha256"] == before["manifest_sha256"]
+    images.path(images.images[0].png).unlink()
+    assert images.fingerprint() not in (before, edited)
+
+
 def test_same_run_elsewhere_gives_the_same_bytes(whole: Path, tmp_path: Path):
     run(tmp_path)
     assert content(tmp_path) == content(whole)
