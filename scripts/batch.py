@@ -122,7 +122,7 @@ def is_own(result: Path, part: Path) -> bool:
     try:
         found = json.loads(result.read_text(encoding="utf-8"))
         kind = (str(found["format"]).partition("/")[0], found.get("kind", "simulated"))
-        return kind in OWN and found["part"]["file"] == part.name
+        return kind in OWN and found["provenance"]["inputs"]["part"]["file"] == part.name
     except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
         return False
 

@@ -468,8 +468,10 @@ class _Solver:
             # far from the optimum the bend is not definite: there its weights say how sharp it is
             sharp = bent if np.linalg.eigvalsh(bent)[0] > 0.1 * np.linalg.eigvalsh(a)[0] else a
             back = np.linalg.inv(sharp + LEAST_DAMPING * np.eye(len(sharp)))
-            root = basis / scale
-            covariance = root @ back @ ((basis.T @ middle @ basis) / np.outer(scale, scale)) @ back @ root.T
+            values, vectors = np.linalg.eigh((basis.T @ middle @ basis) / np.outer(scale, scale))
+            # a square, so that no variance is below 0 for rounding
+            root = (basis / scale) @ back @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+            covariance = root @ root.T
         if len(self._held):
             of, res = self._of_interest, self._in_resolution()
             held = self._held[:, of]
