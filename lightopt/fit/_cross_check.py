@@ -11,7 +11,7 @@ from lightopt.fit._estimate import Estimate, Freed
 from lightopt.fit._mismatch import refuse_other_images
 from lightopt.fit._quality import appraise, poor_fit
 from lightopt.fit._samples import Samples, evenly_lit, thinned
-from lightopt.fit._search import estimate
+from lightopt.fit._search import estimate, refine
 from lightopt.fit._world import World
 from lightopt.raycast import RayCaster
 
@@ -55,7 +55,13 @@ def evenly_lit_words(
         return ()
     few = thinned(samples, BUDGET)
     even = evenly_lit(few, caster, threads=threads)
-    points, panels = (estimate(some, freed=freed, held=held, threads=threads) for some in (few, even))
+    # the fit itself was the best of all σ; what evenly lit panels would give may lie far from it
+    panels = estimate(even, freed=freed, held=held, threads=threads)
+    points = (
+        refine(few, found, threads=threads)
+        if found.describes
+        else estimate(few, freed=freed, held=held, threads=threads)
+    )
     count = len(few.level)
     ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
     moved = max(abs(math.log(panels.R_s / found.R_s)), abs(math.log(panels.sigma / found.sigma)))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import FLIPS, Agreement, PoseFrame, agreement, place_part
+from lightopt.align import FLIPS, Agreement, Observation, PoseFrame, agreement, place_part
 from lightopt.errors import InputError
 from lightopt.fit._estimate import Estimate
 from lightopt.fit._likelihood import predicted
@@ -18,6 +19,8 @@ from lightopt.fit._samples import Samples, collect_samples, thinned
 from lightopt.fit._search import estimate
 from lightopt.fit._world import World, find_part
 from lightopt.rendering import cast_rays_at
+from lightopt.scene import Scene
+from lightopt.transforms import Posture
 
 __all__ = ["refuse_other_images"]
 
@@ -53,12 +56,29 @@ class Displacement:
         Shift of its middle, in the image [px] and on the stage [mm], and its turn [rad].
     explains
         Share of the mean squared residual beyond the noise that is gone with the part there.
+    posture
+        Whose images alone say so; None where those of all postures do.
     """
 
     pixels: float
     mm: float
     turn: float
     explains: float
+    posture: Posture | None = None
+
+    @property
+    def words(self) -> str:
+        """What is displaced, by how much, and what to do."""
+        moved = (
+            f"with the part shifted by {self.pixels:.1f} px ({self.mm:.2f} mm) and turned by "
+            f"{math.degrees(self.turn):.1f}°, the model explains {100.0 * self.explains:.0f} % of what the fit misses"
+        )
+        if self.posture is None:
+            return f"{moved}. Use --free shift, or correct the part's placement or the camera"
+        return (
+            f"in posture {self.posture}, {moved}, but no one place on the stage explains the images of all postures: "
+            "correct the camera's distance, angles or roll, or the zero of the stage's axes"
+        )
 
 
 def refuse_other_images(
@@ -89,13 +109,8 @@ def refuse_other_images(
         return
     if world.registration is None:
         shift = find_displacement(world, samples, quality, threads=threads)
-        if shift is not None and shift.explains > LEAST_EXPLAINED:
-            raise InputError(
-                "the images do not look like this part where its file has it: with the part shifted by "
-                f"{shift.pixels:.1f} px ({shift.mm:.2f} mm) and turned by {math.degrees(shift.turn):.1f}°, the model "
-                f"explains {100.0 * shift.explains:.0f} % of what the fit misses. Use --free shift, or correct the "
-                "part's placement or the camera"
-            )
+        if shift is not None:
+            raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
     own = _agreement(samples, found, threads)
     if not own.foreign:
         return
@@ -113,13 +128,27 @@ def refuse_other_images(
 def find_displacement(
     world: World, samples: Samples, quality: Quality, *, threads: int | None = None
 ) -> Displacement | None:
-    """Where else the part may lie, and how much of the residual that explains; None where the images do not tell.
+    """Where else the part may lie; None where that explains too little of the residual, or nothing for certain.
 
-    The part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one. Parameters
-    as for :func:`refuse_other_images`.
+    Where no place explains the images of all postures, those of the first are looked at alone: a camera or a stage that
+    is off moves the part in each posture another way. Parameters as for :func:`refuse_other_images`.
     """
-    registration = find_part(world.scene, world.observations, caster=world.caster, threads=threads)
-    frame, place = PoseFrame.of(world.scene), registration.placement
+    found = _displacement(world.scene, world.observations, samples, quality, threads)
+    postures = list(dict.fromkeys(o.posture for o in world.observations))
+    if found is not None or len(postures) < 2:
+        return found
+    mine = [o for o in world.observations if o.posture == postures[0]]
+    alike = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
+    found = _displacement(world.scene, mine, samples.keep(alike), quality, threads)
+    return None if found is None else replace(found, posture=postures[0])
+
+
+def _displacement(
+    scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality, threads: int | None
+) -> Displacement | None:
+    # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
+    registration = find_part(scene, observations, caster=cast_rays_at(scene), threads=threads)
+    frame, place = PoseFrame.of(scene), registration.placement
     pose = frame.pose(place)
     turn = float(pose[2])
     mm = math.hypot(pose[0], pose[1])
@@ -127,10 +156,8 @@ def find_displacement(
     certain = np.abs(pose) > LEAST_CERTAIN * np.array(registration.pose_errors)
     if not certain.any() or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
         return None
-    moved = place_part(world.scene, place)
-    there = collect_samples(
-        moved, world.observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads
-    )
+    moved = place_part(scene, place)
+    there = collect_samples(moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads)
     # the same fit at both places: what another reflectance explains is not blamed on the place
     here = thinned(samples, BUDGET)
     noise = quality.floor**2
@@ -138,6 +165,8 @@ def find_displacement(
         _misfit(some, estimate(some, threads=threads), threads) - noise for some in (here, there)
     )
     explains = 1.0 - after / before if before > 0.0 else 0.0
+    if explains <= LEAST_EXPLAINED:
+        return None
     return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=min(explains, 1.0))
 
 

@@ -171,8 +171,7 @@ def test_another_reflectance_is_not_blamed_on_the_place(ball, R_d):
     found = estimate(samples)
     quality = appraise(samples, found)
     refuse_other_images(world, samples, found, quality)
-    moved = find_displacement(world, samples, quality)
-    assert moved is None or moved.explains < 0.5
+    assert find_displacement(world, samples, quality) is None
     place = registered(scene, images).placement
     assert max(abs(place.x), abs(place.y)) < 0.11  # half a pixel
 

@@ -14,6 +14,17 @@ from lightopt.images import read_image_set, read_png, write_png
 GUESS = ("R_d: 45.0, R_s: 12500, sigma_rad: 0.0475", "R_d: 30, R_s: 500, sigma_rad: 0.1")
 
 
+@pytest.fixture
+def cli(cli):
+    """Fits look at few pixels here: what is tested are files, words and refusals."""
+
+    def command(name, *arguments):
+        few = ("--pixels", 8000) if name.startswith("fit-") and "--pixels" not in arguments else ()
+        return cli(name, *arguments, *few)
+
+    return command
+
+
 @pytest.fixture(scope="module")
 def measured(shared_bench, tmp_path_factory):
     """Noisy images of the knob."""

@@ -16,6 +16,7 @@ size_mm: 8, R_d_factor: 0.3}
   - {name: dent, kind: dent, at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [92, 72]}, \
 size_mm: 8, slope_deg: 20}
 """
+SOME = ("--pixels", "8000")
 FEW = ("--patches", "500", "-q")
 
 
@@ -72,8 +73,8 @@ def test_the_images_show_the_defects(shop):
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        (("fit-diffuse",), "fit.json"),
-        pytest.param(("fit-specular", "--joint"), "fit.json", marks=pytest.mark.slow),
+        (("fit-diffuse", *SOME), "fit.json"),
+        pytest.param(("fit-specular", "--joint", *SOME), "fit.json", marks=pytest.mark.slow),
         pytest.param(("inspect", "--seen-by", "1", "--no-report"), "defects.json", marks=pytest.mark.slow),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
@@ -140,6 +141,6 @@ def test_a_list_that_cannot_be_placed_stops_only_what_shows_it(cli, shop, tmp_pa
     part = parts(shop)[1].with_name("misplaced.yaml")
     part.write_text(text, encoding="utf-8")
     images = shop.folder / "images"
-    assert cli("fit-diffuse", shop.rig, part, images, "-o", tmp_path / "fit", "-q").status == 0
+    assert cli("fit-diffuse", shop.rig, part, images, "-o", tmp_path / "fit", "-q", *SOME).status == 0
     assert cli("render", shop.rig, part, "-o", tmp_path / "render", *FEW).status == 2
     assert cli("check", shop.rig, part).status == 2

@@ -224,7 +224,16 @@ def test_a_kept_matrix_is_read_only_where_that_is_asked_for(movable):
 
 def test_a_fit_is_not_replaced_by_one_of_other_code(cli, bench, other_code, snapshot):
     assert cli("render", bench.rig, bench.part, "-o", bench.folder / "set", *FEW, "--noise", 1).status == 0
-    command = ("fit-diffuse", bench.rig, bench.part, bench.folder / "set", "-o", bench.out)
+    command = (
+        "fit-diffuse",
+        bench.rig,
+        bench.part,
+        bench.folder / "set",
+        "-o",
+        bench.out,
+        "--pixels",
+        "8000",
+    )
     assert cli(*command, "-q").status == 0
     document = json.loads((bench.out / "fit.json").read_text(encoding="utf-8"))
     check(document["provenance"], inputs={"rig", "part", "mesh", "image_sets"})
