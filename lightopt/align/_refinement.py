@@ -23,9 +23,9 @@ __all__ = ["DARK_SPREAD", "GAIN_SPREAD", "Refinement", "choose_pixels"]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-INNER_PIXELS = 12_000
+INNER_PIXELS, FIRST_INNER_PIXELS = 12_000, 3_000
 OUTLINE_PIXELS = 800
-"""Pixels per posture: away from silhouettes and creases, and across silhouettes."""
+"""Pixels per posture: away from silhouettes and creases, also in the first stage, and across silhouettes."""
 
 MOST_ENTRIES = 15_000_000
 """Entries of the matrix of slopes; with many images fewer pixels of each are looked at."""
@@ -61,6 +61,10 @@ round part would seem to determine its turn."""
 
 _SIGMA_STEP = 0.003
 
+_SAME_PLACE_PX = 0.1
+_SAME_LOG_SIGMA = 0.02
+"""Derivatives by the pose, which take six times the light, are kept for parameters so near to where they were taken."""
+
 
 def choose_pixels(
     scene: Scene,
@@ -68,6 +72,7 @@ def choose_pixels(
     placement: Placement,
     *,
     outline: bool,
+    first: bool = False,
     threads: int | None = None,
 ) -> tuple[list[PixelSet], list[PixelSet]]:
     """Inner pixels, and pixels across the outline where asked for; one set per posture that shows any.
@@ -82,6 +87,8 @@ def choose_pixels(
         About where the part lies.
     outline
         Whether to choose pixels across the outline.
+    first
+        Whether for the first stage, which has fewer.
     threads
         Number of threads; the result does not depend on it.
     """
@@ -89,7 +96,8 @@ def choose_pixels(
     caster = RayCaster(placed.mesh.vertices, placed.mesh.faces)
     inner: list[PixelSet] = []
     edges: list[PixelSet] = []
-    budget = max(200, min(INNER_PIXELS, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 1))))
+    most = FIRST_INNER_PIXELS if first else INNER_PIXELS
+    budget = max(200, min(most, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 1))))
     for posture in dict.fromkeys(o.posture for o in images):
         mine = [o for o in images if o.posture == posture]
         pixels = trace_pixels(placed, posture, caster, threads=threads)
@@ -169,6 +177,7 @@ class Refinement:
         self.correlated = _flags([np.full(p.levels.size, p.rays > 1) for p in self._sets])
         self.weight = np.ones(len(self._measured))
         self._last: tuple[Float64, Float64] | None = None
+        self._changes: tuple[Placement, float, list[Float64]] | None = None
         self._used = np.ones(len(self._measured), np.bool_)
         self._noise = np.ones(len(self._measured))
         sensor = scene.sensor
@@ -196,15 +205,26 @@ class Refinement:
         found[:, SIGMA] = gain * spread[1] * (light[2] - light[3]) / (2.0 * _SIGMA_STEP)
         found[np.arange(len(found)), GAINS + self._light] = found[:, R_D] + found[:, R_S]
         found[:, -1] = 1.0
-        steps = self._frame.pixel_steps
-        for axis, off in enumerate(np.eye(3)):
-            both = [
-                gain * (spread[0] * lit[0] + spread[1] * lit[1])
-                for lit in (self._light_at(x, sign * off * steps) for sign in (1.0, -1.0))
-            ]
-            width = np.where(self.correlated, _OUTLINE_STEP, _INNER_STEP)
-            found[:, axis] = (both[0] - both[1]) / (2.0 * width * steps[axis])
+        for axis, change in enumerate(self._change_by_pose(x)):
+            found[:, axis] = gain * (spread[0] * change[0] + spread[1] * change[1])
         return found / self._noise[:, None]
+
+    def _change_by_pose(self, x: Float64) -> list[Float64]:
+        # of the light per unit of R_d and of R_s with x, y and turn, each of shape (2, n)
+        place = self._frame.placement(x[POSE])
+        if self._changes is not None:
+            at, log_sigma, known = self._changes
+            moved = self._frame.distance_px(at, place)
+            if moved < _SAME_PLACE_PX and abs(x[SIGMA] - log_sigma) < _SAME_LOG_SIGMA:
+                return known
+        steps = self._frame.pixel_steps
+        width = np.where(self.correlated, _OUTLINE_STEP, _INNER_STEP)
+        found: list[Float64] = []
+        for axis, off in enumerate(np.eye(3)):
+            ahead, behind = (self._light_at(x, sign * off * steps) for sign in (1.0, -1.0))
+            found.append((ahead - behind) / (2.0 * width * steps[axis]))
+        self._changes = place, float(x[SIGMA]), found
+        return found
 
     def _levels(self, x: Float64) -> Float64:
         light = self._light_at(x)

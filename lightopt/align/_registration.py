@@ -181,7 +181,12 @@ def refine_placement(
     iterations = 0
     for number in range(STAGES):
         inner, edges = choose_pixels(
-            scene, observations, frame.placement(x[POSE]), outline=outline, threads=threads
+            scene,
+            observations,
+            frame.placement(x[POSE]),
+            outline=outline,
+            first=number == 0,
+            threads=threads,
         )
         problem = Refinement(scene, frame, inner, edges, x, caster=caster, threads=threads)
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)

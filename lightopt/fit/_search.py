@@ -23,7 +23,7 @@ from lightopt.fit._likelihood import Likelihood, predicted
 from lightopt.fit._maximise import Maximum, maximise, newton_step
 from lightopt.fit._profile import fall
 from lightopt.fit._samples import Samples, thinned
-from lightopt.fit._scan import peaks, profile_over_sigma
+from lightopt.fit._scan import peaks, profile_outwards, profile_over_sigma
 from lightopt.fit._start import first_guess, start_at
 from lightopt.fit._uncertainty import uncertainty
 
@@ -326,12 +326,13 @@ def _by_likelihood(
         other[-1] = starts[number][-1]
         return [other, starts[number]]
 
-    profile = profile_over_sigma(
+    values = [point.evaluation.value for point in squares.profile]
+    profile = profile_outwards(
         criterion_at,
-        lambda number, _: starts_at(number),
+        starts_at,
         row,
         free,
-        neighbours=False,
+        begin=values.index(max(values)),
         progress=lambda share: report("scanning σ", 0.5 + 0.5 * share),
     )
     coarse: dict[int, _Climbed] = {}
