@@ -97,7 +97,7 @@ def register(
     observations: Sequence[Observation],
     *,
     caster: RayCaster,
-    reflectance_at: Callable[[Scene], Reflectance] | None = None,
+    reflectance_at: Callable[[Scene], Reflectance | None] | None = None,
     threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Registration:
@@ -113,7 +113,7 @@ def register(
         Of the scene's part.
     reflectance_at
         A reflectance for the refinement, given the scene with the part about where it lies; that of the scene by
-        default.
+        default. None where a refinement is not worth while: the place is good to about a pixel then.
     threads
         Number of threads; the result does not depend on it.
     progress
@@ -132,7 +132,12 @@ def register(
     refuse_useless_images(scene, sets, observations, caster=caster)
     start = search_placement(scene, sets, caster=caster, threads=threads, progress=stage("finding the part"))
     if reflectance_at is not None:
-        scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
+        reflectance = reflectance_at(place_part(scene, start))
+        if reflectance is None:
+            reach = PoseFrame.of(scene).pixel_steps
+            errors = (float(reach[0]), float(reach[1]), float(reach[2]))
+            return Registration(placement=start, pose_errors=errors, converged=False)
+        scene = replace(scene, reflectance=reflectance)
     return refine_placement(
         scene,
         observations,

@@ -147,7 +147,16 @@ def _displacement(
     scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality, threads: int | None
 ) -> Displacement | None:
     # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
-    registration = find_part(scene, observations, caster=cast_rays_at(scene), threads=threads)
+    registration = find_part(
+        scene,
+        observations,
+        caster=cast_rays_at(scene),
+        # images of something else cost most, and no place explains them
+        worth_refining=lambda some, first: not _agreement(some, first, threads).foreign,
+        threads=threads,
+    )
+    if not registration.converged and not registration.iterations:
+        return None
     frame, place = PoseFrame.of(scene), registration.placement
     pose = frame.pose(place)
     turn = float(pose[2])

@@ -88,7 +88,7 @@ def rig_with(camera: str, folder: Path) -> Generator[tuple[Path, Path, Callable[
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the process is found as Linux lists it")
-@pytest.mark.parametrize("camera", ["virtual", "gige"])
+@pytest.mark.parametrize("camera", ["virtual", pytest.param("gige", marks=pytest.mark.nightly)])
 def test_a_capture_ends_in_the_dark_when_the_camera_hangs_and_resumes(camera: str, tmp_path: Path) -> None:
     if camera == "gige":
         needs("aravis")

@@ -44,7 +44,7 @@ def take(bed, folder, *, ambient=0.0, **options):
 
 def fit(bed, image_set, **options):
     rig, part, guess = bed
-    found = fit_specular(rig, guess, image_set, options=FitOptions(**options))
+    found = fit_specular(rig, guess, image_set, options=FitOptions(pixels=20_000, **options))
     return found, part.reflectance
 
 
@@ -61,9 +61,9 @@ def check(bed, image_set, **options):
 
 
 QUICK_AND_SLOW = [
-    pytest.param(1, marks=pytest.mark.slow),
-    2,
-    pytest.param(3, marks=pytest.mark.slow),
+    pytest.param(1, marks=pytest.mark.nightly),
+    pytest.param(2, marks=pytest.mark.slow),
+    pytest.param(3, marks=pytest.mark.nightly),
     pytest.param(4, marks=pytest.mark.slow),
 ]
 

@@ -178,8 +178,10 @@ def ball():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("view", ["plan", "mirror"])
-@pytest.mark.parametrize("pixels", [8, pytest.param(30, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    ("view", "pixels"),
+    [("plan", 5), *(pytest.param(view, 30, marks=pytest.mark.nightly) for view in ("plan", "mirror"))],
+)
 def test_ball_over_a_plane(view, pixels):
     """A curved edge: at some pixels of the penumbra, summed over 640,000 points of the panel behind a round ball."""
     sigma = 0.0475
@@ -216,8 +218,10 @@ def test_ball_over_a_plane(view, pixels):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sigma", SIGMAS)
-@pytest.mark.parametrize("pixels", [60, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    ("sigma", "pixels"),
+    [(0.0475, 30), *(pytest.param(sigma, 300, marks=pytest.mark.nightly) for sigma in SIGMAS)],
+)
 def test_spout(tmp_path, sigma, pixels):
     """A part that shades itself, at some of its pixels; 128 × 128 nodes, each with a shadow ray."""
     camera = ref.Camera(width=160, height=120, pixel_um=40)

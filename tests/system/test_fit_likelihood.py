@@ -28,7 +28,7 @@ from lightopt.reflectance import Reflectance
 from lightopt.rendering import cast_rays_at
 
 TRUTH = Reflectance(R_d=45.0, R_s=12500.0, sigma=0.0475)
-BUDGET = 6000
+BUDGET = 3000
 
 
 class World:
@@ -85,16 +85,22 @@ def test_one_exposure_recovers_the_reflectance(one_exposure):
 
 @pytest.mark.slow
 def test_a_second_exposure_pins_r_s_down(world, one_exposure, two_exposures):
-    """At least five times, whatever the draw of the noise."""
+    """At least five times."""
     assert_recovers(two_exposures, TRUTH, R_d=0.01, R_s=0.02, sigma=0.01)
-    pairs = [(one_exposure, two_exposures)]
-    pairs += [(world.fit(seed=seed), world.fit(exposures=(1.0, 1 / 16), seed=seed)) for seed in (1, 2)]
-    ratios = []
-    for wide, narrow in pairs:
-        ratios.append(np.ptp(profile_interval(wide, LOG_R_S)) / np.ptp(profile_interval(narrow, LOG_R_S)))
-        assert abs(narrow.correlation(LOG_R_S, LOG_SIGMA)) < abs(wide.correlation(LOG_R_S, LOG_SIGMA))
-    print("interval of ln R_s narrower by", ratios)
-    assert min(ratios) >= 5.0
+    is_narrower(one_exposure, two_exposures)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_second_exposure_pins_r_s_down_in_any_noise(world, seed):
+    is_narrower(world.fit(seed=seed), world.fit(exposures=(1.0, 1 / 16), seed=seed))
+
+
+def is_narrower(wide: Estimate, narrow: Estimate) -> None:
+    ratio = np.ptp(profile_interval(wide, LOG_R_S)) / np.ptp(profile_interval(narrow, LOG_R_S))
+    print("interval of ln R_s narrower by", ratio)
+    assert abs(narrow.correlation(LOG_R_S, LOG_SIGMA)) < abs(wide.correlation(LOG_R_S, LOG_SIGMA))
+    assert ratio >= 5.0
 
 
 @pytest.mark.slow
@@ -107,7 +113,14 @@ def test_one_pixel_in_a_hundred_may_be_garbage(world):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("sigma", "R_s"),
-    [(0.003, 3e6), (0.01, 280e3), (0.15, 12500.0), (0.0475, 300.0), (0.0475, 3e4), (0.0475, 3e6)],
+    [
+        (0.003, 3e6),
+        (0.15, 12500.0),
+        *(
+            pytest.param(*case, marks=pytest.mark.nightly)
+            for case in ((0.01, 280e3), (0.0475, 300.0), (0.0475, 3e4), (0.0475, 3e6))
+        ),
+    ],
 )
 def test_lobes_of_any_width_and_strength(world, sigma, R_s):
     truth = Reflectance(R_d=45.0, R_s=R_s, sigma=sigma)

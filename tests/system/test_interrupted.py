@@ -25,15 +25,24 @@ IMAGES = 8
 INTERRUPTED = "interrupted; files that were finished are complete"
 
 MOMENTS = (
-    "patches.npz",
-    "posture_0_0/light1.png",
     "posture_-10_170/geometry.exr",
-    pytest.param("manifest.json", marks=pytest.mark.slow),
-    pytest.param("posture_0_0/geometry.exr", marks=pytest.mark.nightly),
-    pytest.param("posture_0_0/light3.exr", marks=pytest.mark.nightly),
-    pytest.param("posture_-10_170/light1_x0.0625.png", marks=pytest.mark.slow),
+    *(
+        pytest.param(name, marks=pytest.mark.nightly)
+        for name in (
+            "patches.npz",
+            "posture_0_0/light1.png",
+            "manifest.json",
+            "posture_0_0/geometry.exr",
+            "posture_0_0/light3.exr",
+            "posture_-10_170/light1_x0.0625.png",
+        )
+    ),
 )
-"""Files whose appearance is a moment to interrupt at: while tracing for patches, rendering, and writing."""
+"""Files whose appearance is a moment to interrupt at: while tracing for patches, rendering, and writing. In every run
+one; the writer itself is interrupted at all of its writes in tests/unit/test_images_sets.py."""
+
+ALL_MOMENTS = 20
+"""Between the start of a process and its end."""
 
 one_console = pytest.mark.skipif(
     sys.platform == "win32", reason="Windows sends Ctrl-C to all processes of a console, pytest included"
@@ -118,19 +127,18 @@ def test_a_killed_run_is_completed_by_the_same_command(shared_bench, tmp_path, u
     assert snapshot(out) == undisturbed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @one_console
 @pytest.mark.parametrize("kill", [False, True], ids=["Ctrl-C", "kill"])
-@pytest.mark.parametrize("moments", [4, pytest.param(20, marks=pytest.mark.nightly)])
-def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill, moments):
+def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill):
     """Moments from the start of the process to its end; the set is valid after each, or not begun."""
     began = time.monotonic()
     complete(shared_bench, tmp_path / "whole")
     whole = time.monotonic() - began
-    for step in range(moments):
+    for step in range(ALL_MOMENTS):
         out = tmp_path / str(step)
         process = start(shared_bench, out)
-        time.sleep(whole * (step + 0.5) / moments)
+        time.sleep(whole * (step + 0.5) / ALL_MOMENTS)
         process.send_signal(signal.SIGKILL if kill else signal.SIGINT)
         _, errors = process.communicate(timeout=120)
         if (out / "manifest.json").exists():
@@ -141,7 +149,7 @@ def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill, mo
         # in process, which saves the start of an interpreter
         completed = cli("render", shared_bench.rig, shared_bench.part, "-o", out, *OPTIONS)
         assert completed.status == 0, completed.err
-        assert snapshot(out) == undisturbed, f"interrupted after {step + 0.5} of {moments}"
+        assert snapshot(out) == undisturbed, f"interrupted after {step + 0.5} of {ALL_MOMENTS}"
 
 
 # --- the same in process, at every single write: before the file is flushed, and before it is put in its place
@@ -158,7 +166,7 @@ def quick(shared_bench, tmp_path_factory, snapshot):
     return snapshot(out)
 
 
-@pytest.mark.parametrize("call", ["fsync", "replace"])
+@pytest.mark.parametrize("call", ["replace", pytest.param("fsync", marks=pytest.mark.nightly)])
 def test_ctrl_c_at_every_write(cli, shared_bench, tmp_path, quick, snapshot, monkeypatch, call):
     original = getattr(os, call)
     calls = 0

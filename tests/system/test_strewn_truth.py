@@ -42,7 +42,7 @@ def test_narrow_pits_and_scratches_are_counted_as_often_as_predicted(small_rig, 
     assert narrow.table_of(rows).count("cover-knob") == 4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_wall_over_the_whole_width_is_found_out(small_rig, knob, monkeypatch):
     """The comparison can fail: it does where a pixel is taken to see no second wall."""
     whole = np.minimum(1.0, 1.0 / PIXEL_RATIOS)[:, None] ** 2 * np.ones(4)

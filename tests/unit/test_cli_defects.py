@@ -132,9 +132,9 @@ def test_too_many_too_few_and_those_already_there_are_refused(cli, catalogue):
         "error: count: expected 1 to 500 defects, found 0",
         "error: seed: expected 0 or more, found -1",
     ]
-    ran = scatter(cli, catalogue, count=120)
+    ran = scatter(cli, catalogue, count=60)
     assert ran.status == 2
-    assert "of 120 defects, each seen whole in a posture and apart from the others" in ran.err
+    assert "of 60 defects, each seen whole in a posture and apart from the others" in ran.err
     assert not (catalogue.folder / "bad.yaml").exists()
     scatter(cli, catalogue, count=1)
     ran = cli(

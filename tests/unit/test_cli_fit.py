@@ -124,6 +124,7 @@ def test_gain_and_dark_are_freed_and_written_to_the_rig(cli, bench, images):
     assert load_part(bench.out / "part.fitted.yaml").reflectance.R_d == pytest.approx(45.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_numbers_of_points_are_compared_and_the_right_one_kept(cli, bench, images):
     ran = cli(
         "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--points", "1,4,9",
@@ -377,6 +378,7 @@ def test_lights_that_were_exchanged_are_told(cli, bench, images):
     refused(cli, bench, images, "with light1 and light3 exchanged: check which", options=("--joint",))
 
 
+@pytest.mark.slow
 def test_mirrored_images_are_told(cli, bench, images):
     spoil(images, lambda levels: levels[:, ::-1])
     refused(cli, bench, images, "do not look like this part", "mirrored left to right", options=("--joint",))

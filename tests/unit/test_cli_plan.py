@@ -27,7 +27,7 @@ defect_catalogue:
   - {name: dent, kind: dent, size_mm: 0.6, slope_deg: 4}
   - {name: stain, kind: stain, size_mm: 1.5, R_d_factor: 0.7}
 """
-FEW = ("--patches", "400", "--step", "10", "--no-images")
+FEW = ("--patches", "250", "--step", "10", "--no-images")
 PLAN = (
     *FEW,
     "--choose-postures",
@@ -261,7 +261,9 @@ def test_lights_that_do_not_move_are_taken_as_they_stand(two, cli):
     assert [light.elevation_deg for light in load_rig(two.out / "rig.optimized.yaml").lights] == [60, 50]
 
 
-@pytest.mark.parametrize("reach", ["", ", elevation_range_deg: [50, 60]"])
+@pytest.mark.parametrize(
+    "reach", [pytest.param("", marks=pytest.mark.slow), ", elevation_range_deg: [50, 60]"]
+)
 def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     first, *_, last = LIGHTS.splitlines(keepends=True)
     alone = first + last.replace("light2", "light1").replace(", elevation_range_deg: [40, 50]", reach)
@@ -461,7 +463,7 @@ def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
     assert f"1 further exposure planned, {expected}" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tolerances_of_another_objective(two, cli):
     ran = cli(
         "optimize",

@@ -261,7 +261,14 @@ print(before, held - before, peak() - held)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak is read from Linux's /proc")
-@pytest.mark.parametrize(("name", "change"), [("paper", 1), ("coverage", 1), ("coverage", 77)])
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("paper", 1),
+        pytest.param("coverage", 1, marks=pytest.mark.nightly),
+        pytest.param("coverage", 77, marks=pytest.mark.nightly),
+    ],
+)
 def test_a_search_holds_no_second_copy_of_the_levels(name, change):
     """300 MB of levels, whole and in boxes: all else is less than 200 MB, so that 1 GB, the most, stays below 2 GB."""
     code = MEMORY.format(name=name, change=change)
