@@ -217,7 +217,7 @@ def test_the_commands_run_as_they_are(planned, monkeypatch):
     captures = [shlex.split(command)[1:] for command in commands if command.startswith("lightopt capture")]
     assert len(renders) == len(captures) >= 1
     for arguments in renders:
-        assert arguments[arguments.index("--patches") + 1] == "400"  # the patches of the plan
+        assert arguments[arguments.index("--patches") + 1] == FEW[1]  # the patches of the plan
         assert run([*arguments, "--quiet"]) == 0
     for arguments in captures:
         assert run([*arguments, "--dry-run"]) == 0
