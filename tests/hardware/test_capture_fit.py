@@ -44,7 +44,7 @@ def take(bed, folder, *, ambient=0.0, **options):
 
 def fit(bed, image_set, **options):
     rig, part, guess = bed
-    found = fit_specular(rig, guess, image_set, options=FitOptions(pixels=20_000, **options))
+    found = fit_specular(rig, guess, image_set, options=FitOptions(**options))
     return found, part.reflectance
 
 
@@ -78,4 +78,4 @@ def test_means_of_frames_hold_the_truth(bed, tmp_path, average):
 @pytest.mark.parametrize("average", QUICK_AND_SLOW)
 def test_light_that_is_always_there_is_taken_off_by_frames_without_light(bed, tmp_path, average):
     options = {"exposures": (1.0, 1 / 16), "average": average, "dark": True}
-    check(bed, take(bed, tmp_path / "set", ambient=4.0, **options))
+    check(bed, take(bed, tmp_path / "set", ambient=4.0, **options), pixels=20_000)
