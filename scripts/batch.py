@@ -122,7 +122,8 @@ def is_own(result: Path, part: Path) -> bool:
     try:
         found = json.loads(result.read_text(encoding="utf-8"))
         kind = (str(found["format"]).partition("/")[0], found.get("kind", "simulated"))
-        return kind in OWN and found["provenance"]["inputs"]["part"]["file"] == part.name
+        made_from = found["part"] if "part" in found else found["provenance"]["inputs"]["part"]
+        return kind in OWN and made_from["file"] == part.name
     except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
         return False
 
