@@ -26,11 +26,13 @@ class Owned:
 try:
     owned = module["Owned"]()
     del owned
-    print(*module["steps"], sep=", ", flush=True)
     {wait}
-    print("lost")
+    end = "lost"
 except KeyboardInterrupt:
-    print("interrupted")
+    # on a busy machine it may come before the next line
+    end = "interrupted"
+print(*module["steps"], sep=", ")
+print(end)
 """
 
 HANDLERS = {
