@@ -136,7 +136,7 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
 )
 def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures, seeds):
     """Of 100 seeds, at least 90 per parameter (of 40, 34; of 20, 16), and standard errors are those of the scatter."""
-    samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=400)
+    samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=400 if seeds > 20 else 200)
     truth = dict(TRUTH)
     if freed.gain:
         truth |= {DARK: 0.0, FIRST_GAIN + 1: 0.0, FIRST_GAIN + 2: 0.0}
@@ -160,7 +160,7 @@ def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures, seeds):
         )
     for place in truth:
         assert held[place] >= {100: 90, 40: 34, 20: 16}[seeds]
-        low, high = {100: (0.8, 1.25), 40: (0.7, 1.3), 20: (0.6, 1.5)}[seeds]
+        low, high = {100: (0.8, 1.25), 40: (0.7, 1.3), 20: (0.5, 1.5)}[seeds]
         assert low <= np.std(z[place]) <= high
         assert abs(np.mean(z[place])) < (0.4 if seeds > 20 else 0.7)
         assert np.max(widths[place]) < 2.0 * 1.96 * (1.5 if seeds > 20 else 1.8) * np.std(values[place])

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from measured_ball import Ball, Surface, hemisphere
 
 from lightopt import build_scene
-from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, collect_samples, estimate, profile_interval
+from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, appraise, collect_samples, estimate, profile_interval
+from lightopt.fit._mismatch import refuse_other_images
+from lightopt.fit._world import World
 from lightopt.rendering import cast_rays_at
 
 SURFACES = {
@@ -41,6 +44,14 @@ class Bench:
     def fit(self, lights, *, budget=1000):
         images = self.ball.observations(self.levels, lights, bits=self.bits)
         return estimate(collect_samples(self.scene, images, caster=self.caster, budget=budget))
+
+    def judge(self, lights, found):
+        """Raise where the misfit is blamed on the ball's place, or the images are not taken for the ball's."""
+        images = self.ball.observations(self.levels, lights, bits=self.bits)
+        samples = collect_samples(self.scene, images, caster=self.caster, budget=300)
+        quality = replace(appraise(samples, found), epsilon=1.0)  # however good, it is looked into
+        assert quality.poor
+        refuse_other_images(World(None, self.scene, self.caster, images), samples, found, quality)
 
     def unseen(self, x, lights):
         rest = np.setdiff1d(self.all, lights)
@@ -93,6 +104,8 @@ def examine(bench, sizes, *, most_of_each, places=(R_D, LOG_R_S, LOG_SIGMA)):
 def test_subsets_of_lights_agree(tmp_path):
     bench = Bench(tmp_path, SURFACES["a sharp lobe in a haze"], lights=24, size=56)
     examine(bench, (6, 12), most_of_each=4)
+    lights = subsets(24, 6)[0]
+    bench.judge(lights, bench.fit(lights))
 
 
 @pytest.mark.nightly

@@ -53,7 +53,7 @@ def drawn(scene, caster, *, R_d, R_s, width, exposures):
     return tuple(images)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("R_s", "width"), [(2000.0, 0.03), (12500.0, 0.01)])
 def test_a_lobe_with_heavy_tails(tmp_path, R_s, width):
     rig = RIG.replace("[160, 120]", "[320, 240]").replace("pixel_size_um: 44", "pixel_size_um: 22")

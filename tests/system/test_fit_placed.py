@@ -19,7 +19,7 @@ from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, collect_samples, estimate
 from lightopt.rendering import cast_rays_at
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_placement_is_known_well_enough_for_the_reflectance(tmp_path):
     for name, text in (("rig.yaml", RIG), ("part.yaml", PART)):
         (tmp_path / name).write_text(text, encoding="utf-8")

@@ -25,15 +25,14 @@ from lightopt.rendering import cast_rays_at
 
 pytestmark = pytest.mark.slow
 
-PIXEL_MM = 0.22
+PIXEL_MM = 0.44
 TWO = (1.0, 1 / 16)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("strangers")
-    rig = RIG.replace("[160, 120]", "[320, 240]").replace("pixel_size_um: 44", "pixel_size_um: 22")
-    (folder / "rig.yaml").write_text(rig, encoding="utf-8")
+    (folder / "rig.yaml").write_text(RIG, encoding="utf-8")
     (folder / "stl.yaml").write_text(PART, encoding="utf-8")
     (folder / "part.yaml").write_text(PART.replace("knob.stl, units: mm", "knob.step"), encoding="utf-8")
     for kind in ("stl", "step"):
@@ -75,10 +74,9 @@ def refused_shift(scene, images, told="Use --free shift"):
 @pytest.mark.parametrize(
     ("pixels", "axis", "exposures"),
     [
-        (3, 1, (1.0,)),
         *(
             pytest.param(*case, marks=pytest.mark.nightly)
-            for case in ((1, 1, TWO), (-3, 0, TWO), (12, 1, (1.0,)))
+            for case in ((3, 1, (1.0,)), (1, 1, TWO), (-3, 0, TWO), (12, 1, (1.0,)))
         ),
     ],
 )
@@ -96,11 +94,12 @@ def test_a_part_that_lies_a_millimetre_off_is_refused(scene):
 
 def test_good_images_and_garbage_are_not_refused(scene):
     for garbage in (0.0, 0.05):
-        found, quality = judged(scene, captured(scene, exposures=TWO, garbage=garbage))
+        found, quality = judged(scene, captured(scene, garbage=garbage))
         assert quality.poor == (garbage > 0.02)
-        assert found.R_s == pytest.approx(12500.0, rel=0.01)
+        assert found.R_s == pytest.approx(12500.0, rel=0.03)
 
 
+@pytest.mark.nightly
 def test_normals_guessed_from_facets_are_not_refused(folder, scene):
     coarse = build_scene(folder / "rig.yaml", folder / "stl.yaml")
     _, quality = judged(coarse, captured(scene, exposures=TWO))

@@ -223,7 +223,7 @@ def test_the_commands_run_as_they_are(planned, monkeypatch):
         assert run([*arguments, "--dry-run"]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_same_command_again_gives_the_same_bytes_and_another_is_refused(planned, snapshot, cli):
     before = snapshot(planned.out)
     assert (

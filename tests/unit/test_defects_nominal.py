@@ -74,7 +74,7 @@ def test_the_images_show_the_defects(shop):
     ("command", "name"),
     [
         (("fit-diffuse", *SOME), "fit.json"),
-        pytest.param(("fit-specular", "--joint", *SOME), "fit.json", marks=pytest.mark.slow),
+        pytest.param(("fit-specular", "--joint", *SOME), "fit.json", marks=pytest.mark.nightly),
         pytest.param(("inspect", "--seen-by", "1", "--no-report"), "defects.json", marks=pytest.mark.slow),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

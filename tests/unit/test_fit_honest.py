@@ -11,7 +11,7 @@ import pytest
 
 from lightopt import load_rig
 from lightopt.errors import InputError
-from lightopt.fit import FIRST_GAIN, LOG_SIGMA, R_D, FittedValue, _search
+from lightopt.fit import FIRST_GAIN, LOG_SIGMA, R_D, FittedValue, _fit, _search
 from lightopt.fit._checks import refuse_out_of_range
 from lightopt.fit._criterion import Evaluation, parameter_name
 from lightopt.fit._maximise import maximise
@@ -196,6 +196,8 @@ def test_what_did_not_converge_is_said_and_exits_1(cli, bench, noisy, monkeypatc
 
     monkeypatch.setattr(_search, "maximise", few_steps)
     monkeypatch.setattr(_search, "MOST_TABLES", 1)
+    # a fit that did not end is poor: other places are looked for, which is tested elsewhere
+    monkeypatch.setattr(_fit, "refuse_other_images", lambda *_, **__: None)
     ran = fit(cli, bench, noisy, bench.out)
     assert ran.status == 1
     assert "did not converge" in ran.err
@@ -216,6 +218,7 @@ def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, mon
 
     monkeypatch.setattr(_search, "maximise", few_steps)
     monkeypatch.setattr(_search, "MOST_TABLES", 1)
+    monkeypatch.setattr(_fit, "refuse_other_images", lambda *_, **__: None)
     ran = cli("fit-diffuse", bench.rig, bench.part, noisy, "-o", bench.out, "--pixels", 6000)
     assert ran.status == 1
     assert "where the highlights are: the fit did not converge" in ran.err

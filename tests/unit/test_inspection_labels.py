@@ -54,7 +54,7 @@ def test_cast_labels_are_those_of_the_renderer_in_every_posture(bench, tmp_path)
         assert (one != other).sum() == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cast_labels_lie_where_the_part_was_found(bench, tmp_path):
     bench.part.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
     text = bench.part.read_text(encoding="utf-8").replace("at_pixel", "at_mm")
