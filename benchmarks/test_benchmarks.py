@@ -53,6 +53,7 @@ def test_replay_casts_the_rays_of_the_run(scene: Scene) -> None:
     assert len(rays.shadow[0]) < 16 * hits
 
 
+@pytest.mark.slow
 def test_a_smaller_sensor_sees_the_same(scene: Scene) -> None:
     wide = resized(scene.camera, 4 * scene.camera.width)
     assert wide.height == 4 * scene.camera.height
@@ -177,6 +178,7 @@ def test_a_peer_that_does_not_run_is_one_line_that_says_what_to_install(said, en
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_a_peer_that_ends_later_on_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     def start(size: object) -> tuple[list[PeerProcess], list[str]]:
         assert size == TOY

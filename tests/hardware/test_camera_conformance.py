@@ -217,6 +217,7 @@ def test_a_part_of_the_sensor_is_that_part_of_its_pixels(pixel_format: str) -> N
         server.close()
 
 
+@pytest.mark.slow
 def test_gain_and_exposure_act_on_the_image(beds: tuple[Path, Path]) -> None:
     """Light from everywhere: four times the exposure is four times the level, and 6 dB twice."""
     needs("aravis")
@@ -240,6 +241,7 @@ def test_gain_and_exposure_act_on_the_image(beds: tuple[Path, Path]) -> None:
     assert means == pytest.approx([20.0, 80.0, 80.0 * 10 ** (6 / 20)], rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_sets_of_the_rendered_and_of_the_gige_camera_are_the_same(
     beds: tuple[Path, Path], tmp_path: Path
 ) -> None:

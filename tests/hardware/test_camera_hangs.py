@@ -41,6 +41,7 @@ def test_the_time_that_a_frame_may_take_is_kept(tmp_path: Path, monkeypatch: pyt
             camera.grab(timeout_s=10)
 
 
+@pytest.mark.slow
 def test_a_bench_that_hangs_while_it_renders_is_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

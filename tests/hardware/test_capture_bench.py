@@ -203,6 +203,7 @@ def until_lit(bench: BenchProcess, process):
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_lights_go_off_when_the_command_is_told_to_end(outside, tmp_path, name):
@@ -220,6 +221,7 @@ def test_lights_go_off_when_the_command_is_told_to_end(outside, tmp_path, name):
     read_image_set(tmp_path / "out")
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("light_ms", [1000])
 def test_lights_left_on_by_a_killed_command_are_off_before_the_next_moves(outside, tmp_path):
@@ -235,6 +237,7 @@ def test_lights_left_on_by_a_killed_command_are_off_before_the_next_moves(outsid
     assert not any(bench.levels("lights").values())
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("light_ms", [1000])
 def test_a_cable_pulled_is_exit_3_and_says_in_which_step(outside, tmp_path):
@@ -251,6 +254,7 @@ def test_a_cable_pulled_is_exit_3_and_says_in_which_step(outside, tmp_path):
     assert "Traceback" not in errors
 
 
+@pytest.mark.slow
 @posix
 def test_a_port_in_use_is_exit_3_and_nothing_moves(outside, tmp_path):
     bench, rig, part = outside
@@ -265,6 +269,7 @@ def test_a_port_in_use_is_exit_3_and_nothing_moves(outside, tmp_path):
     assert not any(bench.levels("lights").values())
 
 
+@pytest.mark.slow
 @posix
 def test_the_serial_log_has_every_byte_up_to_a_kill(outside, tmp_path):
     bench, rig, part = outside
@@ -278,6 +283,7 @@ def test_the_serial_log_has_every_byte_up_to_a_kill(outside, tmp_path):
     assert all(line[:4] == str(time.gmtime().tm_year) for line in lines)
 
 
+@pytest.mark.slow
 def test_no_bench_outlives_the_command(bed, tmp_path):
     rig, part = bed[1]["shot"]
     process = start(rig, part, tmp_path / "out")

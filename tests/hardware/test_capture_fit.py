@@ -64,7 +64,7 @@ QUICK_AND_SLOW = [
     pytest.param(1, marks=pytest.mark.nightly),
     pytest.param(2, marks=pytest.mark.slow),
     pytest.param(3, marks=pytest.mark.nightly),
-    pytest.param(4, marks=pytest.mark.slow),
+    pytest.param(4, marks=pytest.mark.nightly),
 ]
 
 

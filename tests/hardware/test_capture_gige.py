@@ -47,6 +47,7 @@ def test_the_manifest_says_what_took_the_frames(bed):
     assert all(fact["camera"]["frames_lost"] == 0 for fact in facts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
     [
@@ -82,6 +83,7 @@ def test_a_camera_that_hangs_stops_the_run_in_the_dark(bed, tmp_path):
     assert "all lights are off" in found.message
 
 
+@pytest.mark.slow
 def test_an_old_image_under_a_new_stamp_is_found_in_the_image(bed, tmp_path):
     # the sixth frame is the first of a light: the frame before was dark
     found = seen(bed, tmp_path, "camera", "old_image", {"after": 4})

@@ -33,6 +33,7 @@ def captured(tmp_path_factory):
     return rig, part, folder / "set", said
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_did(captured):
     _, _, folder, said = captured
     assert said.stderr == ""
@@ -41,6 +42,7 @@ def test_the_command_says_what_it_did(captured):
     assert last == str(folder / "manifest.json")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("guess", "command", "fitted"),
     [
@@ -73,6 +75,7 @@ def test_overlap_and_compare_take_a_capture(captured):
     lightopt("compare", folder, folder)
 
 
+@pytest.mark.slow
 def test_a_changed_file_is_noticed_by_compare_and_fit(captured, tmp_path):
     import shutil
 
@@ -111,6 +114,7 @@ def kill_and_resume(captured, tmp_path, kills, seed, cli):
     assert unfinished >= kills / 3
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_it_is_the_same_set(captured, tmp_path, cli):
     kill_and_resume(captured, tmp_path, 2, seed=3, cli=cli)
 

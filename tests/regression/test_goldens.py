@@ -28,6 +28,7 @@ def load_script():
 goldens = load_script()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", goldens.RENDERS)
 def test_a_golden_scene_renders_as_it_did(cli, tmp_path, name):
     assert (goldens.GOLDEN / name / "manifest.json").is_file(), f"no golden set {name}: make golden"
@@ -134,6 +135,7 @@ def test_a_missing_file_is_a_failure_on_either_side(cli, copy, lost, side):
     assert "missing" in ran.err or "no " in ran.err
 
 
+@pytest.mark.slow
 def test_the_script_leaves_with_failure(copy, tmp_path, monkeypatch):
     """What `make golden-check` runs: one spoilt golden set is one failure."""
     golden, new = copy

@@ -93,6 +93,7 @@ def test_convex_part(sigma, real, most):
     assert np.count_nonzero(expected >= 255) > (70 if most is None else 30)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "distance", "real", "shine"),
     [
@@ -140,6 +141,7 @@ VIEWS = {
 QUICK_BOXES = [("aligned", 0.0475), ("mirror", 0.0475), ("plan", 0.15)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "sigma"),
     [

@@ -59,6 +59,7 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, finishes, tmp_pa
     assert (tmp_path / "truth.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_wrong_prediction_is_found_out(small_rig, monkeypatch):
     """The comparison can fail: with a quarter of the threshold in the prediction only, shares are off."""
 

@@ -84,10 +84,10 @@ def errors_by_hand(samples, found):
 SAMPLED = {
     ("0.8 levels", "one"): (),
     ("12 bit", "one"): pytest.mark.slow,
-    ("5 levels", "two"): pytest.mark.slow,
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "exposures", "seeds"),
     [
@@ -120,7 +120,7 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
 @pytest.mark.parametrize(
     ("freed", "sensor", "exposures", "seeds"),
     [
-        pytest.param(Freed(), SENSOR, (1.0,), 20, id="8 bit"),
+        pytest.param(Freed(), SENSOR, (1.0,), 20, id="8 bit, 20 seeds"),
         pytest.param(Freed(), SENSOR, (1.0,), 100, id="8 bit, 100 seeds", marks=pytest.mark.nightly),
         pytest.param(Freed(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly),
         pytest.param(Freed(), SENSORS["12 bit"], (1.0,), 40, id="12 bit", marks=pytest.mark.nightly),

@@ -75,15 +75,17 @@ def assert_recovers(found: Estimate, truth: Reflectance, *, R_d: float, R_s: flo
     assert abs(errors[2]) <= sigma
 
 
+@pytest.mark.slow
 def test_the_fine_mesh_is_finer(world):
     assert len(world.fine.faces) > 3 * len(world.scene.mesh.faces)
 
 
+@pytest.mark.slow
 def test_one_exposure_recovers_the_reflectance(one_exposure):
     assert_recovers(one_exposure, TRUTH, R_d=0.01, R_s=0.05, sigma=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_second_exposure_pins_r_s_down(world, one_exposure, two_exposures):
     """At least five times."""
     assert_recovers(two_exposures, TRUTH, R_d=0.01, R_s=0.02, sigma=0.01)

@@ -92,6 +92,7 @@ def test_a_part_that_lies_a_millimetre_off_is_refused(scene):
     assert refused_shift(scene, captured(placed, exposures=TWO)) == pytest.approx(1.0 / PIXEL_MM, rel=0.1)
 
 
+@pytest.mark.nightly
 def test_good_images_and_garbage_are_not_refused(scene):
     for garbage in (0.0, 0.05):
         found, quality = judged(scene, captured(scene, garbage=garbage))

@@ -96,6 +96,7 @@ def undisturbed(shared_bench, tmp_path_factory, snapshot):
     return snapshot(out)
 
 
+@pytest.mark.slow
 @one_console
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_ctrl_c_leaves_a_valid_set_that_the_same_command_completes(
@@ -113,6 +114,7 @@ def test_ctrl_c_leaves_a_valid_set_that_the_same_command_completes(
     assert snapshot(out) == undisturbed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_a_killed_run_is_completed_by_the_same_command(shared_bench, tmp_path, undisturbed, snapshot, moment):
     out = tmp_path / "out"
@@ -166,6 +168,7 @@ def quick(shared_bench, tmp_path_factory, snapshot):
     return snapshot(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", ["replace", pytest.param("fsync", marks=pytest.mark.nightly)])
 def test_ctrl_c_at_every_write(cli, shared_bench, tmp_path, quick, snapshot, monkeypatch, call):
     original = getattr(os, call)

@@ -47,6 +47,7 @@ def matrix_of(scene, rig, posture, *, budget, step=5.0, shadows=True, threads=2)
     return matrix, found, table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadows", [True, False])
 @pytest.mark.parametrize("part", ["cover-knob", "spout"])
 def test_levels_are_those_of_the_equations_at_the_centroids(tmp_path, part, shadows):

@@ -56,6 +56,7 @@ def leaning(normals, axes, slope, direction):
     return math.cos(slope) * normals + math.sin(slope) * np.array(towards)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadows", [True, pytest.param(False, marks=pytest.mark.nightly)])
 def test_bits_are_the_definition_in_plain_numpy(tmp_path, shadows):
     """Plain equations at every visible centroid for each defect; a bit may differ where the contrast is at its edge."""
@@ -183,6 +184,7 @@ def test_levels_are_the_same_with_and_without_defects_and_threads(tmp_path, poin
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_converged_panels_on_leaning_patches(tmp_path):
     """Where the panel is seen whole, what the renderer itself says of the turned normal; in penumbrae nearly."""
     scene, _ = small_scene(tmp_path, "spout", points="auto")

@@ -102,6 +102,7 @@ def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anc
     )
 
 
+@pytest.mark.slow
 def test_a_part_off_by_a_millimetre_is_found_and_the_errors_are_errors(scene: Scene) -> None:
     images = captured(place_part(scene, TRUTH), exposures=(1.0, 1 / 16))
     caster = cast_rays_at(scene)
@@ -142,6 +143,7 @@ def test_errors_of_a_placement_are_those_of_its_scatter(
     assert np.all(np.abs(np.mean(z, axis=0)) < 1.0)
 
 
+@pytest.mark.slow
 def test_a_body_of_revolution_is_taken_to_lie_as_its_file_has_it(tmp_path, shared_bench) -> None:
     """Its turn is told by nothing; shifted off the axis that it turns about, a wrong turn would be a wrong place.
 

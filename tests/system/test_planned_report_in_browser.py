@@ -154,6 +154,7 @@ def check_blind_spots(seen: Opened, report: Path) -> None:
             assert row[header.index(entry["reason"])] == percent(entry["share"])
 
 
+@pytest.mark.slow
 def test_the_report_of_a_search_for_defects(inspected):
     with opened(inspected) as seen:
         check_once_and_silent(seen, inspected)
@@ -195,6 +196,7 @@ def test_the_scores_of_several_objectives_are_no_wider_than_the_page(tmp_path):
         assert seen.page.evaluate(wide) == 0
 
 
+@pytest.mark.slow
 def test_the_report_of_a_plan(planned):
     result = result_of(planned)
     chosen = result["chosen_postures"]

@@ -98,6 +98,7 @@ SAMPLE_CAMERA = ref.Camera(width=160, height=120, pixel_um=38)
 SAMPLE_LIGHTS = [ref.Light(azimuth=45, k=1), ref.Light(azimuth=225, elevation=35, k=2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "posture", "least_share"),
     [
@@ -122,6 +123,7 @@ def test_sample_parts_without_shadows(tmp_path, part):
     compare(SAMPLE_CAMERA, light, scene, scene.mesh, (0, 0), (0, 0, 0), PAPER, least_share=0.6, shadows=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, *(pytest.param(s, marks=pytest.mark.slow) for s in (3, 4))])
 @pytest.mark.parametrize(
     ("shape", "least_share"), [(bumps, 0.7), (soup, 0.3)], ids=["smooth-height-field", "faceted-triangles"]
@@ -141,6 +143,7 @@ def test_random_meshes_on_random_rigs(seed, shape, least_share):
     compare(camera, lights, scene, mesh, posture, pivot, reflectance, least_share=least_share)
 
 
+@pytest.mark.slow
 def test_files_and_functions_describe_the_same_rig(tmp_path):
     """Every number of a rig file reaches the physics: the reference was given the same numbers, not the file."""
     camera, lights = random_rig(np.random.default_rng(11))

@@ -71,6 +71,7 @@ def grey(images, seed=0):
     return [np.round(90.0 + 1.2 * rng.normal(size=o.levels.shape)).astype(np.float32) for o in images]
 
 
+@pytest.mark.slow
 def test_a_plate_is_found_by_its_outline(plate):
     """Its inner pixels are alike, wherever it lies; a pixel is 0.22 mm."""
     scene, _ = plate
@@ -84,6 +85,7 @@ def test_a_plate_is_found_by_its_outline(plate):
     assert 0.05 < max(place.errors[:2]) < 0.3
 
 
+@pytest.mark.slow
 def test_of_even_grey_images_nothing_is_concluded(plate):
     scene, images = plate
     matte = replace(scene, reflectance=replace(scene.reflectance, R_s=1e-3))

@@ -75,6 +75,7 @@ def colours(png: bytes) -> Counter[str]:
     return Counter({name: int((nearest == k).sum()) for k, name in enumerate(names)})
 
 
+@pytest.mark.slow
 def test_it_turns_and_changes_colours_and_asks_for_nothing(report):
     with opened(report) as seen:
         page = seen.page
@@ -121,6 +122,7 @@ def test_it_turns_and_changes_colours_and_asks_for_nothing(report):
         ]
 
 
+@pytest.mark.slow
 def test_paper_gets_a_still_picture_as_it_was_turned(report):
     with opened(report) as seen:
         page = seen.page
@@ -152,6 +154,7 @@ def test_without_webgl_the_still_picture_stays_and_says_so(report):
         assert not page.locator("canvas").is_visible()
 
 
+@pytest.mark.slow
 def test_the_still_picture_shows_what_the_view_shows_first(report):
     with opened(report) as seen:
         page = seen.page
@@ -165,6 +168,7 @@ def test_the_still_picture_shows_what_the_view_shows_first(report):
         assert np.quantile(np.abs(a - b), 0.97) < 12.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("images", [True, False])
 def test_the_report_of_an_optimisation(bench, cli, images):
     text = bench.rig.read_text(encoding="utf-8").replace("azimuth_deg: 45}", "azimuth_deg: 45, RANGE}")
@@ -220,6 +224,7 @@ def of_itself_only(seen, path):
     assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [path.resolve().as_uri()]
 
 
+@pytest.mark.slow
 def test_the_reports_of_inspected_parts(bench, cli):
     bench.edit("part.yaml", "name: knob", "name: '<b>knob</b>'")
     good = bench.part.read_text(encoding="utf-8")

@@ -118,6 +118,7 @@ def test_components_add_and_are_linear_in_the_coefficients(points, close):
     np.testing.assert_allclose(image(R_d=0.0).level, both.specular, **close)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [None, "auto"])
 @pytest.mark.parametrize("supersample", [1, 3])
 def test_threads_give_identical_bytes(tmp_path, monkeypatch, points, supersample):

@@ -60,6 +60,7 @@ GLOSS = {"R_d": 70.0, "R_s": 4000.0, "sigma": 0.08}
 METAL = {"R_d": 12.0, "R_s": 30_000.0, "sigma": 0.03}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "reflectance"),
     [
@@ -89,6 +90,7 @@ def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(
         assert ("elevation" if tilt else "rotation") in found.off
 
 
+@pytest.mark.slow
 def test_a_third_of_a_degree_is_told_in_a_small_image_or_said_to_be_unseen() -> None:
     """100 × 75 pixels: the errors are those of the scatter, not of how much a cell may pull."""
     scene = scene_of("cover-knob.yaml", shrunk=16)
@@ -105,6 +107,7 @@ def test_a_third_of_a_degree_is_told_in_a_small_image_or_said_to_be_unseen() -> 
     assert (dim.off, dim.unseen) == (None, "elevation and rotation")
 
 
+@pytest.mark.slow
 def test_what_cannot_be_seen_is_said_to_be_so() -> None:
     unsure = CameBack(tilt_deg=0.9, turn_deg=2.0, tilt_error_deg=0.01, turn_error_deg=0.7)
     assert unsure.off == "its elevation by roughly +0.9°"

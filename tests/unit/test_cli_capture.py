@@ -107,6 +107,7 @@ def test_a_folder_is_needed(cli, wired, sealed):
     assert ran.err.startswith("error: --out: expected a folder")
 
 
+@pytest.mark.slow
 def test_capture_says_where_the_set_is_and_takes_nothing_twice(cli, wired):
     first = cli("capture", wired.rig, wired.part, "-o", wired.out, "--serial-log", wired.folder / "bytes.log")
     assert (first.status, first.err) == (0, "")
@@ -154,6 +155,7 @@ def test_what_is_taken_of_a_light_is_counted_in_words_that_agree(cli, wired, sea
     assert "(settling and 1 exposure of 1 frame)" in ran.err
 
 
+@pytest.mark.slow
 def test_the_contact_sheets_of_a_capture(cli, wired):
     ran = cli(
         "capture",
@@ -178,6 +180,7 @@ def test_the_contact_sheets_of_a_capture(cli, wired):
     assert whole.mean() > dim.mean() + 1.0  # a sixteenth of the light
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quiet", [(), ("--quiet",)])
 def test_what_is_out_of_the_ordinary_on_the_wires_is_said(cli, wired, quiet):
     options = ("--posture", "0,10.005", "--light", "light1", *quiet)

@@ -82,6 +82,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others(cli, catalogu
     assert one.replace(b"--seed 3", b"--seed 4") != three
 
 
+@pytest.mark.slow
 def test_places_are_even_by_area(catalogue):
     """Of many small defects the halves of the knob on either side of its middle get about half each."""
     text = catalogue.part.read_text(encoding="utf-8").partition("defect_catalogue")[0]
@@ -125,6 +126,7 @@ def test_another_result_is_not_overwritten(cli, catalogue):
     assert scatter(cli, catalogue, "bad.yaml", "--force", seed=9).status == 0
 
 
+@pytest.mark.slow
 def test_too_many_too_few_and_those_already_there_are_refused(cli, catalogue):
     ran = scatter(cli, catalogue, seed=-1, count=0)
     assert ran.status == 2

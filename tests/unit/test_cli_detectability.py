@@ -56,6 +56,7 @@ def ply_of(path):
     return lines, vertices, faces
 
 
+@pytest.mark.slow
 def test_result_has_scores_kinds_directions_and_blind_spots(planned):
     result = result_of(planned.out)
     assert result["provenance"]["options"]["seen_in"] == 2
@@ -159,6 +160,7 @@ def blind_row(planned, what):
     return sum(float(row[3]) for row in rows if row[:3] == ("0,0", "chosen", what))
 
 
+@pytest.mark.slow
 def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot, monkeypatch):
     before = snapshot(planned.out)
     command = ("optimize", planned.rig, planned.part, "-o", planned.out, *FEW, *DEFECTS, "--no-images")
@@ -170,6 +172,7 @@ def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot
     assert snapshot(planned.out) == before
 
 
+@pytest.mark.slow
 def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(three, cli):
     command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
     command += ("--objective", "detectability", "--keep-matrix")
@@ -212,6 +215,7 @@ def test_bad_options(three, cli, arguments, message):
     assert not three.out.exists()
 
 
+@pytest.mark.slow
 def test_part_with_a_catalogue_of_its_own(three, cli):
     with three.part.open("a", encoding="utf-8") as file:
         file.write(

@@ -76,6 +76,7 @@ def edit_manifest(images, change):
 # --- the way through
 
 
+@pytest.mark.slow
 def test_diffuse_then_specular_recovers_the_truth(cli, bench, images):
     first = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d")
     assert (first.status, first.err) == (0, "")
@@ -98,6 +99,7 @@ def test_diffuse_then_specular_recovers_the_truth(cli, bench, images):
     assert len(list((bench.folder / "s" / "left-out").glob("*.png"))) == 8
 
 
+@pytest.mark.slow
 def test_only_the_fitted_values_of_the_part_change(cli, bench, images):
     text = bench.part.read_text().replace("postures:", "# a comment\npostures:")
     bench.part.write_text(text)
@@ -109,6 +111,7 @@ def test_only_the_fitted_values_of_the_part_change(cli, bench, images):
     assert after[-1].endswith(", R_s: 500, sigma_rad: 0.1}")
 
 
+@pytest.mark.slow
 def test_gain_and_dark_are_freed_and_written_to_the_rig(cli, bench, images):
     bench.edit("rig.yaml", "gain: 0.8", "gain: 1.1")
     spoil(images, lambda levels: np.minimum(levels.astype(int) + 3, 255).astype(np.uint8))
@@ -139,6 +142,7 @@ def test_numbers_of_points_are_compared_and_the_right_one_kept(cli, bench, image
     assert own["perimeter_px"] == pytest.approx(own["measured_perimeter_px"], rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_papers_procedure(cli, bench, images):
     one = ("--method", "paper")
     assert cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d", *one).status == 0
@@ -154,6 +158,7 @@ def test_the_papers_procedure(cli, bench, images):
     assert any(step["reached"] for step in figures["sweep"])
 
 
+@pytest.mark.slow
 def test_the_same_fit_again_gives_the_same_bytes(cli, bench, images, snapshot):
     command = ("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation")
     assert cli(*command, "--threads", "1").status == 0
@@ -162,6 +167,7 @@ def test_the_same_fit_again_gives_the_same_bytes(cli, bench, images, snapshot):
     assert snapshot(bench.out) == first
 
 
+@pytest.mark.slow
 def test_a_fit_of_other_inputs_is_not_replaced(cli, bench, images):
     command = ("fit-diffuse", bench.rig, bench.part, images, "-o", bench.out)
     assert cli(*command).status == 0
@@ -206,6 +212,7 @@ def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path, points):
 # --- what is said
 
 
+@pytest.mark.slow
 def test_images_that_hardly_separate_the_two_ask_for_a_shorter_exposure(cli, bench, images):
     edit_manifest(images, lambda m: m.update(images=[e for e in m["images"] if e["exposure"] == 1][:2]))
     ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--pixels", "4000")
@@ -214,6 +221,7 @@ def test_images_that_hardly_separate_the_two_ask_for_a_shorter_exposure(cli, ben
     assert "add a shorter exposure" in ran.err
 
 
+@pytest.mark.slow
 def test_a_held_r_d_that_is_wrong_is_noticed(cli, bench, images):
     ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--no-validation")
     assert "R_d is held at 30" in ran.err
@@ -235,11 +243,13 @@ def test_point_lights_fitted_to_an_evenly_lit_panel_are_noticed(cli, bench, tmp_
     assert "evenly lit" not in cli(*command, "-o", tmp_path / "auto", "--points", "auto").err
 
 
+@pytest.mark.slow
 def test_images_of_point_lights_want_no_evenly_lit_panel(cli, bench, images):
     ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation")
     assert (ran.status, ran.err) == (0, "")
 
 
+@pytest.mark.slow
 def test_force_leaves_nothing_of_the_fit_before(cli, bench, images):
     command = ("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "-q")
     assert cli(*command, "--free", "gain", "--pixels", "4000").status == 0
@@ -252,6 +262,7 @@ def test_force_leaves_nothing_of_the_fit_before(cli, bench, images):
     assert "rig.fitted.yaml" not in listed
 
 
+@pytest.mark.slow
 def test_what_validation_keeps_is_said(cli, bench, images):
     ran = cli(
         "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "gain", "--pixels", "4000"
@@ -265,6 +276,7 @@ def test_what_validation_keeps_is_said(cli, bench, images):
     assert figures["gains"]["light1"]["interval_95"] is None
 
 
+@pytest.mark.slow
 def test_a_black_level_below_zero_is_not_hidden(cli, bench, images):
     # the camera takes two levels off, and what was clipped at 255 with them
     spoil(images, lambda levels: np.maximum(levels.astype(int) - 2, 0).astype(np.uint8))
@@ -421,6 +433,7 @@ def test_shifted_images_are_told(cli, bench, images):
     refused(cli, bench, images, *told, options=("--joint",))
 
 
+@pytest.mark.slow
 def test_one_light_alone_is_fitted_and_not_validated(cli, bench, images):
     edit_manifest(images, lambda m: m.update(images=[e for e in m["images"] if e["light"] == "light1"][:2]))
     ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint")
@@ -440,6 +453,7 @@ def test_a_set_without_images(cli, bench, images):
     refused(cli, bench, images, "lists no images")
 
 
+@pytest.mark.slow
 def test_exr_only_images_are_read(cli, bench, images):
     def drop(manifest):
         manifest["images"] = [e for e in manifest["images"] if e["exposure"] == 1]

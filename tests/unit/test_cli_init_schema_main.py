@@ -32,6 +32,7 @@ def test_init_writes_a_rig_a_part_a_mesh_and_their_schemas(cli, tmp_path):
         json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_what_init_wrote_can_be_checked(cli, tmp_path):
     assert cli("init", tmp_path / "mine").status == 0
     ran = cli("check", tmp_path / "mine" / "rig.yaml", tmp_path / "mine" / "part.yaml")
@@ -156,6 +157,7 @@ def test_a_reader_that_goes_away_is_no_error():
     assert said == b""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
 def test_output_redirected_in_a_windows_code_page_is_utf_8(tmp_path, shared_bench, encoding):
     """Neither θ nor σ nor ≤ is in cp1252: redirected output is UTF-8 instead of a traceback."""
@@ -175,6 +177,7 @@ def test_output_redirected_in_a_windows_code_page_is_utf_8(tmp_path, shared_benc
         assert b"Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_progress_is_for_terminals_only(tmp_path, shared_bench):
     arguments = ["render", shared_bench.rig, shared_bench.part, "-o", tmp_path / "out", "--patches", "500"]
     command = [sys.executable, "-m", "lightopt", *map(str, arguments)]

@@ -67,6 +67,7 @@ def found(bench, out="out"):
     return json.loads((bench.folder / out / "defects.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("detector", ["residual", "template"])
 def test_defects_are_found_where_they_are_and_told_in_every_file(cli, bench, parts, detector):
     ran = inspect(cli, bench, parts["bad"], "--detector", detector, "--fail-on-defect")
@@ -144,6 +145,7 @@ def test_a_good_part_is_ok_and_the_surface_is_accounted_for(cli, bench, parts):
         assert posture["gains"] == pytest.approx({"light1": 1.0, "light3": 1.0}, abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_same_images_give_the_same_bytes_with_any_number_of_threads(cli, bench, parts, snapshot):
     one = inspect(cli, bench, parts["bad"], "--threads", "1", out="one")
     two = inspect(cli, bench, parts["bad"], "--threads", "2", out="two")
@@ -151,6 +153,7 @@ def test_the_same_images_give_the_same_bytes_with_any_number_of_threads(cli, ben
     assert snapshot(bench.folder / "one") == snapshot(bench.folder / "two")
 
 
+@pytest.mark.slow
 def test_other_results_are_replaced_only_with_force(cli, bench, parts, snapshot):
     assert inspect(cli, bench, parts["good"]).status == 0
     assert inspect(cli, bench, parts["good"]).status == 0
@@ -184,6 +187,7 @@ def test_a_result_names_the_sets_before_it_whose_predictions_it_may_have(bench, 
     assert made_from(read_image_set(images)) != made_from(good)
 
 
+@pytest.mark.slow
 def test_limits_of_the_part_say_what_counts(cli, bench, parts):
     text = bench.part.read_text(encoding="utf-8")
     bench.part.write_text(text + "inspection: {most_defects: 1, least_size_mm: 20}\n", encoding="utf-8")
@@ -208,6 +212,7 @@ def test_limits_of_the_part_say_what_counts(cli, bench, parts):
     assert "least_contrast: expected a number from 0 to 1" in ran.err
 
 
+@pytest.mark.slow
 def test_several_parts_get_a_folder_each(cli, bench, parts):
     ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--fail-on-defect")
     assert ran.status == 1
@@ -235,6 +240,7 @@ def dazzled(images):
     return images.rename(images.with_name("dazzled"))
 
 
+@pytest.mark.slow
 def test_a_set_that_is_refused_is_told_and_the_others_go_on(cli, bench, parts, dazzled):
     ran = inspect(cli, bench, [parts["good"], dazzled, parts["bad"]], "--fusion", "none", "--fail-on-defect")
     assert ran.status == 2
@@ -267,6 +273,7 @@ def test_a_set_that_is_refused_is_told_and_the_others_go_on(cli, bench, parts, d
     assert "1 of 3</strong> parts are OK; 1 set not inspected" in page
 
 
+@pytest.mark.slow
 def test_a_refused_set_keeps_no_earlier_result_and_an_old_folder_is_asked_for_before_work(
     cli, bench, parts, dazzled, tmp_path
 ):
@@ -287,6 +294,7 @@ def test_a_refused_set_keeps_no_earlier_result_and_an_old_folder_is_asked_for_be
     assert [one["verdict"] for one in batch["sets"]] == ["not inspected"] * 2
 
 
+@pytest.mark.slow
 def test_sets_of_a_batch_keep_their_own_postures_and_lights(cli, bench, parts, tmp_path):
     few = rendered(bench, tmp_path / "few", "--light", "light1", *FIRST)
     assert inspect(cli, bench, [few, parts["good"]], "--fusion", "none", out="up").status == 0
@@ -315,6 +323,7 @@ def test_what_a_set_lacks_is_said(cli, bench, tmp_path):
     assert "a defect shows in 2 images, or in all where there are fewer<" in page
 
 
+@pytest.mark.slow
 def test_a_missing_posture_is_not_inspected(cli, bench, parts, tmp_path):
     few = rendered(bench, tmp_path / "few", *FIRST)
     assert inspect(cli, bench, [parts["good"], few], "--fusion", "none").status == 0
@@ -384,6 +393,7 @@ def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
     assert told["detection"]["all"]["a90"] is None  # two are too few to say
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_run_goes_when_the_next_has_none(cli, bench, parts):
     assert inspect(cli, bench, parts["bad"], "--fusion", "none", "--truth", "--no-report").status == 0
     assert "report.html" not in found(bench)["files"]

@@ -59,6 +59,7 @@ def result_of(folder: Path):
     return json.loads((folder / "result.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_result_says_angles_scores_proof_and_provenance(optimized):
     result = result_of(optimized.out)
     assert result["format"] == "lightopt-optimum/1"
@@ -145,6 +146,7 @@ def images_of(bench, result, index):
     return [images.load(entry).sensor for entry in images.images[:3]]
 
 
+@pytest.mark.slow
 def test_the_same_command_gives_the_same_bytes_on_any_threads(optimized, cli, snapshot, tmp_path):
     ran = cli(
         "optimize", optimized.rig, optimized.part, "-o", tmp_path, *FEW, "--keep-matrix", "--threads", 1
@@ -157,6 +159,7 @@ def test_the_same_command_gives_the_same_bytes_on_any_threads(optimized, cli, sn
     assert snapshot(tmp_path) == snapshot(optimized.out)
 
 
+@pytest.mark.slow
 def test_the_terminal_shows_the_table(optimized, cli):
     ran = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *FEW, "--keep-matrix")
     lines = ran.out.splitlines()
@@ -200,6 +203,7 @@ def test_the_terminal_shows_the_table(optimized, cli):
     assert [[cell.replace("-10", "−10") for cell in row] for row in rows] == expected
 
 
+@pytest.mark.slow
 def test_patches_that_are_too_coarse_are_told(three, cli):
     few = ("--step", "20", "--no-images", "--posture", "0,0")
     trimesh.creation.box((40, 30, 10)).export(three.mesh)
@@ -212,6 +216,7 @@ def test_patches_that_are_too_coarse_are_told(three, cli):
     assert "patches have edges" not in fine.err
 
 
+@pytest.mark.slow
 def test_a_step_part_of_many_triangles_says_how_to_have_fewer(three, cli):
     shutil.copyfile(CONFIGS / "parts" / "cover-knob.step", three.folder / "knob.step")
     three.edit("part.yaml", "knob.stl", "knob.step")
@@ -230,6 +235,7 @@ def test_a_step_part_of_many_triangles_says_how_to_have_fewer(three, cli):
     )  # half as many cuts beside them
 
 
+@pytest.mark.slow
 def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli, snapshot):
     command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--no-images")
     assert cli(*command, "--step", "10", "--posture", "0,0").status == 0
@@ -244,6 +250,7 @@ def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli
     assert {p.relative_to(three.out).as_posix() for p in three.out.rglob("rig.optimized.yaml")} == listed
 
 
+@pytest.mark.slow
 def test_force_leaves_no_map_of_the_run_before(three, cli):
     command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "20", "-q")
     assert cli(*command).status == 0
@@ -256,6 +263,7 @@ def test_force_leaves_no_map_of_the_run_before(three, cli):
     assert len(now) == 1
 
 
+@pytest.mark.slow
 def test_common_lights_and_common_elevation(three, cli):
     three.edit("rig.yaml", "elevation_range_deg: [45, 50]", "elevation_range_deg: [45, 60]")
     ran = cli(
@@ -411,6 +419,7 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
     assert "2 images, and the rig has 1 light only; lower --seen-in" in twice.err
 
 
+@pytest.mark.slow
 def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):
     lights = LIGHTS.split("  - name: light2")[0] + LIGHTS[LIGHTS.index("  - {name: light3") :]
     with_lights(bench, lights)
@@ -450,6 +459,7 @@ def test_black_level_is_no_light(three, cli):
         assert answer["lights"] is None
 
 
+@pytest.mark.slow
 def test_a_light_that_stands_in_the_part_and_can_leave_it(three, cli):
     """Where the rig has it now is in the part: that candidate is left out; one that cannot move is refused."""
     trimesh.creation.box((200, 20, 60)).export(three.folder / "knob.stl")

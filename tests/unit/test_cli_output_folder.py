@@ -194,6 +194,7 @@ def test_not_even_force_replaces_captured_images(cli, bench, snapshot):
     assert snapshot(bench.out) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("option", "name"), [("--json", "findings.json"), ("--drawing", "rig.png")])
 def test_check_replaces_another_result_only_with_force(cli, bench, option, name):
     path = bench.folder / name

@@ -73,6 +73,7 @@ def result_of(folder: Path):
     return json.loads((folder / "result.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_the_result_says_postures_gains_and_bounds(planned):
     result = result_of(planned.out)
     chosen = result["chosen_postures"]
@@ -261,6 +262,7 @@ def test_lights_that_do_not_move_are_taken_as_they_stand(two, cli):
     assert [light.elevation_deg for light in load_rig(two.out / "rig.optimized.yaml").lights] == [60, 50]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "reach", [pytest.param("", marks=pytest.mark.slow), ", elevation_range_deg: [50, 60]"]
 )
@@ -317,6 +319,7 @@ def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
     assert f"postures together show {shares[-1]:.1f} %" in ran.err
 
 
+@pytest.mark.slow
 def test_a_number_of_postures_shows_at_least_what_a_target_beyond_reach_says(two, cli):
     few = ("--patches", "100", "--step", "10", "--no-images", "--posture-step", "90", "--no-report")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--target", "1", "--quiet")
@@ -329,6 +332,7 @@ def test_a_number_of_postures_shows_at_least_what_a_target_beyond_reach_says(two
     assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= told - 0.05
 
 
+@pytest.mark.slow
 def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(two, cli):
     few = ("--patches", "100", "--step", "10", "--no-images", "--posture-step", "90", "--no-report")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "30")

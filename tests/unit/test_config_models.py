@@ -203,6 +203,7 @@ def test_any_bytes(data: bytes, tmp_path: Path) -> None:
     check(data, tmp_path)
 
 
+@pytest.mark.slow
 @QUICK
 @given(tokens=st.lists(st.sampled_from(TOKENS) | st.text(max_size=3), max_size=20))
 def test_any_text(tokens: list[str], tmp_path: Path) -> None:

@@ -70,6 +70,7 @@ def test_the_images_show_the_defects(shop):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "name"),
     [
@@ -136,6 +137,7 @@ def test_a_kept_matrix_serves_both(cli, shop, tmp_path):
     assert "1 kept luminance matrix reused" in ran.out
 
 
+@pytest.mark.slow
 def test_a_list_that_cannot_be_placed_stops_only_what_shows_it(cli, shop, tmp_path):
     text = parts(shop)[1].read_text(encoding="utf-8").replace("pixel: [58, 60]", "pixel: [1, 1]")
     part = parts(shop)[1].with_name("misplaced.yaml")

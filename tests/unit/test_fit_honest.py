@@ -176,6 +176,7 @@ def test_the_noise_of_the_images_is_written_into_the_rig(cli, bench, noisy):
     assert (again.status, again.err) == (0, "")
 
 
+@pytest.mark.slow
 def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
     from lightopt.fit import _lack_of_fit
 
@@ -190,6 +191,7 @@ def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
     assert figures["uncertainty_from"] == "4 lights and postures"
 
 
+@pytest.mark.slow
 def test_what_did_not_converge_is_said_and_exits_1(cli, bench, noisy, monkeypatch):
     def few_steps(criterion, x, free, **options):
         return maximise(criterion, x, free, **{**options, "most_steps": 2})
@@ -209,6 +211,7 @@ def test_what_did_not_converge_is_said_and_exits_1(cli, bench, noisy, monkeypatc
     assert "did not converge" in allowed.err
 
 
+@pytest.mark.slow
 def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, monkeypatch):
     """Where the highlights are comes from it, and R_d from the pixels beside."""
 
@@ -225,6 +228,7 @@ def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, mon
     assert json.loads((bench.out / "fit.json").read_text())["converged"] is False
 
 
+@pytest.mark.slow
 def test_a_search_for_the_place_that_did_not_converge_exits_1(cli, bench, noisy, monkeypatch):
     from lightopt.align import _registration
 
@@ -239,6 +243,7 @@ def test_a_search_for_the_place_that_did_not_converge_exits_1(cli, bench, noisy,
     assert facts["registration"]["iterations"] >= 1
 
 
+@pytest.mark.slow
 def test_the_profile_that_is_drawn_peaks_at_the_reported_value(cli, bench, noisy):
     for number, more in enumerate(((), ("--free", "gain"))):
         out = bench.folder / f"drawn{number}"

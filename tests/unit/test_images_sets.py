@@ -215,6 +215,7 @@ class Killed(BaseException):
     """Stands for kill -9: nothing cleans up after it."""
 
 
+@pytest.mark.slow
 def test_run_killed_at_any_write_leaves_a_valid_set_and_resumes_to_the_same_bytes(
     whole, tmp_path, monkeypatch
 ):

@@ -211,6 +211,7 @@ def found(folder):
     return json.loads((folder / "defects.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_a_calibration_holds_its_rate_on_other_good_sets_and_finds_defects(cli, bench, good, taught):
     sets, bad = good
     path = taught
@@ -239,6 +240,7 @@ def test_the_same_good_sets_give_the_same_bytes(cli, bench, good, taught, snapsh
     assert snapshot(bench.folder / "cal") == snapshot(taught.parent)
 
 
+@pytest.mark.slow
 def test_the_template_detector_is_calibrated_by_its_scores(cli, bench, good):
     sets, _ = good
     bench.edit("part.yaml", ", {elevation_deg: -10, rotation_deg: 170}", "")

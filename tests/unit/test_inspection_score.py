@@ -59,6 +59,7 @@ def test_the_law_of_the_kth_largest_is_that_of_draws(count, rank):
     assert stats.kstest(p, "uniform").statistic < 0.004
 
 
+@pytest.mark.slow
 def test_noise_alone_is_hardly_ever_above_the_threshold():
     maxima = [float(score_deviations(noise(4, seed=i, holes=True), seen_by=2).max()) for i in range(40)]
     high = threshold(0.5, 200 * 240, len(SCALES_PX))

@@ -52,6 +52,7 @@ def test_the_curve_comes_back_from_many_defects():
     assert curve.a90 < curve.a90_95 < 1.15 * truth
 
 
+@pytest.mark.slow
 def test_the_bound_holds_about_19_times_in_20():
     truth = 0.5 * np.exp(np.log(9) / 5.0)
     curves = [fit_detection(*draw(60, seed)) for seed in range(30)]

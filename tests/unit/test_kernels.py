@@ -150,6 +150,7 @@ def test_every_kernel_has_a_fingerprint():
     assert len({kernels.fingerprint(value) for value in found.values()}) == len(found)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="there every process compiles for itself")
 def test_of_two_processes_one_compiles(folder, tmp_path):
     (tmp_path / "made.py").write_text(SOURCE, encoding="utf-8")

@@ -99,6 +99,7 @@ def test_facet_has_no_normals(tmp_path):
     assert len(loaded.mesh.vertices) == 42
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000), crease=st.floats(0.05, 2.0))
 def test_smoothing_matches_the_plain_reference(seed, crease):
     rng = np.random.default_rng(seed)

@@ -179,6 +179,7 @@ def test_stp_and_names_that_need_care(tmp_path):
     assert load(tmp_path, ball(), name="-part ü.STP", chord_tolerance_mm=0.5).description.format == "STEP"
 
 
+@pytest.mark.slow
 def test_sample_part_same_bytes_twice():
     first, second = (
         load_mesh(

@@ -114,6 +114,7 @@ def test_a_malformed_result_removes_nothing_of_others(tmp_path, content, snapsho
     assert snapshot(tmp_path) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["", "[" * 100_000, "5", '{"format": 5}', "\ud800"])
 def test_a_result_that_cannot_be_read_is_refused_and_replaced_by_force(three, cli, text):
     three.out.mkdir()

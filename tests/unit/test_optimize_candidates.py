@@ -170,6 +170,7 @@ def test_reasons_are_grouped_by_kind_with_their_numbers(tmp_path):
     assert "light b is left: it reaches 6.91 to 24.2 mm below the table top (4 positions). Change" in second
 
 
+@pytest.mark.slow
 def test_thousands_of_positions_a_light_need_no_memory_for_their_pairs(tmp_path):
     rig = rig_of(
         tmp_path,

@@ -36,6 +36,7 @@ def test_what_is_read_is_what_was_written(kept):
     assert read_matrix(path.with_name("none.npz"), key="a key", lights=2) is None
 
 
+@pytest.mark.slow
 def test_any_flipped_bit_gives_the_matrix_or_none(kept):
     path, matrix = kept
     whole = path.read_bytes()

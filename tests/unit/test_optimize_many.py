@@ -166,6 +166,7 @@ MEDIUM = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MEDIUM)
 def test_shares_rise_and_an_exception_ends_the_search_soon(name):
     sizes, patches, smooth = MEDIUM[name]
@@ -213,6 +214,7 @@ else:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no signal to a process alone")
 @pytest.mark.parametrize("name", ["paper", "coverage"])
 def test_ctrl_c_ends_a_long_search_within_a_second(name):
@@ -260,6 +262,7 @@ print(before, held - before, peak() - held)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak is read from Linux's /proc")
 @pytest.mark.parametrize(
     ("name", "change"),

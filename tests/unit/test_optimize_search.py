@@ -86,6 +86,7 @@ def test_plain_reading_of_section_5_2(objective, sizes, few, kind):
     assert found.scored == len(expected)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_plain_reading_of_any_small_matrix(data):
     lights = data.draw(st.integers(2, 5))

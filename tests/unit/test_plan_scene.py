@@ -165,6 +165,7 @@ def test_drawn_patches_stand_for_all_by_their_area(world):
     assert drawn_patches(whole, int(seen.sum())) is whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("least", [1, 2])
 def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
     rig, survey = world
@@ -196,6 +197,7 @@ def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
     assert found.quantile == found.least_drawn
 
 
+@pytest.mark.slow
 def test_tolerances_of_coverage_are_those_of_recounting_every_corner(world):
     rig, survey = world
     postures = POSTURES[:2]
@@ -453,6 +455,7 @@ def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_the
     assert {shot.why for shot in found.shots if not shot.planned} <= {None}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     rig, survey = world
@@ -515,6 +518,7 @@ def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
     assert choice.cover.share < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("least", [1, 2])
 @pytest.mark.parametrize("drawn", [40, 300])
 def test_a_number_and_a_target_that_takes_as_many_give_the_same_plan(world, least, drawn):

@@ -91,6 +91,7 @@ def test_block_has_nothing_to_worry_about(check):
     assert topics <= {f.topic for f in report.findings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["cover-knob", "spout"])
 def test_sample_parts(part):
     report = check_scene(

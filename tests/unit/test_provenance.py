@@ -222,6 +222,7 @@ def test_a_kept_matrix_is_read_only_where_that_is_asked_for(movable):
     assert run(movable).reused == 2
 
 
+@pytest.mark.slow
 def test_a_fit_is_not_replaced_by_one_of_other_code(cli, bench, other_code, snapshot):
     assert cli("render", bench.rig, bench.part, "-o", bench.folder / "set", *FEW, "--noise", 1).status == 0
     command = (

@@ -49,6 +49,7 @@ def test_nobody_is_stopped_elsewhere():
     assert in_threads(lambda start: end_if_stopped() or start, [1, 2, 3], 2) == [1, 2, 3]
 
 
+@pytest.mark.slow
 def test_one_thread_is_one_thread_whatever_is_done(cli, bench, monkeypatch):
     """With --threads 1 no pool has more, not even the one that reads images."""
     images = bench.folder / "images"

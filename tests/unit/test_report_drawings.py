@@ -93,6 +93,7 @@ def scene_of(
 FOUR = tuple(panel(f"light{i + 1}", 45.0 + 90 * i) for i in range(4))
 
 
+@pytest.mark.slow
 def test_rig_drawing_is_deterministic_and_shows_the_angles_when_asked(tmp_path: Path) -> None:
     scene = scene_of(FOUR)
     first = rig_drawing(scene, tmp_path / "1.png").read_bytes()
@@ -107,6 +108,7 @@ def ink(path: Path) -> np.ndarray:
     return read_png(path, colour=True).min(axis=2) < 200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     [

@@ -84,6 +84,7 @@ def result_of(folder: Path):
     return json.loads((folder / "result.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_result(done, blocks):
     bench, _, found = done
     result = result_of(bench.out)
@@ -204,6 +205,7 @@ def test_all_that_it_rests_on_is_told(done, blocks):
     assert len(re.findall("<script", text)) == 4
 
 
+@pytest.mark.slow
 def test_again_it_is_the_same_and_reports_of_others_stay(three, cli, snapshot):
     command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
     three.out.mkdir()
@@ -223,6 +225,7 @@ def test_again_it_is_the_same_and_reports_of_others_stay(three, cli, snapshot):
     assert "Not rendered (--no-images)" in (three.out / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_without_a_report_there_is_none_and_none_is_left(three, cli):
     command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
     assert cli(*command).status == 0
@@ -243,6 +246,7 @@ def test_a_part_that_nothing_lights_has_a_report_that_says_so(three, cli):
     assert "every combination scores 0" in text
 
 
+@pytest.mark.slow
 def test_the_terminal_names_the_report(done, cli):
     bench, _, _ = done
     ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, *FEW[:4])
@@ -265,6 +269,7 @@ def inspected(shared_bench, tmp_path_factory):
     return bench, drafts[0]
 
 
+@pytest.mark.slow
 def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     bench, draft = inspected
     spots = result_of(bench.out)["blind_spots"]
@@ -334,6 +339,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
         assert low <= share <= high
 
 
+@pytest.mark.slow
 def test_defects_seen_are_those_of_the_result(inspected):
     bench, draft = inspected
     section = next(s for s in optimum_page(draft).sections if s.heading == "Defects")
@@ -351,6 +357,7 @@ def with_options(draft, options):
     return {**draft.document, "provenance": {**draft.document["provenance"], "options": options}}
 
 
+@pytest.mark.slow
 def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done):
     _, draft = inspected
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
@@ -459,6 +466,7 @@ PLANNED = {
 }
 
 
+@pytest.mark.slow
 def test_a_plan_is_shown_as_the_result_has_it(done):
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
     options = {**done[1].document["provenance"]["options"], "tolerances": tolerances}

@@ -140,6 +140,7 @@ def test_nothing_is_fetched(read):
     assert "url(" not in (VIEWER / "page.css").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_same_page_gives_the_same_text():
     assert page_html(nasty_page()) == page_html(nasty_page())
 
@@ -203,6 +204,7 @@ def test_layers_must_fit_their_surface():
         )
 
 
+@pytest.mark.slow
 def test_two_hundred_thousand_patches_stay_below_eight_megabytes():
     whole = surface(250_000)
     assert len(whole.triangles) > 200_000

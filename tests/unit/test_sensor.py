@@ -92,6 +92,7 @@ def test_shot_and_read_noise_have_the_mean_and_variance_of_the_model():
     assert noisy.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / noisy.size))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mean", [0.1, 3.0, 19.9, 20.0, 300.0, 15000.0, 1e6])
 def test_shot_noise_is_poisson(mean):
     uniform = np.random.default_rng(1).random(100_000)
