@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightopt.fit._criterion import DARK
 from lightopt.fit._least_squares import LeastSquares
-from lightopt.fit._likelihood import predicted
+from lightopt.fit._likelihood import clipped_levels, predicted
 from lightopt.fit._noise import image_noise
 from lightopt.fit._samples import Samples
 
@@ -69,8 +69,8 @@ def find_dust(samples: Samples, mean: Float64) -> NDArray[np.bool_]:
     mean
         Predicted levels, not clipped, shape (N,).
     """
-    top = samples.sensor.saturated_from
-    residual = np.minimum(samples.level, top) - np.clip(mean, 0.0, top)
+    level, model = clipped_levels(samples, mean)
+    residual = level - model
     ring = np.floor(RINGS * np.log2(np.maximum(samples.deflection, 1e-4) / 1e-4)).astype(np.intp)
     step = np.floor(DIFFUSE_STEPS * samples.diffuse).astype(np.intp)
     exposure = np.unique(samples.facts.factor, return_inverse=True)[1]
@@ -102,13 +102,13 @@ def measure_lack_of_fit(criterion: LeastSquares, x: Float64, *, dust: float) -> 
     seen = lit & ~(s.saturated & (mean >= top))
     if not seen.any():
         return LackOfFit(ratio=0.0, dust=dust)
-    residual = np.minimum(s.level, top) - np.clip(mean, 0.0, top)
+    level, model = clipped_levels(s, mean)
     signal = np.minimum(mean, top) - sensor.black_level - x[DARK]
     variance = sensor.noise_variance(signal, frames=s.facts.frames[s.image])
     variance = np.maximum(variance, image_noise(s) ** 2)
     exposure = np.unique(s.facts.factor, return_inverse=True)[1][s.image]
     weight = criterion.weight * seen
-    squares = np.bincount(exposure, weights=weight * residual**2)
+    squares = np.bincount(exposure, weights=weight * (level - model) ** 2)
     floors = np.bincount(exposure, weights=weight * variance)
     ratio = math.sqrt(float(np.max(squares[floors > 0.0] / floors[floors > 0.0])))
     return LackOfFit(ratio=ratio, dust=dust)

@@ -12,11 +12,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._criterion import FIRST_GAIN, LOG_SIGMA, Evaluation
+from lightopt.fit._criterion import FIRST_GAIN, LOG_SIGMA, SLOPES, Evaluation, signal_and_slopes, sum_pieces
 from lightopt.fit._likelihood import lagrange
 from lightopt.fit._samples import Samples
 from lightopt.kernels import kernel
-from lightopt.rendering import in_threads
 
 __all__ = ["LeastSquares", "SpecularTable"]
 
@@ -143,22 +142,13 @@ class LeastSquares:
         c, dc = lagrange(nodes, at)
         top = s.sensor.saturated_from
 
-        def piece(start: int) -> tuple[float, Float64, Float64]:
-            gradient = np.zeros(self.size)
-            curvature = np.zeros((self.size, self.size))
-            end = min(start + _PIECE, len(s.sample))
-            value = _accumulate(
+        def add(start: int, end: int, gradient: Float64, curvature: Float64) -> float:
+            return _accumulate(
                 s.sample, s.level, s.image, start, end, self._weight, s.diffuse, columns, c, dc, s.facts.factor,
                 s.facts.light, s.sensor.black_level, top, x, gradient, curvature,
             )  # fmt: skip
-            return value, gradient, curvature
 
-        parts = in_threads(piece, range(0, len(s.sample), _PIECE), self.threads)
-        return (
-            sum(p[0] for p in parts),
-            np.sum([p[1] for p in parts], axis=0),
-            np.sum([p[2] for p in parts], axis=0),
-        )
+        return sum_pieces(add, len(s.sample), self.size, piece=_PIECE, threads=self.threads)
 
 
 @kernel
@@ -182,32 +172,21 @@ def _accumulate(
     curvature: Float64,
 ) -> float:
     # minus half the sum of weighted squares, its gradient, and the matrix of Gauss and Newton
-    r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
-    place = np.empty(5, np.int64)
-    slope = np.empty(5)
+    dark = x[3]
+    place = np.empty(SLOPES, np.int64)
+    slope = np.empty(SLOPES)
     total = 0.0
     for j in range(start, end):
         i, m = sample[j], image[j]
-        s = ds = 0.0
-        for k in range(len(c)):
-            s += c[k] * specular[i, k]
-            ds += dc[k] * specular[i, k]
-        gain_place = 4 + lights[m]
-        factor = factors[m] * math.exp(x[gain_place])
-        signal = factor * (r_d * diffuse[i] + r_s * s)
+        signal = signal_and_slopes(i, m, diffuse, specular, c, dc, factors, lights, x, place, slope)
         mean = black + dark + signal
         weight = weights[j]
         residual = min(float(level[j]), top) - min(max(mean, 0.0), top)
         total -= 0.5 * weight * residual * residual
         if mean < 0.0 or mean > top:
             continue
-        place[0], slope[0] = 0, factor * diffuse[i]
-        place[1], slope[1] = 1, factor * r_s * s
-        place[2], slope[2] = 2, factor * r_s * ds
-        place[3], slope[3] = gain_place, signal
-        place[4], slope[4] = 3, 1.0
-        for k in range(5):
+        for k in range(SLOPES):
             gradient[place[k]] += weight * residual * slope[k]
-            for n in range(5):
+            for n in range(SLOPES):
                 curvature[place[k], place[n]] += weight * slope[k] * slope[n]
     return total

@@ -15,13 +15,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Evaluation
+from lightopt.fit._criterion import (
+    DARK,
+    FIRST_GAIN,
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    SLOPES,
+    Evaluation,
+    signal_and_slopes,
+    sum_pieces,
+)
 from lightopt.fit._samples import ImageFacts, Samples
 from lightopt.kernels import kernel
-from lightopt.rendering import in_threads
 from lightopt.sensor import Sensor
 
-__all__ = ["Likelihood", "lagrange", "predicted"]
+__all__ = ["Likelihood", "clipped_levels", "lagrange", "predicted"]
 
 Float64 = NDArray[np.float64]
 
@@ -113,23 +122,14 @@ class Likelihood:
         s = self.samples
         c, dc = self.specular_weights(float(x[LOG_SIGMA]))
 
-        def piece(start: int) -> tuple[float, Float64, Float64]:
-            gradient = np.zeros(self.size)
-            curvature = np.zeros((self.size, self.size))
-            end = min(start + _PIECE, len(s.sample))
-            value = _accumulate(
+        def add(start: int, end: int, gradient: Float64, curvature: Float64) -> float:
+            return _accumulate(
                 s.sample, s.level, s.saturated, s.image, start, end, s.diffuse, self.specular, c, dc,
                 s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x, gradient,
                 curvature,
             )  # fmt: skip
-            return value, gradient, curvature
 
-        parts = in_threads(piece, range(0, len(s.sample), _PIECE), self.threads)
-        return Evaluation(
-            sum(p[0] for p in parts),
-            np.sum([p[1] for p in parts], axis=0),
-            np.sum([p[2] for p in parts], axis=0),
-        )
+        return Evaluation(*sum_pieces(add, len(s.sample), self.size, piece=_PIECE, threads=self.threads))
 
     def by_piece(self, x: Float64) -> tuple[Float64, Float64]:
         """Gradients and curvatures of the pieces of the images, (B, K) and (B, K, K); each sums up to the whole."""
@@ -167,6 +167,20 @@ def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
     facts: ImageFacts = samples.facts
     factor = facts.factor * np.exp(x[FIRST_GAIN + facts.light])
     return samples.sensor.black_level + x[DARK] + factor[samples.image] * light[samples.sample]
+
+
+def clipped_levels(samples: Samples, mean: Float64) -> tuple[Float64, Float64]:
+    """Measured and predicted sensor levels of each observation, both clipped where the camera clips, shape (N,) each.
+
+    Parameters
+    ----------
+    samples
+        The observations.
+    mean
+        Predicted levels, not clipped, shape (N,), as :func:`predicted` gives them.
+    """
+    top = samples.sensor.saturated_from
+    return np.minimum(samples.level.astype(np.float64), top), np.clip(mean, 0.0, top)
 
 
 def lagrange(nodes: Float64, at: float) -> tuple[Float64, Float64]:
@@ -211,21 +225,15 @@ def _accumulate(
     curvature: Float64,
 ) -> float:
     size = len(x)
-    r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
+    dark = x[3]
     tau2 = math.exp(x[size - 2])
     epsilon = 1.0 / (1.0 + math.exp(-x[size - 1]))
-    place = np.empty(5, np.int64)
-    slope = np.empty(5)
+    place = np.empty(SLOPES, np.int64)
+    slope = np.empty(SLOPES)
     total = 0.0
     for j in range(start, end):
         i, m = sample[j], image[j]
-        s = ds = 0.0
-        for k in range(len(c)):
-            s += c[k] * specular[i, k]
-            ds += dc[k] * specular[i, k]
-        gain_place = 4 + lights[m]
-        factor = factors[m] * math.exp(x[gain_place])
-        signal = factor * (r_d * diffuse[i] + r_s * s)
+        signal = signal_and_slopes(i, m, diffuse, specular, c, dc, factors, lights, x, place, slope)
         mean = sensor.black + dark + signal
         # the mean of frames has less noise; but it is saturated where any one of them is
         share = 1.0 if saturated[j] else 1.0 / frames[m]
@@ -264,15 +272,10 @@ def _accumulate(
             ratio = by_mean / f
             bend = min(max(ratio * ratio - (apa - bpb) / (variance * f), 0.0), 1.0 / variance)
         bend *= surely
-        place[0], slope[0] = 0, factor * diffuse[i]
-        place[1], slope[1] = 1, factor * r_s * s
-        place[2], slope[2] = 2, factor * r_s * ds
-        place[3], slope[3] = gain_place, signal
-        # the dark level makes no shot noise
-        place[4], slope[4] = 3, 1.0
-        for k in range(5):
-            gradient[place[k]] += (score if k < 4 else inside * by_mean) * slope[k]
-            for n in range(5):
+        for k in range(SLOPES):
+            # the dark level, which is the last, makes no shot noise
+            gradient[place[k]] += (score if k < SLOPES - 1 else inside * by_mean) * slope[k]
+            for n in range(SLOPES):
                 curvature[place[k], place[n]] += bend * slope[k] * slope[n]
         part = tau2 / variance
         gradient[size - 2] += inside * by_variance * tau2

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lightopt.align import FLIPS, Agreement, Observation, PoseFrame, agreement, place_part
 from lightopt.errors import InputError
 from lightopt.fit._estimate import Estimate
-from lightopt.fit._likelihood import predicted
+from lightopt.fit._likelihood import clipped_levels, predicted
 from lightopt.fit._quality import Quality
 from lightopt.fit._samples import Samples, collect_samples, thinned
 from lightopt.fit._search import estimate
@@ -181,9 +181,9 @@ def _displacement(
 
 def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Float64, Float64]:
     # measured and predicted, clipped where the camera clips
-    top = samples.sensor.saturated_from
-    model = predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
-    return np.minimum(samples.level.astype(np.float64), top), np.clip(model, 0.0, top)
+    return clipped_levels(
+        samples, predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
+    )
 
 
 def _misfit(samples: Samples, found: Estimate, threads: int | None) -> float:

@@ -21,7 +21,7 @@ SCAN_TOLERANCE = 0.1
 
 def profile_over_sigma(
     criterion_at: Callable[[float], Criterion],
-    starts_at: Callable[[int, Criterion], Sequence[Float64]],
+    starts_at: Callable[[int], Sequence[Float64]],
     log_sigmas: Sequence[float],
     free: Sequence[int],
     *,
@@ -46,7 +46,7 @@ def profile_over_sigma(
     criteria = [criterion_at(log_sigma) for log_sigma in log_sigmas]
     best: list[Maximum] = []
     for number, criterion in enumerate(criteria):
-        starts = [*starts_at(number, criterion)]
+        starts = [*starts_at(number)]
         if best:
             starts.append(_moved(best[-1].x, log_sigmas[number]))
         best.append(_best(criterion, starts, fixed))

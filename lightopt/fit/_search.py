@@ -220,9 +220,7 @@ def _least_squares(
             at: LeastSquares(samples, table, fixed=(at, column), threads=threads)
             for at, column in zip(row, columns, strict=True)
         }
-        profile = profile_over_sigma(
-            by_sigma.__getitem__, lambda number, _: starts_at(number), row, free, progress=progress
-        )
+        profile = profile_over_sigma(by_sigma.__getitem__, starts_at, row, free, progress=progress)
         if LOG_SIGMA not in free:
             return by_sigma[row[0]], profile, [(math.exp(row[0]), profile[0])]
         return criterion, profile, _climbed(profile, lambda x: maximise(criterion, x, free))

@@ -83,7 +83,7 @@ def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
     row = [float(ln) for ln in np.linspace(-6.0, 0.0, 25)]
     profile = profile_over_sigma(
         lambda _: Landscape(value, bend=2000.0),
-        lambda number, _: [at(0.0, row[number])],
+        lambda number: [at(0.0, row[number])],
         row,
         [R_D, LOG_SIGMA],
     )
