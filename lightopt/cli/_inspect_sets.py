@@ -61,15 +61,14 @@ def inspect_one(wanted: Wanted, image_set: ImageSet, out: Path) -> BatchRow:
 
 def inspect_batch(wanted: Wanted, sets: list[ImageSet], out: Path) -> list[BatchRow]:
     """Inspect several sets, write a folder each and ``batch.json`` above them; a refused one does not stop the rest."""
-    from lightopt.inspection import Predictions, manifest_sha256
+    from lightopt.inspection import Predictions
     from lightopt.report import BatchRow
 
     named = _named(sets, out)
     sources = _sources(wanted, sets)
     batch = _batch_folder(wanted, sets, out)
-    manifests = [manifest_sha256(image_set) for image_set in sets]
     folders = [
-        _folder(wanted, image_set, out / name, before=manifests[:number])
+        _folder(wanted, image_set, out / name, before=sets[:number])
         for number, (image_set, name) in enumerate(named)
     ]
     predictions = Predictions()
@@ -138,7 +137,7 @@ def _named(sets: list[ImageSet], out: Path) -> list[tuple[ImageSet, str]]:
 
 
 def _folder(
-    wanted: Wanted, image_set: ImageSet, out: Path, *, before: Sequence[str] = ()
+    wanted: Wanted, image_set: ImageSet, out: Path, *, before: Sequence[ImageSet] = ()
 ) -> InspectionFolder:
     from lightopt.inspection import InspectionFolder, inspection_provenance
 

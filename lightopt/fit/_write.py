@@ -25,7 +25,7 @@ def fit_provenance(
 ) -> dict[str, Any]:
     """What a fit depends on, in the layout of :mod:`lightopt.provenance`."""
     return provenance(
-        inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint()]}, options=options
+        inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options
     )
 
 

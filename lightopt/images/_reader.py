@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -65,10 +66,11 @@ class ImageSet:
         """Where a file that the manifest names lies."""
         return self.folder / name
 
+    @cached_property
     def fingerprint(self) -> dict[str, Any]:
         """What a result of this set depends on: hashes of the manifest, and of the images as they are on disk.
 
-        The manifest's own hashes of images are not asked: a file may have been edited since.
+        The manifest's own hashes of images are not asked: a file may have been edited since. Worked out once.
 
         Raises
         ------

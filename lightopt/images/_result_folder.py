@@ -59,8 +59,8 @@ class ResultFolder:
         self._files: list[str] = []
         old = self._earlier()
         there = [one for one in (name, *also) if (folder / one).exists()]
-        if there and not force and (old is None or differences(_provenance(old), self._made_from)):
-            told = differences(_provenance(old), self._made_from)
+        told = differences(_provenance(old), self._made_from) if there and not force else ""
+        if there and not force and (old is None or told):
             raise InputError(
                 f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
                 f"{f' ({told})' if told else ''}; use --force to replace it, or choose another folder"

@@ -57,7 +57,6 @@ from lightopt.inspection._write import (
     BatchFolder,
     InspectionFolder,
     inspection_provenance,
-    manifest_sha256,
     truth_text,
 )
 
@@ -127,7 +126,6 @@ __all__ = [
     "lay_set",
     "least_rate",
     "made_for",
-    "manifest_sha256",
     "map_surface",
     "measure_coverage",
     "measure_regions",

@@ -15,7 +15,6 @@ import numpy as np
 from lightopt.align import Placement
 from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.images import (
-    MANIFEST_NAME,
     ImageSet,
     ResultFolder,
     posture_folder,
@@ -30,7 +29,7 @@ from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._regions import pixels_of
 from lightopt.inspection._sightings import KIND_COLOURS
 from lightopt.inspection._verdict import Verdict
-from lightopt.provenance import file_sha256, provenance
+from lightopt.provenance import provenance
 
 __all__ = [
     "BATCH_NAME",
@@ -40,7 +39,6 @@ __all__ = [
     "BatchFolder",
     "InspectionFolder",
     "inspection_provenance",
-    "manifest_sha256",
     "truth_text",
 ]
 
@@ -53,11 +51,6 @@ COLUMNS = (
 )
 
 
-def manifest_sha256(image_set: ImageSet) -> str:
-    """Hash of a set's manifest, which says light, posture and exposure of each image."""
-    return file_sha256(image_set.path(MANIFEST_NAME))
-
-
 def inspection_provenance(
     rig: RigConfig,
     part: PartConfig,
@@ -65,7 +58,7 @@ def inspection_provenance(
     options: InspectOptions,
     *,
     calibration: Calibration | None = None,
-    before: Sequence[str] = (),
+    before: Sequence[ImageSet] = (),
 ) -> dict[str, Any]:
     """What an inspection depends on, in the layout of :mod:`lightopt.provenance`.
 
@@ -74,15 +67,14 @@ def inspection_provenance(
     rig, part, sets, options, calibration
         Of the inspection.
     before
-        :func:`manifest_sha256` of the sets of its batch that were inspected before: a part that lies near one of them
-        has its prediction.
+        The sets of its batch that were inspected before: a part that lies near one of them has its prediction.
     """
     inputs: dict[str, Any] = {
         **input_hashes(rig, part),
-        "image_sets": [image_set.fingerprint() for image_set in sets],
+        "image_sets": [image_set.fingerprint for image_set in sets],
     }
     if before and options.shift:
-        inputs["after"] = list(before)
+        inputs["after"] = [image_set.fingerprint for image_set in before]
     if calibration is not None:
         inputs["calibration"] = {"file": calibration.name, "sha256": calibration.sha256}
     return provenance(inputs=inputs, options=options.as_dict())

@@ -16,7 +16,7 @@ from lightopt import load_part, load_rig
 from lightopt.cli._main import run
 from lightopt.errors import InputError
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata, write_png
-from lightopt.inspection import InspectOptions, inspection_provenance, manifest_sha256
+from lightopt.inspection import InspectOptions, inspection_provenance
 
 DEFECTS = """\
 defects:
@@ -171,9 +171,7 @@ def test_a_result_names_the_sets_before_it_whose_predictions_it_may_have(bench, 
     good, bad = (read_image_set(parts[name]) for name in ("good", "bad"))
 
     def made_from(image_set, *before, shift=True):
-        return inspection_provenance(
-            rig, part, [image_set], InspectOptions(shift=shift), before=list(map(manifest_sha256, before))
-        )
+        return inspection_provenance(rig, part, [image_set], InspectOptions(shift=shift), before=before)
 
     assert made_from(good, bad) != made_from(good)
     # where the part lies exactly where its file has it, nothing is taken over

@@ -16,6 +16,7 @@ import pytest
 from lightopt.errors import InputError
 from lightopt.images import (
     ImageEntry,
+    ImageSet,
     ImageSetWriter,
     Manifest,
     Posture,
@@ -176,17 +177,17 @@ def test_a_set_is_another_once_an_image_was_edited(whole: Path, tmp_path: Path):
     folder = tmp_path / "copy"
     shutil.copytree(whole, folder)
     images = read_image_set(folder)
-    before = images.fingerprint()
-    assert before == read_image_set(whole).fingerprint()
+    before = images.fingerprint
+    assert before == read_image_set(whole).fingerprint
     (folder / "posture_0_0/light2.exr").write_bytes(b"edited")
-    assert images.fingerprint() == before
+    assert ImageSet(folder, images.manifest).fingerprint == before
     assert images.images[0].png is not None
     images.path(images.images[0].png).write_bytes(b"edited")
-    edited = images.fingerprint()
+    edited = ImageSet(folder, images.manifest).fingerprint
     assert edited != before
     assert edited["manifest_sha256"] == before["manifest_sha256"]
     images.path(images.images[0].png).unlink()
-    assert images.fingerprint() not in (before, edited)
+    assert ImageSet(folder, images.manifest).fingerprint not in (before, edited)
 
 
 def test_same_run_elsewhere_gives_the_same_bytes(whole: Path, tmp_path: Path):
