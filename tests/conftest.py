@@ -31,8 +31,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Twice as many as there are processors: many tests wait for simulated devices."""
-    return 2 * available_processors()
+    """Three times as many as there are processors: many tests wait for simulated devices."""
+    return 3 * available_processors()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -5,8 +5,9 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from functools import cache
 
 import typer
 
@@ -89,12 +90,18 @@ def take_ctrl_c() -> None:
         signal.signal(signal.SIGINT, interrupt)
 
 
+@cache
+def _command() -> Callable[..., object]:
+    """The parser of all commands, which takes a while to be made."""
+    return typer.main.get_command(app)
+
+
 def run(arguments: list[str]) -> int:
     """Run a command line and return its exit status; errors are said on standard error, none is raised."""
     with _debugging(arguments) as rest:
         try:
             _speak_utf8()
-            status = app(rest, prog_name="lightopt", standalone_mode=False)
+            status = _command()(rest, prog_name="lightopt", standalone_mode=False)
         except (KeyboardInterrupt, typer.Abort):
             status = INTERRUPTED
         except typer.Exit as leave:

@@ -61,7 +61,7 @@ def test_what_is_fitted_to_a_capture_holds_the_truth(captured, tmp_path, guess, 
     assert old in text
     wrong.write_text(text.replace(old, guess), encoding="utf-8", newline="\n")
     name, *options = command
-    lightopt(name, rig, wrong, folder, "-o", tmp_path, "--pixels", "20000", *options)
+    lightopt(name, rig, wrong, folder, "-o", tmp_path, "--pixels", "6000", *options)
     found = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
     assert set(found["fitted"]) == fitted
     for parameter in fitted:

@@ -28,7 +28,7 @@ def load_script():
 goldens = load_script()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # make golden-check does the same, and CI runs it
 @pytest.mark.parametrize("name", goldens.RENDERS)
 def test_a_golden_scene_renders_as_it_did(cli, tmp_path, name):
     assert (goldens.GOLDEN / name / "manifest.json").is_file(), f"no golden set {name}: make golden"

@@ -222,7 +222,7 @@ def test_ball_over_a_plane(view, pixels):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("sigma", "pixels"),
-    [(0.0475, 30), *(pytest.param(sigma, 300, marks=pytest.mark.nightly) for sigma in SIGMAS)],
+    [(0.0475, 12), *(pytest.param(sigma, 300, marks=pytest.mark.nightly) for sigma in SIGMAS)],
 )
 def test_spout(tmp_path, sigma, pixels):
     """A part that shades itself, at some of its pixels; 128 × 128 nodes, each with a shadow ray."""

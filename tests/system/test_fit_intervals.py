@@ -120,7 +120,7 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
 @pytest.mark.parametrize(
     ("freed", "sensor", "exposures", "seeds"),
     [
-        pytest.param(Freed(), SENSOR, (1.0,), 20, id="8 bit, 20 seeds"),
+        pytest.param(Freed(), SENSOR, (1.0,), 10, id="8 bit, 10 seeds"),
         pytest.param(Freed(), SENSOR, (1.0,), 100, id="8 bit, 100 seeds", marks=pytest.mark.nightly),
         pytest.param(Freed(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly),
         pytest.param(Freed(), SENSORS["12 bit"], (1.0,), 40, id="12 bit", marks=pytest.mark.nightly),
@@ -135,8 +135,8 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
     ],
 )
 def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures, seeds):
-    """Of 100 seeds, at least 90 per parameter (of 40, 34; of 20, 16), and standard errors are those of the scatter."""
-    samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=400 if seeds > 20 else 200)
+    """Of 100 seeds, at least 90 per parameter (of 40, 34; of 10, 8), and standard errors are those of the scatter."""
+    samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=400 if seeds > 10 else 200)
     truth = dict(TRUTH)
     if freed.gain:
         truth |= {DARK: 0.0, FIRST_GAIN + 1: 0.0, FIRST_GAIN + 2: 0.0}
@@ -159,10 +159,10 @@ def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures, seeds):
             f"interval over scatter {np.mean(widths[place]) / scatter:.2f}, most {np.max(widths[place]) / scatter:.2f}"
         )
     for place in truth:
-        assert held[place] >= {100: 90, 40: 34, 20: 16}[seeds]
-        low, high = {100: (0.8, 1.25), 40: (0.7, 1.3), 20: (0.5, 1.5)}[seeds]
+        assert held[place] >= {100: 90, 40: 34, 10: 8}[seeds]
+        low, high = {100: (0.8, 1.25), 40: (0.7, 1.3), 10: (0.4, 1.7)}[seeds]
         assert low <= np.std(z[place]) <= high
-        assert abs(np.mean(z[place])) < (0.4 if seeds > 20 else 0.7)
-        assert np.max(widths[place]) < 2.0 * 1.96 * (1.5 if seeds > 20 else 1.8) * np.std(values[place])
+        assert abs(np.mean(z[place])) < (0.4 if seeds > 10 else 0.9)
+        assert np.max(widths[place]) < 2.0 * 1.96 * (1.5 if seeds > 10 else 2.2) * np.std(values[place])
     # were all of them held by all, they would be too wide: 95 % is expected
-    assert seeds == 20 or sum(held.values()) < (99 if seeds == 100 else seeds) * len(held)
+    assert seeds == 10 or sum(held.values()) < (99 if seeds == 100 else seeds) * len(held)

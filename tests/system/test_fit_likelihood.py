@@ -80,7 +80,7 @@ def test_the_fine_mesh_is_finer(world):
     assert len(world.fine.faces) > 3 * len(world.scene.mesh.faces)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_exposure_recovers_the_reflectance(one_exposure):
     assert_recovers(one_exposure, TRUTH, R_d=0.01, R_s=0.05, sigma=0.02)
 

@@ -87,6 +87,7 @@ def test_a_camera_that_is_off_is_refused(scene, pixels, axis, exposures):
     assert refused_shift(scene, images, told) == pytest.approx(abs(pixels), rel=0.1)
 
 
+@pytest.mark.nightly
 def test_a_part_that_lies_a_millimetre_off_is_refused(scene):
     placed = place_part(scene, Placement(x=0.8, y=-0.6))
     assert refused_shift(scene, captured(placed, exposures=TWO)) == pytest.approx(1.0 / PIXEL_MM, rel=0.1)

@@ -168,8 +168,8 @@ def quick(shared_bench, tmp_path_factory, snapshot):
     return snapshot(out)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("call", ["replace", pytest.param("fsync", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("call", ["replace", "fsync"])
 def test_ctrl_c_at_every_write(cli, shared_bench, tmp_path, quick, snapshot, monkeypatch, call):
     original = getattr(os, call)
     calls = 0

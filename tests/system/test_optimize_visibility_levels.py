@@ -65,7 +65,7 @@ def test_bits_are_the_definition_in_plain_numpy(tmp_path, shadows):
     posture = scene.postures[1]
     inspection = Inspection(trials=TRIALS, contrast=Contrast(sensor=SENSOR, full_scale=255.0, threshold=5.0))
     caster = cast_rays_at(scene)
-    table = build_patches(scene, caster=caster, budget=120)
+    table = build_patches(scene, caster=caster, budget=60)
     panels = find_candidates(rig, step_deg=10.0).panels
     exposures = (1.0, 0.25)
     found = luminance_matrices(
@@ -190,7 +190,7 @@ def test_converged_panels_on_leaning_patches(tmp_path):
     scene, _ = small_scene(tmp_path, "spout", points="auto")
     posture = scene.postures[0]
     caster = cast_rays_at(scene)
-    table = build_patches(scene, caster=caster, budget=120)
+    table = build_patches(scene, caster=caster, budget=60)
     surface, _ = patch_points(scene, table, posture)
     axes = scene.placement.rotation
     references = np.array(

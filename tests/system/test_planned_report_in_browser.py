@@ -18,8 +18,8 @@ from lightopt.report import Page, Table, page_html
 
 LIGHTS = """\
 lights:
-  - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [40, 60]}
-  - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 225, elevation_range_deg: [30, 50]}
+  - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [50, 60]}
+  - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 225, elevation_range_deg: [40, 50]}
 """
 FEW = ("--patches", "600", "--step", "10", "-q")
 PLAN = (

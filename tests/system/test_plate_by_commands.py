@@ -8,7 +8,6 @@ import math
 import pytest
 import trimesh
 
-PIXELS = ("resolution_px: [160, 120]\n  pixel_size_um: 44", "resolution_px: [320, 240]\n  pixel_size_um: 22")
 GLOSS = "R_d: 45.0, R_s: 12500, sigma_rad: 0.0475"
 MATTE = "R_d: 45.0, R_s: 0.001, sigma_rad: 0.0475"
 
@@ -21,7 +20,6 @@ def figures(folder, name):
 def seen(request, bench, cli):
     """A box of 40 × 25 × 3 mm, rendered with noise."""
     trimesh.creation.box(extents=(40, 25, 3)).export(bench.mesh)
-    bench.edit("rig.yaml", *PIXELS)
     bench.edit("part.yaml", GLOSS, request.param)
     ran = cli(
         "render", bench.rig, bench.part, "-o", bench.folder / "set", "--noise", 1, "--patches", 500, "-q",

@@ -103,9 +103,9 @@ SAMPLE_LIGHTS = [ref.Light(azimuth=45, k=1), ref.Light(azimuth=225, elevation=35
     ("part", "posture", "least_share"),
     [
         ("cover-knob", (0, 0), 0.8),
-        pytest.param("cover-knob", (0, 82), 0.8, marks=pytest.mark.slow),
+        pytest.param("cover-knob", (0, 82), 0.8, marks=pytest.mark.nightly),
         ("spout", (20, 90), 0.6),
-        pytest.param("spout", (-30, 215), 0.6, marks=pytest.mark.slow),
+        pytest.param("spout", (-30, 215), 0.6, marks=pytest.mark.nightly),
     ],
 )
 def test_sample_parts(tmp_path, part, posture, least_share):
@@ -124,7 +124,7 @@ def test_sample_parts_without_shadows(tmp_path, part):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(s, marks=pytest.mark.slow) for s in (3, 4))])
+@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(s, marks=pytest.mark.nightly) for s in (3, 4))])
 @pytest.mark.parametrize(
     ("shape", "least_share"), [(bumps, 0.7), (soup, 0.3)], ids=["smooth-height-field", "faceted-triangles"]
 )

@@ -119,8 +119,7 @@ def test_components_add_and_are_linear_in_the_coefficients(points, close):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("points", [None, "auto"])
-@pytest.mark.parametrize("supersample", [1, 3])
+@pytest.mark.parametrize(("points", "supersample"), [(None, 3), ("auto", 1)])
 def test_threads_give_identical_bytes(tmp_path, monkeypatch, points, supersample):
     monkeypatch.setattr(blocks, "BLOCK_SAMPLES", 3000)  # many blocks to get out of step with
     scene = scene_from_files(

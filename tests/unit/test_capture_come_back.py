@@ -64,11 +64,11 @@ METAL = {"R_d": 12.0, "R_s": 30_000.0, "sigma": 0.03}
 @pytest.mark.parametrize(
     ("part", "reflectance"),
     [
-        ("cover-knob.yaml", PREDICTED),
+        pytest.param("cover-knob.yaml", PREDICTED, marks=pytest.mark.nightly),
         pytest.param("spout.yaml", PREDICTED, marks=pytest.mark.nightly),
         pytest.param("cover-knob.yaml", GLOSS, marks=pytest.mark.nightly),
-        pytest.param("spout.yaml", GLOSS, marks=pytest.mark.slow),
-        pytest.param("cover-knob.yaml", METAL, marks=pytest.mark.slow),
+        ("spout.yaml", GLOSS),
+        pytest.param("cover-knob.yaml", METAL, marks=pytest.mark.nightly),
         pytest.param("spout.yaml", METAL, marks=pytest.mark.nightly),
     ],
 )

@@ -163,7 +163,16 @@ def blind_row(planned, what):
 @pytest.mark.slow
 def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot, monkeypatch):
     before = snapshot(planned.out)
-    command = ("optimize", planned.rig, planned.part, "-o", planned.out, *FEW, *DEFECTS, "--no-images")
+    command = (
+        "optimize",
+        planned.rig,
+        planned.part,
+        "-o",
+        planned.out,
+        *FEW,
+        *DEFECTS,
+        "--no-images",
+    )
     ran = cli(*command, "--keep-matrix", "--threads", "1")
     assert ran.status == 0
     assert "2 kept luminance matrices reused" in ran.out
@@ -174,7 +183,18 @@ def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot
 
 @pytest.mark.slow
 def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(three, cli):
-    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
+    command = (
+        "optimize",
+        three.rig,
+        three.part,
+        "-o",
+        three.out,
+        *FEW,
+        "--no-images",
+        "--no-report",
+        "--posture",
+        "0,0",
+    )
     command += ("--objective", "detectability", "--keep-matrix")
     assert cli(*command).status == 0
     loose = result_of(three.out)["results"][0]["objectives"][0]["score"]
@@ -231,6 +251,7 @@ def test_part_with_a_catalogue_of_its_own(three, cli):
         three.out,
         *FEW,
         "--no-images",
+        "--no-report",
         "--posture",
         "0,0",
         "-q",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -19,7 +20,7 @@ def cli(cli):
     """Fits look at few pixels here: what is tested are files, words and refusals."""
 
     def command(name, *arguments):
-        few = ("--pixels", 8000) if name.startswith("fit-") and "--pixels" not in arguments else ()
+        few = ("--pixels", 3000) if name.startswith("fit-") and "--pixels" not in arguments else ()
         return cli(name, *arguments, *few)
 
     return command
@@ -78,12 +79,12 @@ def edit_manifest(images, change):
 
 @pytest.mark.slow
 def test_diffuse_then_specular_recovers_the_truth(cli, bench, images):
-    first = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d")
+    first = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d", "--pixels", 8000)
     assert (first.status, first.err) == (0, "")
     part = bench.folder / "d" / "part.fitted.yaml"
     assert load_part(part).reflectance.R_d == pytest.approx(45.0, rel=0.01)
     assert load_part(part).reflectance.R_s == 500
-    second = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s")
+    second = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s", "--pixels", 8000)
     assert (second.status, second.err) == (0, "")
     fitted = load_part(bench.folder / "s" / "part.fitted.yaml").reflectance
     assert fitted.R_d == load_part(part).reflectance.R_d
@@ -190,6 +191,10 @@ def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path, points):
     nominal = cli(*command, "-o", tmp_path / "nominal")
     assert nominal.status == 2
     assert "--free shift" in nominal.err
+    told = re.search(r"shifted by ([0-9.]+) px", nominal.err)
+    assert told is not None
+    # 1 mm, at 0.44 mm a pixel
+    assert float(told[1]) == pytest.approx(1.0 / 0.44, rel=0.1)
     ran = cli(*command, "-o", bench.out, "--free", "shift")
     assert ran.status == 0
     fitted = load_part(bench.out / "part.fitted.yaml").reflectance
@@ -462,7 +467,9 @@ def test_exr_only_images_are_read(cli, bench, images):
 
     edit_manifest(images, drop)
     assert read_image_set(images).images[0].png is None
-    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation")
+    ran = cli(
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation", "--pixels", 8000
+    )  # fmt: skip
     assert ran.status == 0
     fitted = load_part(bench.out / "part.fitted.yaml").reflectance
     assert fitted.R_d == pytest.approx(45.0, rel=0.005)

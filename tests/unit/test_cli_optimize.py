@@ -205,7 +205,7 @@ def test_the_terminal_shows_the_table(optimized, cli):
 
 @pytest.mark.slow
 def test_patches_that_are_too_coarse_are_told(three, cli):
-    few = ("--step", "20", "--no-images", "--posture", "0,0")
+    few = ("--step", "20", "--no-images", "--no-report", "--posture", "0,0")
     trimesh.creation.box((40, 30, 10)).export(three.mesh)
     coarse = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--patches", "12")
     assert "patches have edges up to" in coarse.err
@@ -237,7 +237,17 @@ def test_a_step_part_of_many_triangles_says_how_to_have_fewer(three, cli):
 
 @pytest.mark.slow
 def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli, snapshot):
-    command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--no-images")
+    command = (
+        "optimize",
+        three.rig,
+        three.part,
+        "-o",
+        three.out,
+        "--patches",
+        "800",
+        "--no-images",
+        "--no-report",
+    )
     assert cli(*command, "--step", "10", "--posture", "0,0").status == 0
     before = snapshot(three.out)
     ran = cli(*command, "--step", "20", "--posture", "0,0")
@@ -267,7 +277,7 @@ def test_force_leaves_no_map_of_the_run_before(three, cli):
 def test_common_lights_and_common_elevation(three, cli):
     three.edit("rig.yaml", "elevation_range_deg: [45, 50]", "elevation_range_deg: [45, 60]")
     ran = cli(
-        "optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "5", "--no-images",
+        "optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "5", "--no-images", "--no-report",
         "--common-lights", "--common-elevation", "--objective", "paper",
     )  # fmt: skip
     assert (ran.status, ran.err) == (0, "")
@@ -281,7 +291,7 @@ def test_common_lights_and_common_elevation(three, cli):
     assert [rig["file"] for rig in result["rigs"]] == ["rig.optimized.yaml"]
     # a common set is no better for a posture than the posture's own
     own = cli(
-        "optimize", three.rig, three.part, "-o", three.folder / "own", "--patches", "800", "--step", "5", "--no-images",
+        "optimize", three.rig, three.part, "-o", three.folder / "own", "--patches", "800", "--step", "5", "--no-images", "--no-report",
         "--common-elevation", "--objective", "paper", "-q",
     )  # fmt: skip
     assert own.status == 0
@@ -291,7 +301,7 @@ def test_common_lights_and_common_elevation(three, cli):
 
 def test_a_limit_is_said_with_its_bound(three, cli):
     ran = cli(
-        "optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0",
+        "optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--no-report", "--posture", "0,0",
         "--max-combinations", "2", "--objective", "coverage",
     )  # fmt: skip
     assert ran.status == 0
@@ -423,7 +433,18 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
 def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):
     lights = LIGHTS.split("  - name: light2")[0] + LIGHTS[LIGHTS.index("  - {name: light3") :]
     with_lights(bench, lights)
-    command = ("optimize", bench.rig, bench.part, "-o", bench.out, *FEW, "--no-images", "--posture", "0,0")
+    command = (
+        "optimize",
+        bench.rig,
+        bench.part,
+        "-o",
+        bench.out,
+        *FEW,
+        "--no-images",
+        "--no-report",
+        "--posture",
+        "0,0",
+    )
     ran = cli(*command, "--objective", "paper")
     assert ran.status == 2
     assert "with 2 lights nothing is left" in ran.err
@@ -467,7 +488,17 @@ def test_a_light_that_stands_in_the_part_and_can_leave_it(three, cli):
     three.edit("rig.yaml", "@, elevation_range", "distance_mm: 80, size_mm: [9, 9], @, elevation_range")
     three.edit("rig.yaml", "@, elevation_range_deg: [40, 60]", "elevation_deg: 30, azimuth_deg: 0@")
     three.edit("rig.yaml", "azimuth_deg: 0@", "azimuth_deg: 0, azimuth_range_deg: [0, 40]")
-    command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--no-images")
+    command = (
+        "optimize",
+        three.rig,
+        three.part,
+        "-o",
+        three.out,
+        "--patches",
+        "800",
+        "--no-images",
+        "--no-report",
+    )
     ran = cli(*command, "--step", "20", "--posture", "0,0")
     assert (
         "left out: light1 at elevation 30°, azimuth 0°: it is inside the part in posture (0°, 0°)" in ran.out
@@ -495,6 +526,17 @@ def test_overlap_wants_two_images_of_one_size(bench, cli):
 def test_an_anchor_that_shares_an_angle_is_told(three, cli):
     three.edit("rig.yaml", "elevation_deg: 60,", "elevation_deg: &low 60,")
     three.edit("rig.yaml", "elevation_deg: 50.0 ", "elevation_deg: *low ")
-    ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--posture", "0,0")
+    ran = cli(
+        "optimize",
+        three.rig,
+        three.part,
+        "-o",
+        three.out,
+        *FEW,
+        "--no-images",
+        "--no-report",
+        "--posture",
+        "0,0",
+    )
     assert ran.status == 2
     assert "write anchors and aliases out" in ran.err
