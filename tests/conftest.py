@@ -126,6 +126,15 @@ class Bench:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def one_thread_each() -> Generator[None]:
+    """The workers keep the processors busy: in them, work is spread over threads only where a test asks for it."""
+    with pytest.MonkeyPatch.context() as patch:
+        if hasattr(os, "sched_getaffinity"):
+            patch.setattr(os, "sched_getaffinity", lambda _: {0})
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def forked_benches() -> Generator[None]:
     """Benches that tests start in their own process are forked, where the system can."""
     if sys.platform != "linux":
