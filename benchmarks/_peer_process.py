@@ -38,7 +38,8 @@ DEBIAN = {
 }
 """Debian package of each library that a peer may lack."""
 
-LLVM = "install Debian's package libllvm15 or a later one, or name its libLLVM.so in DRJIT_LIBLLVM_PATH"
+LLVM = "install Debian's package libllvm19 or a later one, or name its libLLVM.so in DRJIT_LIBLLVM_PATH"
+"""Mitsuba 3.9 refuses LLVM 14; 15 and 16 end its process (no instruction for fminimum); 19 works."""
 
 
 class PeerError(Exception):

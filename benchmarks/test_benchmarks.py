@@ -171,14 +171,14 @@ def refused(name: str, said: str, end: str) -> str:
         (LLVM_TOO_OLD, "sys.exit(1)", "LLVM 14 is too old: "),
         (NO_LLVM, "sys.exit(1)", "there is no LLVM: "),
         (
-            "LLVM ERROR: unsupported\n",
+            "LLVM ERROR: Cannot select: f32 = fminimum\n",
             "os.abort()",
-            "its LLVM ended the process (LLVM ERROR: unsupported): ",
+            "its LLVM ended the process (LLVM ERROR: Cannot select: f32 = fminimum): ",
         ),
     ],
 )
 def test_mitsuba_without_an_llvm_is_one_line_that_says_what_to_install(said, end, words) -> None:
-    assert refused(MITSUBA, said, end).startswith(f"{words}install Debian's package libllvm15 or a later one")
+    assert refused(MITSUBA, said, end).startswith(f"{words}install Debian's package libllvm19 or a later one")
 
 
 @pytest.mark.parametrize(
