@@ -87,21 +87,26 @@ golden-check: $(BIN)/.installed  ## render the golden scenes anew and compare th
 golden: $(BIN)/.installed  ## renew the committed golden images
 	$(BIN)/python scripts/goldens.py renew
 
-# peers bring packages that change how tests run, so they have an environment of their own; one that cannot be
-# installed here is left out, as one that does not run is
+# peers bring packages that change how tests run, so they have an environment of their own, in which they change no
+# version of what is locked; pip takes no constraints with hashes where the rest has none
 BENCH ?= .venv-bench
 PEERS  = 'mitsuba>=3.6' 'open3d>=0.19'
 $(BENCH)/.installed: pyproject.toml requirements/dev.lock
 	$(PYTHON) -m venv $(BENCH)
 	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements/dev.lock
 	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	@for peer in $(PEERS); do \
-	    $(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check $$peer \
-	        || echo "$$peer cannot be installed for this Python and is left out"; \
-	done
+	sed -e '/^ *--hash/d' -e 's/ *\\$$//' requirements/dev.lock >$(BENCH)/constraints.txt
 	@touch $@
 
-bench: $(BENCH)/.installed  ## speed against the raw ray caster and peers; prints ratios; BENCHMARKS="peers --quick" for a part
+# one that cannot be installed is left out, as one that does not run is; the next make bench tries it again
+$(BENCH)/.peers: $(BENCH)/.installed
+	@all=true; for peer in $(PEERS); do \
+	    $(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check \
+	        --constraint $(BENCH)/constraints.txt $$peer \
+	        || { all=false; echo "$$peer cannot be installed and is left out; the next make bench tries it again"; }; \
+	done; if $$all; then touch $@; fi
+
+bench: $(BENCH)/.peers  ## speed against the raw ray caster and peers; prints ratios; BENCHMARKS="peers --quick" for a part
 	$(BENCH)/bin/python -m benchmarks.run $(BENCHMARKS)
 
 docs: $(BIN)/.installed  ## make the pictures and figures of docs/ anew

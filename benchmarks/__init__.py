@@ -3,7 +3,7 @@
 ``bare``
     lightopt against the ray caster it stands on: one BVH and a replay of the very same rays, nothing else.
 ``peers``
-    The same scene in Open3D, Mitsuba 3 and trimesh (the ``bench`` extra), pictures compared before times.
+    The same scene in Open3D, Mitsuba 3 and trimesh (``make bench`` installs them), pictures compared before times.
 ``auto``
     ``points: auto`` against m = 4, and against 64 × 64 points.
 ``command``

@@ -22,9 +22,12 @@ from numpy.typing import NDArray
 
 from benchmarks._case import FULL, QUICK, TOY, Size
 
-__all__ = ["PeerError", "PeerProcess", "explain"]
+__all__ = ["MITSUBA", "PeerError", "PeerProcess"]
 
 Float32 = NDArray[np.float32]
+
+MITSUBA = "Mitsuba 3 llvm_ad_mono"
+"""The one peer that needs an LLVM of the system: lightopt's own is inside llvmlite, whose errors name LLVM as well."""
 
 DEBIAN = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -35,20 +38,20 @@ DEBIAN = {
 }
 """Debian package of each library that a peer may lack."""
 
-LLVM = "install Debian's package libllvm15 or a later one, or name its libLLVM.so in DRJIT_LIBLLVM_PATH"
+LLVM = "install Debian's package libllvm19 or a later one, or name its libLLVM.so in DRJIT_LIBLLVM_PATH"
+"""Mitsuba 3.9 refuses LLVM 14; 15 and 16 end its process (no instruction for fminimum); 19 works."""
 
 
 class PeerError(Exception):
     """A peer that does not run here; the message is one line that says what to do."""
 
 
-def explain(said: str, status: int) -> str:
+def _explain(name: str, said: str, status: int) -> str:
     """Why a peer does not run and what to install, from its standard error and its exit status."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     missing = re.search(r"(lib[\w.+-]+\.so[.\d]*): cannot open shared object file", said)
-    if "LLVM" in said:
-        old = re.search(r"LLVM version \((\d+)\) is too old", said)
-        return f"LLVM {old[1]} is too old: {LLVM}" if old else f"there is no LLVM: {LLVM}"
+    if name == MITSUBA and (problem := _llvm_problem(said)) is not None:
+        return f"{problem}: {LLVM}"
     if missing and missing[1] in DEBIAN:
         return f"it lacks {missing[1]}: install Debian's package {DEBIAN[missing[1]]}"
     if missing:
@@ -58,6 +61,17 @@ def explain(said: str, status: int) -> str:
     if status < 0:
         return f"its process was ended by signal {-status}" + (f": {lines[-1]}" if lines else "")
     return lines[-1] if lines else f"its process ended with status {status}"
+
+
+def _llvm_problem(said: str) -> str | None:
+    """What Dr.Jit says of the system's LLVM, or LLVM itself as it ends the process; None where that is not it."""
+    if old := re.search(r"LLVM version \((\d+)\) is too old", said):
+        return f"LLVM {old[1]} is too old"
+    if "the LLVM backend is inactive" in said:
+        return "there is no LLVM"
+    if ended := re.search(r"LLVM ERROR: .*", said):
+        return f"its LLVM ended the process ({ended[0].strip()})"
+    return None
 
 
 class PeerProcess:
@@ -120,7 +134,7 @@ class PeerProcess:
             return json.loads(line)
         status = self._process.wait()
         self._errors.seek(0)
-        reason = explain(self._errors.read(), status)
+        reason = _explain(self.name, self._errors.read(), status)
         self.close()
         raise PeerError(f"{self.name} does not run here and is left out: {reason}")
 

@@ -12,7 +12,7 @@ from benchmarks._case import Size, case_scene
 from benchmarks._numpy_shading import render_numpy
 from benchmarks._peer_casters import Open3DCaster, TrimeshCaster
 from benchmarks._peer_mitsuba import MitsubaPeer
-from benchmarks._peer_process import PeerError, PeerProcess
+from benchmarks._peer_process import MITSUBA, PeerError, PeerProcess
 from benchmarks._report import Report, Table, ratio_text, ratios
 from benchmarks.bare import THREADS
 from lightopt.rendering import cast_rays_at, render_posture
@@ -72,7 +72,7 @@ def _shaded_in_numpy(scene: Scene) -> Callable[[object], list[Float32]]:
 PEERS: dict[str, Callable[[Size], Peer]] = {
     "lightopt": _ours,
     "Open3D + NumPy": _open3d,
-    "Mitsuba 3 llvm_ad_mono": _mitsuba,
+    MITSUBA: _mitsuba,
     "trimesh.ray + NumPy": _trimesh,
 }
 """How each is made, in the process of its own."""

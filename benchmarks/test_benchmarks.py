@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -12,12 +14,14 @@ import pytest
 
 from benchmarks import auto, bare, command, peers
 from benchmarks._case import TOY, case_scene, chrome, resized
-from benchmarks._peer_process import PeerError, PeerProcess
+from benchmarks._peer_process import MITSUBA, PeerError, PeerProcess
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Table, ratios, rounds
 from benchmarks.run import main
 from lightopt.rendering import cast_rays_at, render_posture, trace_samples
 from lightopt.scene import Scene
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -135,26 +139,67 @@ def test_peers_render_our_pictures() -> None:
         assert peers.agreement(theirs, images["lightopt"]) >= peers.AGREEMENT
 
 
-LLVM_TOO_OLD = """\
-jit_llvm_init(): the located LLVM version (14) is too old. The Dr.Jit LLVM backend requires LLVM 15 or newer …
-ImportError: jit_init_thread_state(): the LLVM backend is inactive because the LLVM shared library could not be found!
-"""
-NO_LLVM = """\
-jitc_llvm_init(): LLVM API initialization failed ..
-ImportError: jit_init_thread_state(): the LLVM backend is inactive because the LLVM shared library could not be found!
-"""
+# as Dr.Jit 1.5 says it
+INACTIVE = (
+    "ImportError: jit_init_thread_state(): the LLVM backend is inactive because the LLVM shared library "
+    '("libLLVM.so") could not be found! Set the DRJIT_LIBLLVM_PATH environment variable to specify its path.\n'
+)
+LLVM_TOO_OLD = (
+    "jit_llvm_init(): the located LLVM version (14) is too old. The Dr.Jit LLVM backend requires LLVM 15 or newer "
+    f"for opaque pointer support, shutting down LLVM backend..\n{INACTIVE}"
+)
+NO_LLVM = (
+    'jit_find_library(): Unable to load "libLLVM.so": libLLVM.so: cannot open shared object file: No such file or '
+    f"directory!\njitc_llvm_init(): LLVM API initialization failed ..\n{INACTIVE}"
+)
+
+
+def refused(name: str, said: str, end: str) -> str:
+    """What is said of a peer whose process says something on standard error and ends."""
+    program = f"import os, sys; sys.stderr.write({said!r}); sys.stderr.flush(); {end}"
+    with pytest.raises(PeerError) as error:
+        PeerProcess(name, TOY, program=(sys.executable, "-c", program))
+    head, _, reason = str(error.value).partition(": ")
+    assert head == f"{name} does not run here and is left out"
+    assert "\n" not in reason
+    return reason
 
 
 @pytest.mark.parametrize(
     ("said", "end", "words"),
     [
+        (LLVM_TOO_OLD, "sys.exit(1)", "LLVM 14 is too old: "),
+        (NO_LLVM, "sys.exit(1)", "there is no LLVM: "),
         (
-            LLVM_TOO_OLD,
-            "sys.exit(1)",
-            "LLVM 14 is too old: install Debian's package libllvm15 or a later one",
+            "LLVM ERROR: Cannot select: f32 = fminimum\n",
+            "os.abort()",
+            "its LLVM ended the process (LLVM ERROR: Cannot select: f32 = fminimum): ",
         ),
-        (NO_LLVM, "sys.exit(1)", "there is no LLVM: install Debian's package libllvm15 or a later one"),
-        ("LLVM ERROR: unsupported", "os.abort()", "there is no LLVM: install Debian's package libllvm15"),
+    ],
+)
+def test_mitsuba_without_an_llvm_is_one_line_that_says_what_to_install(said, end, words) -> None:
+    assert refused(MITSUBA, said, end).startswith(f"{words}install Debian's package libllvm19 or a later one")
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "words"),
+    [
+        ("lightopt", "LLVM ERROR: out of memory", "LLVM ERROR: out of memory"),
+        (
+            "lightopt",
+            "numba.core.errors.LoweringError: LLVM IR parsing error",
+            "numba.core.errors.LoweringError: LLVM IR parsing error",
+        ),
+        (MITSUBA, "RuntimeError: LLVM kernel failed", "RuntimeError: LLVM kernel failed"),
+    ],
+)
+def test_no_llvm_of_the_system_is_missed_by_what_merely_names_llvm(name, said, words) -> None:
+    assert refused(name, said, "sys.exit(1)") == words
+
+
+@pytest.mark.parametrize(
+    ("said", "end", "words"),
+    [
         (
             "OSError: libusb-1.0.so.0: cannot open shared object file: No such file or directory",
             "sys.exit(1)",
@@ -171,11 +216,37 @@ ImportError: jit_init_thread_state(): the LLVM backend is inactive because the L
     ],
 )
 def test_a_peer_that_does_not_run_is_one_line_that_says_what_to_install(said, end, words) -> None:
-    program = f"import os, sys; sys.stderr.write({said!r}); sys.stderr.flush(); {end}"
-    with pytest.raises(PeerError, match=r"^other does not run here and is left out: ") as refused:
-        PeerProcess("other", TOY, program=(sys.executable, "-c", program))
-    assert words in str(refused.value)
-    assert "\n" not in str(refused.value)
+    assert refused("other", said, end).startswith(words)
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
+def test_a_peer_that_could_not_be_installed_is_tried_again(tmp_path: Path) -> None:
+    """By the Makefile, with a Python that writes down what it is asked for."""
+    (tmp_path / "bin").mkdir()
+    python = tmp_path / "bin" / "python"
+    (tmp_path / ".installed").touch()
+
+    def run(fails: str) -> list[str]:
+        python.write_text(
+            f'#!/bin/sh\necho "$@" >>{tmp_path}/log\ncase "$*" in *{fails}*) exit 1;; esac\n',
+            encoding="utf-8",
+        )
+        python.chmod(0o755)
+        (tmp_path / "log").write_text("", encoding="utf-8")
+        peers_installed = f"{tmp_path}/.peers"
+        subprocess.run(
+            ["make", "--silent", f"BENCH={tmp_path}", peers_installed],
+            cwd=ROOT,
+            check=True,
+            stdout=subprocess.PIPE,
+        )
+        return (tmp_path / "log").read_text(encoding="utf-8").splitlines()
+
+    first = run("mitsuba")
+    assert ["mitsuba" in line for line in first] == [True, False], "the rest is installed"
+    assert all(f"--constraint {tmp_path}/constraints.txt" in line for line in first)
+    assert len(run("nothing")) == 2, "tried again"
+    assert run("nothing") == []
 
 
 @pytest.mark.slow

@@ -1,11 +1,20 @@
-"""The one tree of errors, and how their messages count.
+"""The one tree of errors, and the words and numbers of their messages.
 
 Library code raises them; only :mod:`lightopt.cli` turns them into messages and an exit status.
 """
 
 from __future__ import annotations
 
-__all__ = ["CheckFailed", "HardwareError", "InputError", "Interrupted", "LightoptError", "counted", "percent"]
+__all__ = [
+    "CheckFailed",
+    "HardwareError",
+    "InputError",
+    "Interrupted",
+    "LightoptError",
+    "counted",
+    "error_text",
+    "percent",
+]
 
 _NOISE = 1e-9
 """Shares that differ by less are the same."""
@@ -67,6 +76,27 @@ class LightoptError(Exception):
 
     def __str__(self) -> str:
         return "\n".join(self.messages)
+
+
+def error_text(error: BaseException) -> str:
+    """The words for any exception: the messages of one of ours, else its kind and text.
+
+    It never raises. Devices are driven by code of others, and an exception that cannot be turned into text must not
+    keep a lamp burning: then it is the kind alone, as it is where there is no text.
+
+    Examples
+    --------
+    >>> error_text(LightoptError("light1: no answer")), error_text(ValueError("no digit")), error_text(ValueError())
+    ('light1: no answer', 'ValueError: no digit', 'ValueError')
+    """
+    kind = type(error).__name__
+    try:
+        text = str(error)
+    except BaseException:  # noqa: BLE001  (whatever its text raises, `error` is what has to be dealt with)
+        return kind
+    if isinstance(error, LightoptError):
+        return text or kind
+    return f"{kind}: {text}" if text.strip() else kind
 
 
 class InputError(LightoptError):

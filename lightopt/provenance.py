@@ -1,6 +1,7 @@
 """What a result depends on: the code that computed it, the packages that this code runs on, its inputs, its options.
 
-Every file of results says it under ``provenance``, in one layout:
+Every JSON file of results says it under ``provenance``, in one layout. The other files of a result are listed in that
+JSON file; the part file of ``lightopt defects``, which stands alone, has it as JSON in a comment.
 
 ``lightopt``
     Version.
@@ -34,7 +35,7 @@ from lightopt import __version__
 __all__ = ["code_sha256", "computed_by", "differences", "file_sha256", "provenance", "versions"]
 
 _PACKAGES = ("cascadio", "embreex", "llvmlite", "numba", "numpy", "OpenImageIO", "scipy", "trimesh")
-"""Packages that results depend on."""
+"""Packages that results depend on; llvmlite turns numba's code into that of the processor."""
 
 _PRESENTATION = ("cli", "report")
 """Folders of the package that compute no result: they parse, print and draw what the others found."""

@@ -66,15 +66,16 @@ class ForkingProcess:
         if self._requests is None:
             self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             command = [sys.executable, __file__, str(theirs.fileno())]
-            self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], start_new_session=True)
+            # what this process finds its modules by; each bench has the environment of its request instead
+            places = os.pathsep.join(place or str(Path.cwd()) for place in sys.path)
+            self._process = subprocess.Popen(
+                command,
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+                env={**os.environ, "PYTHONPATH": places},
+            )
             theirs.close()
-        places = [place or str(Path.cwd()) for place in sys.path]
-        request = {
-            "places": places,
-            "spec": spec,
-            "folder": str(Path.cwd()),
-            "environment": dict(os.environ),
-        }
+        request = {"spec": spec, "folder": str(Path.cwd()), "environment": dict(os.environ)}
         stdin, our_stdin = os.pipe()
         our_stdout, stdout = os.pipe()
         our_status, status = os.pipe()
@@ -153,7 +154,6 @@ def _become_bench(request: dict, stdin: int, stdout: int, stderr: int) -> None:
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["environment"])
-    sys.path[:] = request["places"]
     sys.argv[:] = ["bench", request["spec"]]
     code = 0
     try:

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from lightopt.errors import LightoptError
+from lightopt.errors import error_text
 
 __all__ = ["BurnWatch"]
 
@@ -111,8 +111,6 @@ def _tried(darken: Callable[[str], None], light: str) -> str | None:
     """Darken a light; why that failed, or None."""
     try:
         darken(light)
-    except LightoptError as error:
-        return str(error)
     except BaseException as error:  # noqa: BLE001  (nothing that a driver raises may end the watch)
-        return f"{type(error).__name__}: {error}"
+        return error_text(error)
     return None

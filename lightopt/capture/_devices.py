@@ -12,7 +12,7 @@ from lightopt.capture._burning import BurnWatch
 from lightopt.capture._open_lights import NONE_OF_THE_RIG, lights_on
 from lightopt.capture._signals import EndSignals
 from lightopt.capture._wiring import VIRTUAL, Wiring
-from lightopt.errors import HardwareError, InputError, LightoptError
+from lightopt.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.hardware import Camera, Event, LightController, LightsStillOnError, Stage, StageState, all_off
 from lightopt.transforms import Posture
 
@@ -201,7 +201,7 @@ class Devices:
             return [*error.messages, f"lights that may still burn: {', '.join(lights) or NONE_OF_THE_RIG}"]
         except Exception as error:  # noqa: BLE001  (the stage must be stopped and all be closed, whatever this is)
             lights = sorted(self.wiring.hardware.lights)
-            return [f"{type(error).__name__}: {error}", f"lights that may still burn: {', '.join(lights)}"]
+            return [error_text(error), f"lights that may still burn: {', '.join(lights)}"]
         self._lit.clear()
         return []
 
@@ -280,11 +280,11 @@ class Devices:
             self.stage.stop()
             stopped = "the stage was stopped"
         except Exception as error:  # noqa: BLE001  (whatever fails here, the devices must be closed)
-            return burning, f"the stage MAY STILL MOVE, stopping it failed: {_words(error)}"
+            return burning, f"the stage MAY STILL MOVE, stopping it failed: {error_text(error)}"
         try:
             state = self.stage.state()
         except Exception as error:  # noqa: BLE001  (as above)
-            return burning, f"{stopped}; where it stands is unknown: {_words(error)}"
+            return burning, f"{stopped}; where it stands is unknown: {error_text(error)}"
         alarm = f", alarm: {state.alarm}" if state.alarm else ""
         return burning, f"{stopped} and stands at {state.posture}{alarm}"
 
@@ -304,7 +304,8 @@ class Devices:
         self, error: BaseException, state: tuple[list[str], str | None], unclosed: Sequence[str]
     ) -> HardwareError:
         burning, stage = state
-        cause = error.messages if isinstance(error, LightoptError) else (f"ended by {type(error).__name__}",)
+        said = error.messages if isinstance(error, LightoptError) else ()
+        cause = said or (f"ended by {error_text(error)}",)
         # what all_off said at the start and again at the end is said once
         lights = [line for line in burning if line not in cause]
         if self._touch_lights and not burning:
@@ -314,15 +315,10 @@ class Devices:
         )
 
 
-def _words(error: Exception) -> str:
-    """An error for people: its messages, or the kind and text of one that is none of ours."""
-    return str(error) if isinstance(error, LightoptError) else f"{type(error).__name__}: {error}"
-
-
 def _attempt(action: Callable[[], None]) -> str | None:
     """Do it; why that failed, or None."""
     try:
         action()
     except Exception as error:  # noqa: BLE001  (whatever fails here, the rest must be done, too)
-        return str(error) or type(error).__name__
+        return error_text(error)
     return None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from lightopt.capture._wiring import Wiring
 from lightopt.config import ControllerConfig
-from lightopt.errors import HardwareError, LightoptError
+from lightopt.errors import HardwareError, LightoptError, error_text
 from lightopt.hardware import (
     LightController,
     LightSettings,
@@ -128,7 +128,7 @@ def _open_one(
 
 
 def _unexpected(name: str, error: Exception) -> HardwareError:
-    problem = HardwareError(f"controller {name}: {type(error).__name__}: {error}")
+    problem = HardwareError(f"controller {name}: {error_text(error)}")
     problem.__cause__ = error
     return problem
 

@@ -54,9 +54,12 @@ def check(
 
         say(f"{rig_drawing(build_scene(loaded_rig, loaded_part), drawing, overwrite=force)}")
     if json_file is not None:
+        from lightopt.config import input_hashes
         from lightopt.images import write_text_atomic
+        from lightopt.provenance import provenance
 
-        text = json.dumps(report.as_dict(), indent=2, ensure_ascii=False) + "\n"
+        found = {**report.as_dict(), "provenance": provenance(input_hashes(loaded_rig, loaded_part), {})}
+        text = json.dumps(found, indent=2, ensure_ascii=False) + "\n"
         write_text_atomic(json_file, text, overwrite=force)
     errors = sum(finding.level == "error" for finding in report.findings)
     if errors:

@@ -66,7 +66,7 @@ def compare(
     """
     import json
 
-    from lightopt.compare import Thresholds, compare_files, compare_sets
+    from lightopt.compare import Thresholds, compare_files, compare_sets, comparison_provenance
     from lightopt.images import write_text_atomic
 
     sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
@@ -82,7 +82,8 @@ def compare(
     )
     result = compare_sets(golden, new, thresholds) if sets else compare_files(golden, new, thresholds)
     if json_file is not None:
-        write_text_atomic(json_file, json.dumps(result.as_dict(), indent=2) + "\n", overwrite=force)
+        figures = {**result.as_dict(), "provenance": comparison_provenance(result, thresholds)}
+        write_text_atomic(json_file, json.dumps(figures, indent=2) + "\n", overwrite=force)
     _show(result)
     if diff is not None:
         _draw(result, diff, thresholds, force)

@@ -41,13 +41,14 @@ def defects(
 
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """
-    from lightopt.scatter import defects_text, scatter_defects, write_defects
+    from lightopt.scatter import defects_text, scatter_defects, scatter_provenance, write_defects
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
     comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
     scattered = scatter_defects(loaded_rig, loaded_part, count=count, seed=seed, threads=threads)
-    text = defects_text(loaded_part, scattered, folder=out.parent, comment=comment)
+    made_from = scatter_provenance(loaded_rig, loaded_part, count=count, seed=seed)
+    text = defects_text(loaded_part, scattered, folder=out.parent, comment=comment, made_from=made_from)
     make_folder(out.parent)
     write_defects(out, text, force=force)
     if not quiet:

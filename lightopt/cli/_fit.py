@@ -85,7 +85,7 @@ def fit_diffuse(
     """Fit R_d to the pixels of IMAGES that are away from every highlight.
 
     Writes part.fitted.yaml (PART with the fitted value), fit.json and a chart; rig.fitted.yaml where gain or dark is
-    freed.
+    freed, or with --write-noise.
 
     Example: lightopt fit-diffuse rig.yaml part.yaml captured/ -o fitted
     """
@@ -149,7 +149,8 @@ def fit_specular(
     """Fit R_s and σ to IMAGES, R_d kept from PART or fitted along.
 
     Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the ridge, and pictures of measured
-    minus predicted for each light left out in turn; rig.fitted.yaml where gain or dark is freed.
+    minus predicted for each light left out in turn; rig.fitted.yaml where gain or dark is freed, or with
+    --write-noise.
 
     Example: lightopt fit-specular rig.yaml part.yaml captured/ -o fitted --joint
     """

@@ -26,7 +26,7 @@ from lightopt.cli._render import render
 from lightopt.cli._schema import schema
 from lightopt.cli._terminal import say_error, version_wanted
 from lightopt.cli._unexpected import DEBUG, DEFECT, debugging, report_unexpected, system_refused
-from lightopt.errors import LightoptError
+from lightopt.errors import LightoptError, error_text
 from lightopt.interrupts import interrupt
 
 __all__ = ["app", "run", "take_ctrl_c"]
@@ -130,7 +130,7 @@ def _failed(error: BaseException) -> int:
     if isinstance(error, OSError) and system_refused(error):
         if debugging():
             traceback.print_exception(error)
-        say_error(f"{type(error).__name__}: {error}")
+        say_error(error_text(error))
         return WRONG_INPUT
     report_unexpected(error)
     return DEFECT

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from lightopt.cli._optimize_tables import show_overlaps
-from lightopt.cli._options import Force, Quiet, make_folder
+from lightopt.cli._options import Force, Quiet
 from lightopt.cli._terminal import say
 
 __all__ = ["overlap"]
@@ -28,23 +28,15 @@ def overlap(
 
     Example: lightopt overlap captured/ -o overlaps
     """
-    import json
+    from lightopt.images import read_image_set
+    from lightopt.overlap import find_overlaps, write_overlaps
 
-    from lightopt.images import read_image_set, write_text_atomic
-    from lightopt.overlap import find_overlaps, overlap_map_name, write_overlap_map
-
-    found = find_overlaps(read_image_set(images))
+    image_set = read_image_set(images)
+    found = find_overlaps(image_set)
     if not quiet:
         show_overlaps(found)
     if out is None:
         return
-    for one in found:
-        path = out / overlap_map_name(one.posture, one.exposure)
-        make_folder(path.parent)
-        write_overlap_map(one, path, overwrite=force)
+    for path in write_overlaps(found, image_set, out, force=force):
         if not quiet:
             say(f"{path}")
-    text = json.dumps({"overlaps": [one.as_dict() for one in found]}, indent=1, ensure_ascii=False) + "\n"
-    write_text_atomic(out / "overlap.json", text, overwrite=force)
-    if not quiet:
-        say(f"{out / 'overlap.json'}")

@@ -1,6 +1,6 @@
 """Exceptions that nobody foresaw: one line for the person at the machine, the traceback in a file.
 
-Of the standard library only, because the import of anything else may be what failed.
+Of the standard library and lightopt.errors only, because the import of anything else may be what failed.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import sys
 import tempfile
 import traceback
 from pathlib import Path
+
+from lightopt.errors import error_text
 
 __all__ = ["DEBUG", "DEFECT", "debugging", "report_unexpected", "system_refused"]
 
@@ -52,9 +54,9 @@ def report_unexpected(error: BaseException) -> None:
     """
     try:
         text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
-        what = " ".join(f"{type(error).__name__}: {error}".split())[:_MOST_CHARACTERS].rstrip(": ")
-    except Exception:  # noqa: BLE001  (no memory, or an exception that cannot say what it is)
-        text, what = f"{type(error).__name__}\n", type(error).__name__
+    except Exception:  # noqa: BLE001  (no memory, for instance)
+        text = f"{type(error).__name__}\n"
+    what = " ".join(error_text(error).split())[:_MOST_CHARACTERS]
     where = f"--debug or {DEBUG}=1 shows it on the terminal"
     shown = debugging()
     if shown:
@@ -63,7 +65,10 @@ def report_unexpected(error: BaseException) -> None:
         try:
             where = f"its traceback is in {_written(text)}; {where}"
         except Exception as problem:  # noqa: BLE001  (the first error is told, whatever this one is)
-            where, shown = f"its traceback is above, because no file can be written: {problem}", True
+            where, shown = (
+                f"its traceback is above, because no file can be written: {error_text(problem)}",
+                True,
+            )
     with contextlib.suppress(Exception):
         sys.stderr.write(f"{text if shown else ''}error: unexpected {what} (a defect of lightopt); {where}\n")
         sys.stderr.flush()

@@ -3,6 +3,7 @@
 from lightopt.compare._channels import ChannelDifference, Thresholds, compare_arrays
 from lightopt.compare._files import FileComparison, compare_files
 from lightopt.compare._picture import DifferencePicture, difference_picture
+from lightopt.compare._provenance import comparison_provenance
 from lightopt.compare._sets import SetComparison, compare_sets
 
 __all__ = [
@@ -14,5 +15,6 @@ __all__ = [
     "compare_arrays",
     "compare_files",
     "compare_sets",
+    "comparison_provenance",
     "difference_picture",
 ]

@@ -75,7 +75,7 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     entries
         Text of each entry, as it is to stand in the file.
     comment
-        To stand above the list.
+        To stand above the list; of one line or several.
     replace
         Whether a list of this key is replaced, with the comments of its entries; the one beside the key stays there.
 
@@ -86,7 +86,11 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     """
     span = _list_span(text, key) if replace else None
     beside = "" if span is None else span.comment
-    lines = [f"# {comment}", f"{key}:{beside}", *(f"  - {entry}" for entry in entries)]
+    lines = [
+        *(f"# {line}" for line in comment.splitlines()),
+        f"{key}:{beside}",
+        *(f"  - {entry}" for entry in entries),
+    ]
     if span is None:
         longer = text.rstrip() + "\n\n" + "\n".join(lines) + "\n"
     else:

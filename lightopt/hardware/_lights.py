@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lightopt.errors import HardwareError, LightoptError
+from lightopt.errors import HardwareError, LightoptError, error_text
 from lightopt.hardware._roles import LightController
 from lightopt.hardware._side_by_side import side_by_side
 
@@ -128,9 +128,9 @@ def _darken(controller: LightController, channel: int) -> str | None:
         try:
             controller.set_level(channel, 0)
         except LightoptError as error:  # noqa: PERF203
-            return str(error)
+            return error_text(error)
         except Exception as error:  # noqa: BLE001  (whatever fails here, the other lights must go dark)
-            reason = f"{type(error).__name__}: {error}"
+            reason = error_text(error)
         else:
             return None
     return reason

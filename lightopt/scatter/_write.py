@@ -5,20 +5,35 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from lightopt.config import PartConfig, copied_text, with_list
+from lightopt.config import PartConfig, RigConfig, copied_text, input_hashes, with_list
 from lightopt.errors import InputError
 from lightopt.images import write_text_atomic
+from lightopt.provenance import differences, provenance
 from lightopt.scatter._scatter import ScatteredDefect
 
-__all__ = ["defects_text", "write_defects"]
+__all__ = ["defects_text", "scatter_provenance", "write_defects"]
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_PROVENANCE = "provenance: "
 
 
-def defects_text(part: PartConfig, defects: Sequence[ScatteredDefect], *, folder: Path, comment: str) -> str:
+def scatter_provenance(rig: RigConfig, part: PartConfig, *, count: int, seed: int) -> dict[str, Any]:
+    """What scattered defects depend on, in the layout of :mod:`lightopt.provenance`."""
+    return provenance(input_hashes(rig, part), {"seed": seed, "count": count})
+
+
+def defects_text(
+    part: PartConfig,
+    defects: Sequence[ScatteredDefect],
+    *,
+    folder: Path,
+    comment: str,
+    made_from: Mapping[str, Any],
+) -> str:
     """Text of a part file with defects: the part's own, comments and all, and the list at its end.
 
     Parameters
@@ -31,6 +46,8 @@ def defects_text(part: PartConfig, defects: Sequence[ScatteredDefect], *, folder
         That the text will lie in: the mesh is named relative to it.
     comment
         Of the list.
+    made_from
+        From :func:`scatter_provenance`: a second line of comment, as JSON.
 
     Raises
     ------
@@ -43,6 +60,7 @@ def defects_text(part: PartConfig, defects: Sequence[ScatteredDefect], *, folder
             "part"
         )
     text = copied_text(part, folder)
+    comment = f"{comment}\n{_PROVENANCE}{json.dumps(made_from, ensure_ascii=False)}"
     return with_list(text, "defects", [_entry(defect) for defect in defects], comment=comment)
 
 
@@ -57,10 +75,22 @@ def write_defects(path: Path, text: str, *, force: bool) -> None:
     if path.is_dir():
         raise InputError(f"{path}: expected the name of a part file to write, found a folder")
     if path.exists() and not force and path.read_bytes() != text.encode():
+        told = differences(_provenance(path.read_text("utf-8", errors="replace")), _provenance(text))
         raise InputError(
-            f"{path}: already there and different; use --force to replace it, or choose another name"
+            f"{path}: already there and different{f' ({told})' if told else ''}; use --force to replace it, or choose "
+            "another name"
         )
     write_text_atomic(path, text)
+
+
+def _provenance(text: str) -> dict[str, Any]:
+    """That of the defects of a part file; empty where it says none."""
+    line = re.search(rf"^# {_PROVENANCE}(.*)$", text, re.MULTILINE)
+    try:
+        found = json.loads(line[1]) if line else {}
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _entry(defect: ScatteredDefect) -> str:

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
+from lightopt.errors import error_text
 from lightopt.virtualbench._requests import Answer, Handler
 
 __all__ = ["ControlServer"]
@@ -62,5 +63,5 @@ def _answer(handlers: Mapping[str, Handler], line: bytes) -> Answer:
             raise ValueError(f'no request called "{name}"; there is {", ".join(handlers)}')
         answer, data = handlers[name](request)
     except (ValueError, KeyError, TypeError) as error:
-        return {"ok": False, "error": f"{type(error).__name__}: {error}"}, b""
+        return {"ok": False, "error": error_text(error)}, b""
     return {"ok": True, **answer}, data

@@ -250,17 +250,21 @@ def test_a_late_reply_does_not_hold_up_those_after_it() -> None:
 
 
 @pytest.mark.parametrize("module", [None, "raise SystemExit('the wrong lightopt')\n"])
-def test_a_folder_called_lightopt_where_the_bench_is_started(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str | None
-) -> None:
-    """As in the folder in which the repository was cloned."""
-    (tmp_path / "lightopt").mkdir()
+def test_a_folder_called_lightopt_where_the_bench_is_started(tmp_path: Path, module: str | None) -> None:
+    """As in the folder in which the repository was cloned, by a program that lies elsewhere."""
+    here, program = tmp_path / "here", tmp_path / "bin" / "program.py"
+    (here / "lightopt").mkdir(parents=True)
     if module is not None:
-        (tmp_path / "lightopt" / "__init__.py").write_text(module, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [place for place in sys.path if place not in ("", str(tmp_path))])
-    with BenchProcess({"a": CCS}) as bench:
-        assert bench.levels("a")[1] == 1
+        (here / "lightopt" / "__init__.py").write_text(module, encoding="utf-8")
+    program.parent.mkdir()
+    program.write_text(
+        "from lightopt.virtualbench import BenchProcess\n"
+        f"with BenchProcess({{'a': {CCS!r}}}) as bench:\n"
+        "    print(bench.levels('a')[1] == 1)\n",
+        encoding="utf-8",
+    )
+    ran = subprocess.run([sys.executable, program], cwd=here, capture_output=True, text=True, timeout=120)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "True\n", "")
 
 
 def test_a_bench_that_crashes_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

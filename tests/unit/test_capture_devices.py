@@ -61,8 +61,8 @@ def test_all_is_closed_even_if_one_cannot_be(opened, world):
     with pytest.raises(HardwareError) as raised, devices:
         devices.light_on("light1")
     assert raised.value.messages == (
-        "closing a device failed: No space left on device",
-        "closing a device failed: No space left on device",
+        "closing a device failed: OSError: No space left on device",
+        "closing a device failed: OSError: No space left on device",
         "all lights are off",
     )
     assert not world.burning
@@ -78,7 +78,7 @@ def test_what_could_not_be_closed_does_not_hide_what_failed(opened, world):
     with pytest.raises(HardwareError, match="no frame") as raised, opened(closing=(full,)) as devices:
         devices.camera.grab(timeout_s=1.0)
     assert "all lights are off" in raised.value.messages
-    assert raised.value.messages[-1] == "closing a device failed: No space left on device"
+    assert raised.value.messages[-1] == "closing a device failed: OSError: No space left on device"
 
 
 def test_what_burns_goes_dark_first(opened, world):

@@ -40,6 +40,7 @@ def test_json_holds_the_findings(cli, bench):
     ran = cli("check", bench.rig, bench.part, "--json", path)
     assert ran.status == 0
     report = json.loads(path.read_text(encoding="utf-8"))
+    assert set(report["provenance"]["inputs"]) == {"rig", "part", "mesh"}
     assert report["worst"] in ("ok", "note", "warning")
     assert len(report["findings"]) == len(ran.out.splitlines())
     for finding, line in zip(report["findings"], ran.out.splitlines(), strict=True):

@@ -10,6 +10,7 @@ import trimesh
 
 from lightopt import build_scene, load_part, load_rig
 from lightopt.images import read_exr, read_image_set
+from lightopt.provenance import code_sha256
 from lightopt.scatter import scatter_defects
 
 FEW = ("--patches", "500", "-q")
@@ -51,6 +52,11 @@ def test_a_catalogue_is_strewn_over_what_the_camera_sees(cli, catalogue):
     assert text.startswith(
         catalogue.part.read_text(encoding="utf-8") + "\n# 6 defects, scattered by: lightopt defects"
     )
+    (line,) = (line for line in text.splitlines() if line.startswith("# provenance: "))
+    found = json.loads(line.partition(": ")[2])
+    assert found["options"] == {"seed": 3, "count": 6}
+    assert found["code_sha256"] == code_sha256()
+    assert set(found["inputs"]) == {"rig", "part", "mesh"}
     part = load_part(catalogue.folder / "bad.yaml")
     assert [d.name for d in part.defects][:4] == ["knock-1", "line-1", "a spot: dark-1", "knock-2"]
     scene = build_scene(catalogue.rig, part)
@@ -122,7 +128,10 @@ def test_another_result_is_not_overwritten(cli, catalogue):
     assert scatter(cli, catalogue).status == 0
     ran = scatter(cli, catalogue, seed=9)
     assert ran.status == 2
-    assert "bad.yaml: already there and different; use --force to replace it" in ran.err
+    assert (
+        "bad.yaml: already there and different (options.seed: there 3, now 9); use --force to replace it"
+        in ran.err
+    )
     assert scatter(cli, catalogue, "bad.yaml", "--force", seed=9).status == 0
 
 

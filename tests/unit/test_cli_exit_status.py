@@ -111,7 +111,9 @@ def test_an_exception_that_cannot_say_what_it_is(schema, temporary):
 
     ran = schema(MuteError())
     assert ran.status == 70
-    assert "unexpected MuteError" in ran.err
+    assert "unexpected MuteError (a defect of lightopt)" in ran.err
+    (path,) = temporary.iterdir()
+    assert "in fail" in path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -134,6 +134,7 @@ def test_images_of_the_best_set_and_their_overlaps(optimized, cli, tmp_path):
     assert (ran.status, ran.err) == (0, "")
     again = json.loads((tmp_path / "o" / "overlap.json").read_text(encoding="utf-8"))
     assert {"map": overlap["map"], **again["overlaps"][0]} == overlap
+    assert again["files"] == ["posture_0_0/overlap.png"]
     drawn = read_png(tmp_path / "o" / "posture_0_0" / "overlap.png", colour=True)
     assert drawn.shape == (120, 160, 3)
     several = np.sum([level >= 255 for level in levels], axis=0)

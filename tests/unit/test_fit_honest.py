@@ -177,6 +177,18 @@ def test_the_noise_of_the_images_is_written_into_the_rig(cli, bench, noisy):
 
 
 @pytest.mark.slow
+def test_the_noise_of_dull_pixels_is_written_into_the_rig(cli, bench, noisy):
+    ran = cli("fit-diffuse", bench.rig, bench.part, noisy, "-o", bench.out, "--pixels", 6000, "--write-noise")
+    assert ran.status == 0
+    assert "noise written" in ran.out
+    assert str(bench.out / "rig.fitted.yaml") in ran.out.splitlines()
+    written = load_rig(bench.out / "rig.fitted.yaml").camera.sensor
+    figures = json.loads((bench.out / "fit.json").read_text())["noise"]
+    assert written.read_noise_levels == pytest.approx(figures["read_noise_levels"], rel=1e-3)
+    assert written.read_noise_levels == pytest.approx(2.0, rel=0.2)
+
+
+@pytest.mark.slow
 def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
     from lightopt.fit import _lack_of_fit
 

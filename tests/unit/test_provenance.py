@@ -6,12 +6,16 @@ import json
 import re
 import shutil
 import time
-from importlib.metadata import version
+from importlib.metadata import requires, version
 
+import numpy as np
 import pytest
+from packaging.requirements import Requirement
 
 from lightopt import __version__, provenance
+from lightopt.config import input_hashes, load_rig
 from lightopt.errors import InputError
+from lightopt.images import read_image_set, write_png
 from lightopt.inspection import read_calibration
 from lightopt.optimize import OptimizeOptions, optimize
 from lightopt.rendering import RenderOptions, render_image_set
@@ -109,12 +113,24 @@ def test_it_costs_next_to_nothing(monkeypatch):
     assert time.process_time() - begun < 0.001
 
 
+NO_RESULT_DEPENDS_ON = {
+    "pillow": "draws reports",
+    "pydantic": "checks the files' keys and values, and changes none",
+    "pyserial": "carries bytes to devices",
+    "pyyaml": "splits files into words; numbers are read by lightopt.config",
+    "rich": "prints",
+    "typer": "parses the command line",
+}
+
+
 def test_all_packages_that_results_come_from_are_named():
     found = provenance.computed_by()
     assert found["lightopt"] == __version__
-    assert set(found["versions"]) == {
-        *("python", "cascadio", "embreex", "llvmlite", "numba", "numpy", "OpenImageIO", "scipy", "trimesh")
-    }
+    needed = [Requirement(line) for line in requires("lightopt") or ()]
+    packages = {one.name for one in needed if one.marker is None or "extra" not in str(one.marker)}
+    assert packages > NO_RESULT_DEPENDS_ON.keys()
+    expected = {"python", "llvmlite", *packages} - NO_RESULT_DEPENDS_ON.keys()
+    assert set(found["versions"]) == expected, "a new dependency: do results depend on it?"
     assert found["versions"]["trimesh"] == version("trimesh")
 
 
@@ -159,6 +175,94 @@ def check(found, *, inputs):
     assert set(found["inputs"]) == inputs
     for name in ("rig", "part", "mesh"):
         assert re.fullmatch("[0-9a-f]{64}", found["inputs"][name]["sha256"])
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """Makes a foreign set of two images under two lights."""
+
+    def make(name, level=9):
+        folder = tmp_path / name
+        folder.mkdir()
+        images = []
+        for k in (1, 2):
+            write_png(folder / f"{k}.png", np.full((4, 5), k * level, np.uint8), metadata={})
+            images.append(
+                {
+                    "light": f"light{k}", "light_elevation_deg": 60, "light_azimuth_deg": 90 * k, "exposure": 1,
+                    "posture": {"elevation_deg": 0, "rotation_deg": 0}, "png": f"{k}.png",
+                }
+            )  # fmt: skip
+        manifest = {"format": "lightopt-images/1", "kind": "captured", "bit_depth": 8, "images": images}
+        (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+        return folder
+
+    return make
+
+
+def provenance_of(path):
+    return json.loads(path.read_text(encoding="utf-8"))["provenance"]
+
+
+def test_overlaps_of_other_images_or_code_are_not_replaced(cli, tiny, tmp_path, snapshot, other_code):
+    one, out = tiny("one"), tmp_path / "out"
+    assert cli("overlap", one, "-o", out).status == 0
+    found = provenance_of(out / "overlap.json")
+    assert set(found) == SECTIONS
+    assert found["inputs"] == {"image_sets": [read_image_set(one).fingerprint]}
+    before = snapshot(out)
+    assert cli("overlap", one, "-o", out, "-q").status == 0, "the same again"
+    ran = cli("overlap", tiny("two", level=99), "-o", out)
+    assert ran.status == 2
+    assert "image_sets: another content" in ran.err
+    assert snapshot(out) == before
+    other_code()
+    ran = cli("overlap", one, "-o", out)
+    assert "the code of lightopt has changed); use --force" in ran.err
+    assert cli("overlap", one, "-o", out, "--force").status == 0
+
+
+def test_a_map_that_nothing_lists_is_not_replaced(cli, tiny, tmp_path):
+    mine = tmp_path / "out" / "posture_0_0" / "overlap.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine", encoding="utf-8")
+    ran = cli("overlap", tiny("one"), "-o", tmp_path / "out")
+    assert ran.status == 2
+    assert "already has posture_0_0/overlap.png" in ran.err
+    assert mine.read_text(encoding="utf-8") == "mine"
+
+
+def test_a_comparison_says_what_was_compared(cli, tiny, tmp_path):
+    a, b = tiny("a"), tiny("b")
+    (a / "notes.txt").write_text("mine", encoding="utf-8")
+
+    def compare(name, *paths):
+        assert cli("compare", *paths, "--json", tmp_path / name, "--absolute", 0.5).status in (0, 1)
+        found = provenance_of(tmp_path / name)
+        assert set(found) == SECTIONS
+        assert found["options"]["absolute"] == 0.5
+        return found["inputs"]
+
+    sets = compare("sets.json", a, b / "manifest.json")
+    assert sets["golden"] == sets["new"]
+    assert set(sets["new"]) == {"manifest_sha256", "files_sha256"}
+    files = compare("files.json", a / "1.png", b / "2.png")
+    assert files["golden"] == {"sha256": provenance.file_sha256(a / "1.png")}
+    assert files["golden"] != files["new"]
+    (b / "2.png").write_bytes((b / "1.png").read_bytes())
+    again = compare("again.json", a, b)
+    assert again["golden"] == sets["golden"]
+    assert again["new"]["files_sha256"] != sets["new"]["files_sha256"]
+    (b / "2.png").unlink()
+    assert compare("missing.json", a, b)["new"]["files_sha256"] != again["new"]["files_sha256"]
+
+
+def test_a_check_says_what_was_checked(cli, bench):
+    path = bench.folder / "findings.json"
+    assert cli("check", bench.rig, "--json", path).status == 0
+    found = provenance_of(path)
+    assert set(found) == SECTIONS
+    assert found["inputs"] == {"rig": input_hashes(load_rig(bench.rig), None)["rig"]}
 
 
 @pytest.mark.parametrize("what", ["code", "package"])

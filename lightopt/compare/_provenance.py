@@ -1,0 +1,44 @@
+"""What a comparison depends on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from lightopt.compare._channels import Thresholds
+from lightopt.compare._files import FileComparison
+from lightopt.compare._sets import SetComparison
+from lightopt.images import MANIFEST_NAME
+from lightopt.provenance import file_sha256, provenance
+
+__all__ = ["comparison_provenance"]
+
+
+def comparison_provenance(result: FileComparison | SetComparison, thresholds: Thresholds) -> dict[str, Any]:
+    """What a comparison depends on, in the layout of :mod:`lightopt.provenance`; of sets, the files that were compared.
+
+    Raises
+    ------
+    OSError
+        A file cannot be read.
+    """
+    if isinstance(result, SetComparison):
+        inputs = {
+            "golden": _set_hashes(result.a, [file.a for file in result.files]),
+            "new": _set_hashes(result.b, [file.b for file in result.files]),
+        }
+    else:
+        inputs = {"golden": {"sha256": file_sha256(result.a)}, "new": {"sha256": file_sha256(result.b)}}
+    return provenance(inputs, asdict(thresholds))
+
+
+def _set_hashes(given: str, files: Sequence[str]) -> dict[str, str]:
+    manifest = Path(given) / MANIFEST_NAME if Path(given).is_dir() else Path(given)
+    digest = hashlib.sha256()
+    for path in map(Path, files):
+        name = path.relative_to(manifest.parent).as_posix()
+        digest.update(f"{name} {file_sha256(path) if path.is_file() else 'missing'}\n".encode())
+    return {"manifest_sha256": file_sha256(manifest), "files_sha256": digest.hexdigest()}
