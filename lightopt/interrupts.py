@@ -1,7 +1,8 @@
-"""Ctrl-C that does not raise inside LLVM's Python binding.
+"""Ctrl-C that does not raise where compiled code calls Python.
 
 llvmlite releases what numba compiled in finalisers that hold a lock. Python swallows what is raised in a finaliser, the
-interrupt is lost, the lock stays taken, and the next kernel waits for ever.
+interrupt is lost, the lock stays taken, and the next kernel waits for ever. Kernels take their constants apart by a
+function of numba's, and make a SystemError of what it raises.
 """
 
 from __future__ import annotations
@@ -15,16 +16,17 @@ from types import FrameType
 __all__ = ["interrupt", "put_off"]
 
 _AGAIN_AFTER_S = 0.005
+_CALLED_BY_COMPILED_CODE = ("llvmlite", "numba.core.serialize")
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """Handler of SIGINT that raises :class:`KeyboardInterrupt`, but not inside llvmlite."""
+    """Handler of SIGINT that raises :class:`KeyboardInterrupt`, but not where compiled code calls Python."""
     if not put_off(number, frame):
         raise KeyboardInterrupt
 
 
 def put_off(number: int, frame: FrameType | None) -> bool:
-    """Whether a signal came inside llvmlite. It is then sent to the main thread again, some milliseconds later.
+    """Whether a signal came where compiled code calls Python. It is then sent to the main thread again, a little later.
 
     Parameters
     ----------
@@ -32,7 +34,8 @@ def put_off(number: int, frame: FrameType | None) -> bool:
         What Python gives to the handler.
     """
     while frame is not None:
-        if str(frame.f_globals.get("__name__")).partition(".")[0] == "llvmlite":
+        name = str(frame.f_globals.get("__name__"))
+        if any(name == one or name.startswith(f"{one}.") for one in _CALLED_BY_COMPILED_CODE):
             # not a threading.Thread, whose start takes a lock that the main thread may be holding
             _thread.start_new_thread(_send_again, (number,))
             return True

@@ -278,8 +278,8 @@ def test_force_leaves_no_map_of_the_run_before(three, cli):
 def test_common_lights_and_common_elevation(three, cli):
     three.edit("rig.yaml", "elevation_range_deg: [45, 50]", "elevation_range_deg: [45, 60]")
     ran = cli(
-        "optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "5", "--no-images", "--no-report",
-        "--common-lights", "--common-elevation", "--objective", "paper",
+        "optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "5", "--no-images",
+        "--no-report", "--common-lights", "--common-elevation", "--objective", "paper",
     )  # fmt: skip
     assert (ran.status, ran.err) == (0, "")
     result = result_of(three.out)
@@ -292,7 +292,7 @@ def test_common_lights_and_common_elevation(three, cli):
     assert [rig["file"] for rig in result["rigs"]] == ["rig.optimized.yaml"]
     # a common set is no better for a posture than the posture's own
     own = cli(
-        "optimize", three.rig, three.part, "-o", three.folder / "own", "--patches", "800", "--step", "5", "--no-images", "--no-report",
+        "optimize", three.rig, three.part, "-o", three.folder / "own", "--patches", "800", "--step", "5", "--no-images",
         "--common-elevation", "--objective", "paper", "-q",
     )  # fmt: skip
     assert own.status == 0

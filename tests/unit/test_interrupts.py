@@ -1,4 +1,4 @@
-"""Ctrl-C inside llvmlite's finalisers, where Python would swallow it: held back, and not lost."""
+"""Ctrl-C where compiled code calls Python, which would swallow it or make another error of it: held back, not lost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lightopt.{module} import {name}
 {install}
 
 # a finaliser as llvmlite's: what is raised in it is swallowed, and its lock stays taken
-module = {{"__name__": "llvmlite.binding.ffi", "signal": signal, "steps": []}}
+module = {{"__name__": "{inside}", "signal": signal, "steps": []}}
 exec('''
 class Owned:
     def __del__(self):
@@ -42,6 +42,7 @@ HANDLERS = {
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("inside", ["llvmlite.binding.ffi", "numba.core.serialize"])
 @pytest.mark.parametrize("handler", HANDLERS)
 @pytest.mark.parametrize(
     "wait",
@@ -57,15 +58,17 @@ HANDLERS = {
     ],
     ids=["working", "waiting"],
 )
-def test_raised_after_llvmlite_has_released_its_lock(handler, wait):
+def test_raised_after_the_lock_was_released(handler, wait, inside):
     module, name, install = HANDLERS[handler]
-    script = SCRIPT.format(module=module, name=name, install=install, wait=wait)
+    script = SCRIPT.format(module=module, name=name, install=install, wait=wait, inside=inside)
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert (ran.stdout.splitlines(), ran.stderr) == (["lock taken, lock released", "interrupted"], "")
 
 
 def test_pythons_own_handler_would_lose_it():
-    script = SCRIPT.format(module="interrupts", name="interrupt", install="", wait="time.sleep(0.1)")
+    script = SCRIPT.format(
+        module="interrupts", name="interrupt", install="", wait="time.sleep(0.1)", inside="llvmlite"
+    )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert ran.stdout.splitlines() == ["lock taken", "lost"]
     assert "ignored" in ran.stderr

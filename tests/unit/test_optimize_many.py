@@ -194,11 +194,12 @@ def test_shares_rise_and_an_exception_ends_the_search_soon(name):
 
 INTERRUPTED = """
 import os, signal, sys, threading, time
+from lightopt.interrupts import interrupt
 from test_optimize_many import MEDIUM, OBJECTIVES, THRESHOLDS, random_matrix, search
 matrix = random_matrix((60, 60, 60, 60), 100_000)
 objective = OBJECTIVES[{name!r}]
 search([random_matrix((60, 60, 2, 2), 200)], objective, THRESHOLDS, keep=2)
-signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGINT, interrupt)
 sent = []
 def kill():
     sent.append(time.process_time())
@@ -223,9 +224,9 @@ def test_ctrl_c_ends_a_long_search_within_a_second(name):
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (HERE, HERE.parent)))},
         capture_output=True,
         text=True,
-        check=True,
         timeout=300,
     )
+    assert done.returncode == 0, done.stderr
     assert float(done.stdout) < 3.0  # of all threads
 
 
