@@ -70,7 +70,7 @@ def slow_but_one(values, fast):
 
 @pytest.mark.parametrize("sigma", slow_but_one(SIGMAS, 0.003))
 @pytest.mark.parametrize("real", [False, True], ids=["paper", "falloff-and-emission"])
-@sampled(1200)
+@sampled(500)
 def test_convex_part(sigma, real, most):
     camera = ref.Camera(width=60, height=45, pixel_um=85)
     light = ref.Light(
@@ -103,7 +103,7 @@ def test_convex_part(sigma, real, most):
         ((300, 300), 100, True, {"R_d": 45.0, "R_s": 100.0, "sigma": 0.15}),
     ],
 )
-@sampled(150)
+@sampled(80)
 def test_large_panels_near_the_part(size, distance, real, shine, most):
     """Panels that dip below the horizon of much of a steep cap, and whose fall-off varies more than the lobe does."""
     camera = ref.Camera(width=48, height=36, pixel_um=100)
@@ -150,7 +150,7 @@ QUICK_BOXES = [("aligned", 0.0475), ("mirror", 0.0475), ("plan", 0.15)]
         for sigma in SIGMAS
     ],
 )
-@sampled(2000)
+@sampled(800)
 def test_box_over_a_plane(view, sigma, most):
     """The hidden part of the panel is a polygon here, integrated as such: the expected levels are exact."""
     camera, light = VIEWS[view]
@@ -161,7 +161,7 @@ def test_box_over_a_plane(view, sigma, most):
     body = LOW + BOX_CORNERS * (HIGH - LOW)
     nodes = 64 if sigma < 0.01 else 24
     *unit, penumbra = ref.subtract_convex(hits[lit], light, *unit, body, **UNIT, sigma=sigma, n=nodes)
-    assert np.count_nonzero(penumbra) > (100 if most is None else 50)
+    assert np.count_nonzero(penumbra) > (100 if most is None else 20)
     for R_s in (DIM[sigma], BRIGHT[sigma]):
         shine = {"R_d": 45.0, "R_s": R_s, "sigma": sigma}
         image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[lit]
@@ -226,7 +226,8 @@ def test_ball_over_a_plane(view, pixels):
 )
 def test_spout(tmp_path, sigma, pixels):
     """A part that shades itself, at some of its pixels; 128 × 128 nodes, each with a shadow ray."""
-    camera = ref.Camera(width=160, height=120, pixel_um=40)
+    coarser = 1 if pixels > 12 else 2
+    camera = ref.Camera(width=160 // coarser, height=120 // coarser, pixel_um=40 * coarser)
     light = ref.Light(elevation=45, azimuth=80)
     hits = lit = unit = None
     for R_s in (DIM[sigma], BRIGHT[sigma]):
