@@ -150,7 +150,7 @@ QUICK_BOXES = [("aligned", 0.0475), ("mirror", 0.0475), ("plan", 0.15)]
         for sigma in SIGMAS
     ],
 )
-@sampled(800)
+@sampled(1000)
 def test_box_over_a_plane(view, sigma, most):
     """The hidden part of the panel is a polygon here, integrated as such: the expected levels are exact."""
     camera, light = VIEWS[view]
