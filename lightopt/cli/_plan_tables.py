@@ -119,11 +119,16 @@ def _show_proof(chosen: ChosenPostures) -> None:
         say(f"proven of these patches: no {number} show more{whatever}")
     else:
         local = "a local optimum: " if choice.turns else ""
+        sets = (
+            f"no {number} show"
+            if cover.sets is None
+            else f"none of the {cover.sets:,} sets of {number} shows"
+        )
         bound = (
-            f"with these lights none of the {cover.sets:,} sets of {number} shows more{whatever}"
-            if cover.sets is not None
-            else f"with these lights no {number} show more than {percent(cover.bound_share)}{whatever}, so that these "
-            f"have {percent(cover.guarantee)} of the best at least"
+            f"with these lights {sets} more{whatever}"
+            if cover.proven
+            else f"with these lights {sets} more than {percent(cover.bound_share)}{whatever}, so that these have "
+            f"{percent(cover.guarantee)} of the best at least"
         )
         say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(choice.turns))
     everything = percent(cover.all_reached / max(1, cover.total))

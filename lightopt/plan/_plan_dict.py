@@ -61,6 +61,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "optimum": "proven" if chosen.proven else "local",
         "bound": round(cover.bound_share, 6),
         "best_of_sets": cover.sets,
+        "proven_with_these_lights": cover.proven,
         "greedy_guarantee": round(cover.guarantee, 6),
         "fewest_possible": cover.least,
         "all_candidates": round(cover.all_reached / total, 6),

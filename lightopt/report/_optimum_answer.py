@@ -147,12 +147,14 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
     number = counted(len(chosen["postures"]), "posture")
     if chosen["optimum"] == "proven":
         return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
-    bound = (
-        f"Proven: with these lights none of the {chosen['best_of_sets']:,} sets of {number} shows more."
-        if chosen["best_of_sets"] is not None
-        else f"Proven: with these lights no {number} of the {chosen['candidates']} show more than "
-        f"{percent(chosen['bound'])}."
+    sets = (
+        f"no {number} of the {chosen['candidates']} show"
+        if chosen["best_of_sets"] is None
+        else f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
     )
+    more = "" if chosen["proven_with_these_lights"] else f" than {percent(chosen['bound'])}"
+    whatever = ", at any of the exposures offered" * (len(chosen["bounds_with_any_of_exposures"]) > 1)
+    bound = f"Proven: with these lights {sets} more{more}{whatever}."
     if not chosen["turns"]:
         return f"{bound} No light moves."
     tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"

@@ -109,7 +109,7 @@ def posture_blocks(draft: Draft) -> list[Block]:
         facts.append((f"the first {first} chosen show", percent(chosen["postures"][first - 1]["share"])))
     if chosen["asked"] is not None and chosen["target"] is None and len(chosen["postures"]) < chosen["asked"]:
         facts.append(("postures that were asked for", str(chosen["asked"])))
-    if chosen["optimum"] != "proven" and chosen["best_of_sets"] is None:
+    if not chosen["proven_with_these_lights"]:
         guarantee = f"{percent(chosen['greedy_guarantee'])} of the best with these lights"
         facts.append(("these postures have at least", guarantee))
     k = chosen["seen_in"]
@@ -195,7 +195,10 @@ def trust_blocks(draft: Draft) -> list[Block]:
 
 def _bound(chosen: Mapping[str, Any]) -> str:
     share, sets = percent(chosen["bound"]), chosen["best_of_sets"]
-    return share if sets is None else f"{share}: these are the best of all {sets:,} sets with these lights"
+    if sets is None:
+        return share
+    best = "these are the best" if chosen["proven_with_these_lights"] else "the best"
+    return f"{share}: {best} of all {sets:,} sets with these lights"
 
 
 def _travel(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shlex
 from pathlib import Path
@@ -84,6 +85,9 @@ def test_the_result_says_postures_gains_and_bounds(planned):
     assert chosen["share"] <= chosen["bound"] <= chosen["all_candidates"] + 1e-9
     assert chosen["greedy_guarantee"] == pytest.approx(chosen["share"] / chosen["bound"], abs=2e-6)
     assert chosen["optimum"] == "local"
+    # all sets were searched, at any of the exposures
+    assert chosen["best_of_sets"] == math.comb(chosen["candidates"], 2)
+    assert chosen["proven_with_these_lights"] is (chosen["share"] == chosen["bound"])
     # 0° and ±45°, four turns, and the one of the part's own that is off this grid
     assert chosen["candidates"] + len(chosen["left_out"]) == 3 * 4 + 1
     assert chosen["every_combination_tried"] is True

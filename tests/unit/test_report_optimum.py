@@ -396,6 +396,8 @@ PLANNED = {
         "share": 0.905,
         "bound": 0.931,
         "best_of_sets": None,
+        "proven_with_these_lights": False,
+        "bounds_with_any_of_exposures": [1.0, 0.25],
         "greedy_guarantee": 0.75,
         "fewest_possible": 2,
         "all_candidates": 0.97,
