@@ -108,6 +108,7 @@ def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
         "share_without": round(brackets.before, 6),
         "share": round(brackets.after, 6),
         "least_gain": brackets.least_gain,
+        "grain": round(brackets.grain, 6),
         "shots": [
             {
                 "posture": shot.posture.as_dict(),
@@ -130,6 +131,7 @@ def _trust_dict(one: TrustOf, names: Sequence[str]) -> dict[str, Any]:
     return {
         "postures": [posture.as_dict() for posture in one.postures],
         "patches": one.patches,
+        "grain": round(one.grain, 6),
         "score": trust.score,
         "unit": one.unit,
         "worst_corner": {

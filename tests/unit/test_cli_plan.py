@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -459,16 +460,23 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
 @pytest.mark.parametrize(
     ("why", "expected"),
     [
-        ("gain", "each adding 1.00 % or more: 90.0 %"),
-        ("pair", "each adding 1.00 % or more, or two that add twice that together: 90.0 %"),
-        ("target", "each adding 1.00 % or more, or needed for the target: 90.0 %"),
+        ("gain", "each adding 1 % or more: 90.0 %"),
+        ("pair", "each adding 1 % or more, or two that add twice that together: 90.0 %"),
+        ("target", "each adding 1 % or more, or needed for the target: 90.0 %"),
     ],
 )
 def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
     shots = (Shot(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, why=why),)
-    brackets = Brackets(before=0.9, after=0.904, shots=shots, least_gain=0.01)
+    brackets = Brackets(before=0.9, after=0.904, shots=shots, least_gain=0.01, grain=0.005)
     show_plan(PlanResult(brackets=brackets), Path("out"))
-    assert f"1 further exposure planned, {expected}" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"1 further exposure planned, {expected}" in told
+    assert "0.4 % " in told
+    # no digit that the patches do not support
+    show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), Path("out"))
+    told = capsys.readouterr().out
+    assert "< 1 % " in told
+    assert not re.search(r"\d\.\d+ %", told)
 
 
 @pytest.mark.nightly
