@@ -87,7 +87,7 @@ def share_text(share: float, grain: float, *, short_of: float = 1.0) -> str:
     --------
     >>> share_text(0.92174, 0.0011), share_text(0.92174, 0.02), share_text(0.002, 0.02)
     ('92.2 %', '92 %', '< 1 %')
-    >>> share_text(0.9495, 0.02, short_of=0.95)
+    >>> share_text(0.949, 0.02, short_of=0.95)
     '94.9 %'
     """
     digits = 1 if grain < 0.01 else 0

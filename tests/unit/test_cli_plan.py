@@ -321,7 +321,8 @@ def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
     assert len(shares) >= 2
     assert shares == sorted(shares)
     assert all(share <= bound for share, bound in zip(shares, bounds, strict=True))
-    assert f"postures together show {shares[-1]:.1f} %" in ran.err
+    # 400 patches support whole percents
+    assert f"postures together show {shares[-1]:.0f} %" in ran.err
 
 
 @pytest.mark.slow
@@ -334,7 +335,7 @@ def test_a_number_of_postures_shows_at_least_what_a_target_beyond_reach_says(two
     told = float(row.split()[-4])
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "2")
     assert ran.status == 0, ran.err
-    assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= told - 0.05
+    assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= told - 0.5
 
 
 @pytest.mark.slow

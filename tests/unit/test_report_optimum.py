@@ -20,6 +20,7 @@ from lightopt.optimize import (
     area_text,
     area_units,
     optimize,
+    share_text,
 )
 from lightopt.report import (
     Answer,
@@ -284,7 +285,11 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     groups = [layer.group for layer in view.surface.layers]
     assert groups == ["Defects"] * 5 + ["Levels of the images"] * 3
     assert page_html(page).count('<figure class="surface">') == 1
-    assert list(table.rows[0][:3]) == ["all postures", "chosen", f"{100 * spots['chosen']['seen']:.1f} %"]
+    assert list(table.rows[0][:3]) == [
+        "all postures",
+        "chosen",
+        share_text(spots["chosen"]["seen"], spots["grain"]),
+    ]
     assert table.header[-1] == "left out"
     assert list(table.header[3:-1]) == list(
         dict.fromkeys(
@@ -296,8 +301,10 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     )
     for row, group in zip(table.rows[::2], (spots, *spots["postures"]), strict=True):
         shares = {one["reason"]: one["share"] for one in group["chosen"]["blind"]}
-        assert list(row[3:-1]) == [f"{100 * shares.get(reason, 0):.1f} %" for reason in table.header[3:-1]]
-        assert row[-1] == f"{100 * group['chosen']['left_out_of_surface']:.1f} %"
+        assert list(row[3:-1]) == [
+            share_text(shares.get(reason, 0.0), spots["grain"]) for reason in table.header[3:-1]
+        ]
+        assert row[-1] == share_text(group["chosen"]["left_out_of_surface"], spots["grain"])
     shares, reasons, reachable, *single = view.surface.layers[:5]
     assert len(single) == 2
     labels = [kind.label for kind in reasons.classes]
@@ -317,10 +324,10 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
         assert [labels[k] for k in layer.of_face] == expected
     # the legend has the table's shares
     told = {kind.label: kind.amount for kind in reasons.classes if kind.amount}
-    assert told["seen"] == f"{100 * spots['chosen']['seen']:.1f} %"
+    assert told["seen"] == share_text(spots["chosen"]["seen"], spots["grain"])
     for one in spots["chosen"]["blind"]:
         if not one["reason"].startswith("saturated"):
-            assert told[one["reason"]] == f"{100 * one['share']:.1f} %"
+            assert told[one["reason"]] == share_text(one["share"], spots["grain"])
     # and the surface the colours of blind.ply
     colours = {one.label: "#{:02x}{:02x}{:02x}".format(*one.colour) for one in BLIND_CLASSES}
     assert {kind.label: kind.colour for kind in reasons.classes}.items() <= colours.items()
@@ -348,7 +355,7 @@ def test_defects_seen_are_those_of_the_result(inspected):
         answer = group["objectives"][0]
         shown = dict(zip(table.header, row, strict=True))
         for name, share in answer["defects"].items():
-            assert shown[name] == f"{100 * share:.1f} %"
+            assert shown[name] == share_text(share, group["grain"])
         assert shown["kind seen worst"] == answer["worst_defect"]
         assert shown["walls seen worst lean to"] == f"{answer['worst_direction_deg']:g}°"
 
