@@ -160,6 +160,9 @@ def test_there_is_one_share_of_the_plan_and_it_is_said_of_what(planned):
     assert first["share_of_inspectable_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
     page = (planned.out / "report.html").read_text(encoding="utf-8")
     assert f"({share_text(chosen['share'], result['results'][0]['grain'])})" in page
+    assert min(chosen["patches"]["grain"], exposures["grain"], result["blind_spots"]["grain"]) > 0.01
+    words = re.sub(r"<(script|style).*?</\1>|<[^>]+>", " ", page, flags=re.DOTALL)
+    assert not re.search(r"\d\.\d+\s%", words)
 
 
 def test_other_objectives_are_searched_in_the_chosen_postures(planned):
@@ -355,6 +358,8 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(t
     assert (first < number) == (f"--choose-postures {first} does nearly as well" in ran.out)
     # how large the patches are that all this is told on
     assert chosen["patches"]["max_edge_mm"] > 1.0
+    # no digit that the patches do not support, in any table
+    assert not re.search(r"\d\.\d+ %", ran.out)
     points = f"{100.0 * chosen['patches']['grain']:.1g} points"
     assert f"each seen or not as its middle is: shares may be off by some {points}" in ran.out
     assert 0.01 < chosen["patches"]["grain"] < 0.1
