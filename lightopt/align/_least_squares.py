@@ -7,7 +7,7 @@ nominal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
@@ -95,6 +95,9 @@ class Limits:
     resolution
         A direction in the space of these parameters is determined where its standard error is below one of these
         units; infinite for parameters that are adjusted along and of no interest.
+    undetermined
+        Directions that the residuals do not determine whatever their slopes say, rows in units of the parameters, shape
+        (u, K).
     """
 
     nominal: Float64
@@ -102,6 +105,7 @@ class Limits:
     step: Float64
     prior: Float64
     resolution: Float64
+    undetermined: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,6 +255,7 @@ class _Solver:
         self._of_interest = np.flatnonzero(np.isfinite(limits.resolution))
         self._precision = np.diag(np.where(np.isfinite(limits.prior), 1.0 / np.square(limits.prior), 0.0))
         self._held = np.zeros((0, self._size))
+        self._scatter = np.zeros(0)
         self._spread = least_spread
         self._rows = np.zeros(0, np.bool_)
         self._tried = 0
@@ -283,11 +288,17 @@ class _Solver:
             here, converged = self._descend(here, most_iterations)
             if self._tried >= most_iterations:
                 break
-        first_point = self._point(before)
-        if first_point.cost < here.cost:
-            # an earlier round's spread led elsewhere
-            here, converged = self._descend(first_point, self._tried + 5)
-        return self._solution(first_point, here, converged)
+        while True:
+            first_point = self._point(before)
+            if first_point.cost < here.cost:
+                # an earlier round's spread led elsewhere
+                here, converged = self._descend(first_point, self._tried + 5)
+            if not self._hold_scattered(here):
+                return self._solution(first_point, here, converged)
+            before = self._at_nominal(start)
+            here, converged = self._descend(
+                self._point(self._at_nominal(here.x)), max(most_iterations, self._tried + 5)
+            )
 
     def _descend(self, here: _Point, most_iterations: int) -> tuple[_Point, bool]:
         damping = FIRST_DAMPING
@@ -377,7 +388,24 @@ class _Solver:
             return False
         self._held = np.zeros((int(np.sum(unknown)), self._size))
         self._held[:, of] = vectors[:, unknown].T
+        self._scatter = np.zeros(len(self._held))
         return True
+
+    def _hold_scattered(self, here: _Point) -> bool:
+        # keep the directions at nominal, too, that the residuals leave open as they scatter in the end; whether any is
+        of = self._of_interest
+        if not len(of) or len(self._held) == len(of) or not self._rows.any():
+            return False
+        held, unit = self._held[:, of], self._limits.resolution[of]
+        free = np.eye(len(of)) - held.T @ held
+        values, vectors = np.linalg.eigh(
+            free @ (self._covariance(here)[np.ix_(of, of)] / np.outer(unit, unit)) @ free
+        )
+        scattered = np.zeros((int(np.sum(values > 1.0)), self._size))
+        scattered[:, of] = vectors[:, values > 1.0].T
+        self._held = np.concatenate([self._held, scattered])
+        self._scatter = np.concatenate([self._scatter, values[values > 1.0]])
+        return len(scattered) > 0
 
     def _information(self, normal: Float64) -> Float64:
         # about the parameters of interest alone, in units of their resolution
@@ -390,6 +418,10 @@ class _Solver:
             kept = kept - cross @ np.linalg.solve(inner + LEAST_DAMPING * np.eye(len(others)), cross.T)
         unit = self._limits.resolution[of]
         found = kept * np.outer(unit, unit)
+        if self._limits.undetermined.size:
+            known, _ = np.linalg.qr((self._limits.undetermined[:, of] / unit).T)
+            rest = np.eye(len(of)) - known @ known.T
+            found = rest @ found @ rest
         return 0.5 * (found + found.T)
 
     def _in_resolution(self) -> Float64:
@@ -475,9 +507,13 @@ class _Solver:
         if len(self._held):
             of, res = self._of_interest, self._in_resolution()
             held = self._held[:, of]
-            told = np.linalg.eigh(held @ self._information(normal) @ held.T)
+            information = held @ self._information(normal) @ held.T
+            less = np.maximum(self._scatter * np.diag(information), 1.0)
+            told = np.linalg.eigh(information / np.sqrt(np.outer(less, less)))
             rows = told.eigenvectors.T @ held
-            spread = rows.T / np.maximum(told.eigenvalues, _TINY) @ rows
+            # no direction is more uncertain than the reach allows
+            least = np.max(np.square(rows * res[of] / self._limits.reach[of]), axis=1)
+            spread = rows.T / np.maximum(told.eigenvalues, least) @ rows
             covariance[np.ix_(of, of)] += spread * np.outer(res[of], res[of])
         return 0.5 * (covariance + covariance.T)
 

@@ -28,6 +28,7 @@ from lightopt.align._refinement import (
     limits_of,
     start_parameters,
 )
+from lightopt.align._revolution import hidden_turns
 from lightopt.raycast import RayCaster
 from lightopt.reflectance import Reflectance
 from lightopt.scene import Scene
@@ -193,6 +194,9 @@ def refine_placement(
             first=number == 0,
             threads=threads,
         )
+        if number == 0:
+            hidden = hidden_turns(scene, frame, inner, x[POSE], caster=caster)
+            limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
         problem = Refinement(scene, frame, inner, edges, x, caster=caster, threads=threads)
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations

@@ -25,7 +25,7 @@ from lightopt.cli._options import (
 from lightopt.cli._plan_options import plan_options
 from lightopt.cli._plan_tables import show_plan
 from lightopt.cli._terminal import say, say_warning, show_progress, show_table, show_time_left
-from lightopt.errors import CheckFailed, InputError, percent
+from lightopt.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
     from lightopt.optimize import Optimum
@@ -242,11 +242,13 @@ def _parse_shade(text: str) -> float:
 
 def _show_reach(error: TargetUnreached) -> None:
     # where a target is out of reach: what so many postures show
+    from lightopt.optimize import share_text
+
     rows = [
         (
             f"{number}",
             str(step.posture),
-            *(percent(share, short_of=error.target) for share in (step.share, step.bound)),
+            *(share_text(share, error.grain, short_of=error.target) for share in (step.share, step.bound)),
         )
         for number, step in enumerate(error.steps, start=1)
     ]

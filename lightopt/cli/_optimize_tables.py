@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lightopt.cli._terminal import say, show_table, together
-from lightopt.errors import counted, percent
+from lightopt.errors import counted
 
 if TYPE_CHECKING:
     from lightopt.optimize import Answer, BlindReport, Objective, Optimum, SetResult
@@ -93,19 +93,23 @@ def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
 
 
 def _show_defects(found: Optimum) -> None:
+    from lightopt.optimize import share_text
+
     for result in found.results:
         for answer in result.answers:
             facts = answer.details
             if "worst_defect" not in facts or answer.nothing is not None:
                 continue
-            kinds = ", ".join(f"{name} {percent(share)}" for name, share in facts["defects"].items())
+            kinds = ", ".join(
+                f"{name} {share_text(share, result.grain)}" for name, share in facts["defects"].items()
+            )
             worst = facts.get("worst_direction_deg")
             least = (
                 ""
                 if worst is None
                 else (
                     f"; walls that lean to {worst:g}° (from the mesh file's X axis, as direction_deg of defects) "
-                    f"least, {percent(facts['directions_deg'][f'{worst:g}'])}"
+                    f"least, {share_text(facts['directions_deg'][f'{worst:g}'], result.grain)}"
                 )
             )
             which = f"{together(result.postures)}{' postures' * (len(result.postures) > 1)}"
@@ -117,7 +121,7 @@ def _show_defects(found: Optimum) -> None:
 
 def show_blind_spots(blind: BlindReport) -> None:
     """What the chosen lights show of the defects, over all postures and in each, and why the rest stays invisible."""
-    from lightopt.optimize import BLIND_LIGHTS, BLIND_SHARES_OF, blind_text
+    from lightopt.optimize import BLIND_LIGHTS, BLIND_SHARES_OF, blind_text, share_text
 
     parts = blind.parts() if len(blind.postures) > 1 else blind.parts()[:1]
     codes = sorted({code for _, *both in parts for spots in both for code in spots.by_reason()})
@@ -127,9 +131,14 @@ def show_blind_spots(blind: BlindReport) -> None:
         [
             "all" if posture is None else str(posture),
             lights,
-            percent(spots.seen),
-            *(percent(spots.by_reason().get(code, 0.0)) for code in codes),
-            percent(spots.left_out),
+            *(
+                share_text(share, spots.grain)
+                for share in (
+                    spots.seen,
+                    *(spots.by_reason().get(code, 0.0) for code in codes),
+                    spots.left_out,
+                )
+            ),
         ]
         for posture, chosen, possible in parts
         for lights, spots in tuple(zip(BLIND_LIGHTS, (chosen, possible), strict=True))[: 2 if both else 1]

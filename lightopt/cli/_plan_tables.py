@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightopt.cli._terminal import say, show_table, together
-from lightopt.errors import counted, percent
+from lightopt.errors import counted
 
 if TYPE_CHECKING:
     from lightopt.plan import Brackets, ChosenPostures, PlanResult, TrustOf, Way
@@ -35,7 +36,7 @@ def show_plan(result: PlanResult, folder: Path) -> None:
 def _show_postures(chosen: ChosenPostures) -> None:
     from lightopt.plan import SHARES_OF
 
-    cover = chosen.choice.cover
+    cover, text = chosen.choice.cover, _text_of(chosen.grain)
     total = max(1, cover.total)
     for out in chosen.left_out:
         say(f"left out: posture {out.posture}: {out.reason}")
@@ -50,8 +51,8 @@ def _show_postures(chosen: ChosenPostures) -> None:
                 str(posture),
                 str(number),
                 *([_levels(chosen.exposures_of(posture))] if bracketed else []),
-                percent(step.gain / (cover.k * total), 2),
-                percent(step.reached / total),
+                text(step.gain / (cover.k * total)),
+                text(step.reached / total),
             )
             for posture in chosen.way.order
             for number, step in [numbered[posture]]
@@ -59,13 +60,13 @@ def _show_postures(chosen: ChosenPostures) -> None:
     )
     number, images = counted(len(cover.steps), "posture"), counted(chosen.least, "image")
     say(
-        f"{number} of {chosen.offered} show {percent(cover.share)} of the surface × defects in {images} or more, all "
+        f"{number} of {chosen.offered} show {text(cover.share)} of the surface × defects in {images} or more, all "
         "planned images together and no others"
     )
     say(f"shares of postures and exposures: of {SHARES_OF}")
     say(
-        f"that surface is {100.0 * chosen.inspectable_share:.1f} % of the part's, and "
-        f"{percent(chosen.left_out_share)} is left out since the camera sees it at a grazing angle only; of "
+        f"that surface is {text(chosen.inspectable_share)} of the part's, and "
+        f"{text(chosen.left_out_share)} is left out since the camera sees it at a grazing angle only; of "
         f"{chosen.patches:,} patches with edges up to {chosen.max_edge:.3g} mm, each seen or not as its middle is: "
         "shares may be off by some "
         f"{100.0 * chosen.grain:.1g} points"
@@ -104,7 +105,8 @@ def _show_spare(chosen: ChosenPostures) -> None:
         )
         say(f"{chosen.asked} postures were asked for: {why}")
     if chosen.telling < len(steps):
-        share = percent(steps[chosen.telling - 1].reached / max(1, chosen.choice.cover.total))
+        text = _text_of(chosen.grain)
+        share = text(steps[chosen.telling - 1].reached / max(1, chosen.choice.cover.total))
         say(
             f"the first {chosen.telling} chosen show {share}, the others less than 0.1 points more: "
             f"--choose-postures {chosen.telling} does nearly as well"
@@ -112,21 +114,26 @@ def _show_spare(chosen: ChosenPostures) -> None:
 
 
 def _show_proof(chosen: ChosenPostures) -> None:
-    choice, cover = chosen.choice, chosen.choice.cover
+    choice, cover, text = chosen.choice, chosen.choice.cover, _text_of(chosen.grain)
     number = counted(len(cover.steps), "posture")
     whatever = f", at any of the exposures {_levels(chosen.exposures)}" * (len(chosen.exposures) > 1)
     if chosen.proven:
         say(f"proven of these patches: no {number} show more{whatever}")
     else:
         local = "a local optimum: " if choice.turns else ""
+        sets = (
+            f"no {number} show"
+            if cover.sets is None
+            else f"none of the {cover.sets:,} sets of {number} shows"
+        )
         bound = (
-            f"with these lights none of the {cover.sets:,} sets of {number} shows more{whatever}"
-            if cover.sets is not None
-            else f"with these lights no {number} show more than {percent(cover.bound_share)}{whatever}, so that these "
-            f"have {percent(cover.guarantee)} of the best at least"
+            f"with these lights {sets} more{whatever}"
+            if cover.proven
+            else f"with these lights {sets} more than {text(cover.bound_share)}{whatever}, so that these have "
+            f"{text(cover.guarantee)} of the best at least"
         )
         say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(choice.turns))
-    everything = percent(cover.all_reached / max(1, cover.total))
+    everything = text(cover.all_reached / max(1, cover.total))
     say(f"all {chosen.offered} postures with these lights show {everything}{whatever}")
     if cover.least is not None and chosen.target is not None:
         say(
@@ -145,10 +152,17 @@ def _show_proof(chosen: ChosenPostures) -> None:
     )
     if choice.before is not None:
         say(
-            f"the lights as they stood show {percent(choice.before.share)} in "
+            f"the lights as they stood show {text(choice.before.share)} in "
             f"{counted(choice.before.postures, 'posture')} chosen for them, on {chosen.drawn:,} patches, at "
             "exposure 1"
         )
+
+
+def _text_of(grain: float) -> Callable[[float], str]:
+    # shares to the digits that their patches support
+    from lightopt.optimize import share_text
+
+    return partial(share_text, grain=grain)
 
 
 def _levels(exposures: Sequence[float]) -> str:
@@ -156,20 +170,21 @@ def _levels(exposures: Sequence[float]) -> str:
 
 
 def _show_brackets(brackets: Brackets) -> None:
+    text = _text_of(brackets.grain)
     show_table(
         ("posture", "exposure", "adds", "planned"),
         [
-            (str(shot.posture), f"{shot.exposure:g}", percent(shot.gain, 2), "yes" if shot.planned else "no")
+            (str(shot.posture), f"{shot.exposure:g}", text(shot.gain), "yes" if shot.planned else "no")
             for shot in brackets.shots
         ],
     )
     planned = sum(shot.planned for shot in brackets.shots)
-    adding = f"{percent(brackets.least_gain, 2)} or more"
+    adding = f"{100.0 * brackets.least_gain:g} % or more"
     adding += ", or two that add twice that together" * any(shot.why == "pair" for shot in brackets.shots)
     adding += ", or needed for the target" * any(shot.why == "target" for shot in brackets.shots)
     say(
         f"{counted(planned, 'further exposure')} planned, each adding {adding}: "
-        f"{percent(brackets.before)} of the surface × defects becomes {percent(brackets.after)}"
+        f"{text(brackets.before)} of the surface × defects becomes {text(brackets.after)}"
     )
 
 
@@ -178,15 +193,15 @@ def _show_trust(trust: tuple[TrustOf, ...]) -> None:
     show_table(
         ("off by the tolerance", *(together(one.postures) for one in trust)),
         [
-            ("worst corner keeps", *(percent(_share(one, one.trust.worst)) for one in trust)),
-            ("95 % of draws keep", *(percent(_share(one, one.trust.quantile)) for one in trust)),
+            ("worst corner keeps", *(_share(one, one.trust.worst) for one in trust)),
+            ("95 % of draws keep", *(_share(one, one.trust.quantile) for one in trust)),
             *((f"widest: {name}", *(_degrees(one, i) for one in trust)) for i, name in enumerate(widest)),
         ],
     )
 
 
-def _share(one: TrustOf, score: int) -> float:
-    return score / max(1, one.trust.score)
+def _share(one: TrustOf, score: int) -> str:
+    return _text_of(one.grain)(score / max(1, one.trust.score))
 
 
 def _degrees(one: TrustOf, index: int) -> str:

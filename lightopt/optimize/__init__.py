@@ -35,7 +35,7 @@ from lightopt.optimize._earlier import RIG_NAME, refuse_other_result
 from lightopt.optimize._inspection import Inspection
 from lightopt.optimize._luminance import MOST_BYTES, luminance_matrices, luminance_matrix, matrix_bytes
 from lightopt.optimize._matrix import AREA_UNIT_MM2, Levels, LuminanceMatrix, Thresholds, area_units
-from lightopt.optimize._objective import NEAR_PER_MILLE, Objective, area_text, share_of_whole
+from lightopt.optimize._objective import NEAR_PER_MILLE, Objective, area_text, share_of_whole, share_text
 from lightopt.optimize._objectives import OBJECTIVES, objectives_named
 from lightopt.optimize._options import DEFAULT_SHADE_SHARE, OptimizeOptions, check_options
 from lightopt.optimize._packed import add_image, added, word_weight
@@ -56,7 +56,6 @@ from lightopt.optimize._words import (
     near_text,
     patches_text,
     score_text,
-    share_text,
     shown_text,
     ties_text,
 )

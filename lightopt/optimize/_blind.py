@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from lightopt.optimize._matrix import LuminanceMatrix, Thresholds
 from lightopt.optimize._packed import Words, add_image, added
 from lightopt.optimize._visibility import Visibility
+from lightopt.rendering import grain_of
 
 __all__ = [
     "Blind",
@@ -78,6 +79,11 @@ class BlindSpots:
     def counted(self) -> float:
         """Area that shares are of: all but what is seen at a grazing angle only [mm²]."""
         return max(float(self.areas[self.codes != Blind.GRAZING].sum()), 1e-300)
+
+    @property
+    def grain(self) -> float:
+        """How far these shares may be off: see :func:`lightopt.rendering.grain_of`."""
+        return grain_of(self.areas[self.codes != Blind.GRAZING])
 
     @property
     def left_out(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.optimize._blind import Blind, BlindSpots
+from lightopt.optimize._objective import share_text
 
 __all__ = [
     "BLIND_CLASSES",
@@ -56,12 +57,15 @@ class LegendRow:
         In words.
     share
         Of the part's surface × defects; where it is left out, of the whole surface.
+    amount
+        The share in words, to the digits that the patches support.
     colours
         That stand for it.
     """
 
     label: str
     share: float
+    amount: str
     colours: tuple[Colour, ...]
 
 
@@ -124,6 +128,7 @@ def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
         LegendRow(
             label=blind_class(code).label,
             share=shares[code],
+            amount=share_text(shares[code], spots.grain),
             colours=tuple(one.colour for one in BLIND_CLASSES if one.code == code),
         )
         for code in (Blind.SEEN, *(code for code, *_ in _REASONS))

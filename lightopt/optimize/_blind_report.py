@@ -96,6 +96,7 @@ class BlindReport:
             "seen_in": self.objective.seen_in,
             "shares_of": BLIND_SHARES_OF,
             "surface_mm2": round(float(self.chosen.areas.sum()), 6),
+            "grain": round(self.chosen.grain, 6),
             **self._both(self.chosen, self.possible),
             "postures": [
                 {"posture": posture.as_dict(), **self._both(chosen, possible)}

@@ -9,11 +9,20 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.errors import percent
 from lightopt.optimize._matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds
 from lightopt.optimize._work import Share
 from lightopt.rendering import GRAZING_DEG
 
-__all__ = ["INSPECTABLE_SURFACE", "NEAR_PER_MILLE", "Objective", "area_text", "near_margin", "share_of_whole"]
+__all__ = [
+    "INSPECTABLE_SURFACE",
+    "NEAR_PER_MILLE",
+    "Objective",
+    "area_text",
+    "near_margin",
+    "share_of_whole",
+    "share_text",
+]
 
 INSPECTABLE_SURFACE = (
     f"the surface that the camera sees in the posture at up to {GRAZING_DEG:g}° to its normal; of several postures, "
@@ -62,6 +71,29 @@ def area_text(area: float, grain: float) -> str:
     if area and not rounded:
         return f"< {10.0**place:,.{digits}f} mm²"
     return f"{rounded:,.{digits}f} mm²"
+
+
+def share_text(share: float, grain: float, *, short_of: float = 1.0) -> str:
+    """A share of the surface to the decimals that its grain supports, one at most.
+
+    Parameters
+    ----------
+    share, grain
+        The share, and how far it may be off since each patch counts as its middle does.
+    short_of
+        As for :func:`lightopt.errors.percent`.
+
+    Examples
+    --------
+    >>> share_text(0.92174, 0.0011), share_text(0.92174, 0.02), share_text(0.002, 0.02)
+    ('92.2 %', '92 %', '< 1 %')
+    >>> share_text(0.949, 0.02, short_of=0.95)
+    '94.9 %'
+    """
+    digits = 1 if grain < 0.01 else 0
+    if share > 0.0 and not round(100.0 * share, digits):
+        return f"< {10.0**-digits:.{digits}f} %"
+    return percent(share, digits, short_of=short_of)
 
 
 class Objective(Protocol):

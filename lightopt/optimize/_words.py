@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from lightopt.errors import counted, percent
+from lightopt.errors import counted
 from lightopt.optimize._candidates import Candidates
-from lightopt.optimize._objective import NEAR_PER_MILLE, Objective, share_of_whole
+from lightopt.optimize._objective import NEAR_PER_MILLE, Objective, share_of_whole, share_text
 from lightopt.optimize._result import Answer, SetResult
 from lightopt.rendering import GRAZING_DEG
 from lightopt.transforms import Posture
@@ -23,7 +23,6 @@ __all__ = [
     "near_text",
     "patches_text",
     "score_text",
-    "share_text",
     "shown_text",
     "ties_text",
 ]
@@ -35,17 +34,6 @@ NOT_COUNTED = "not counted"
 def shown_text(value: int, objective: Objective, result: SetResult) -> str:
     """A score of a result with its unit, to the digits that its patches support."""
     return objective.shown(value, result.grain * result.area)
-
-
-def share_text(share: float, grain: float) -> str:
-    """A share of the area to the decimals that its grain supports, one at most.
-
-    Examples
-    --------
-    >>> share_text(0.92174, 0.0011), share_text(0.92174, 0.02)
-    ('92.2 %', '92 %')
-    """
-    return percent(share, 1 if grain < 0.01 else 0)
 
 
 def score_text(value: int, objective: Objective, result: SetResult) -> str:

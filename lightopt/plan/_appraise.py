@@ -157,6 +157,7 @@ class _Asked:
                 ),
                 unit=self.outcome.results[0].answers[0].objective.unit,
                 patches=len(drawn.patches),
+                grain=drawn.table.grain,
             )
             for group in groups
         )

@@ -33,7 +33,7 @@ def best_set(
     *,
     most_work: int = MOST_WORK,
     threads: int | None = None,
-) -> tuple[tuple[int, ...], int | None]:
+) -> tuple[tuple[int, ...], int, int | None]:
     """The set of so many candidates that reaches most, and how many sets that is proven of.
 
     Parameters
@@ -53,15 +53,16 @@ def best_set(
 
     Returns
     -------
-    chosen, sets
-        The best set that was found, and the number of all sets of that size; None where that is not proven.
+    chosen, most_reached, sets
+        The best set that was found, the weight that it reaches, and the number of all sets of that size; None where it
+        is not proven that none reaches more.
     """
     search = _Search(candidates, weights, chosen, most_work, threads or available_processors())
     try:
         search.visit(no_counts(weights, search.k), (), 0, 0, list(range(len(candidates))), None, size)
     except _TooMuch:
-        return search.best, None
-    return search.best, math.comb(len(candidates), size)
+        return search.best, search.best_reached, None
+    return search.best, search.best_reached, math.comb(len(candidates), size)
 
 
 class _TooMuch(Exception):  # noqa: N818  (ends the search, and no error)

@@ -53,12 +53,15 @@ class Brackets:
         The planned ones in the order in which they were chosen, then the others.
     least_gain
         Share that one has to add.
+    grain
+        How far the shares may be off since a patch counts as its middle does.
     """
 
     before: float
     after: float
     shots: tuple[Shot, ...]
     least_gain: float
+    grain: float = 0.0
 
     def of(self, posture: Posture) -> tuple[float, ...]:
         """Exposures of a posture in the plan, the longest first."""

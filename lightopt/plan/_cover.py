@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lightopt.plan._counts import Counts, PairWeights, added, gain_of, no_counts, reached, worth
 
@@ -52,8 +52,8 @@ class Cover:
         Of all candidates together.
     least
         No set of fewer candidates reaches the target; None without a target, or where it cannot be reached.
-    sets
-        Number of all sets of as many candidates, where this one is proven to reach most of them; None where it is not.
+    sets, most_reached
+        Number of all sets of as many candidates, and what the best of them reaches; None where not all were searched.
     """
 
     steps: tuple[Step, ...]
@@ -65,6 +65,7 @@ class Cover:
     all_reached: int
     least: int | None
     sets: int | None = None
+    most_reached: int | None = None
 
     @property
     def chosen(self) -> tuple[int, ...]:
@@ -89,7 +90,9 @@ class Cover:
     @property
     def bound_share(self) -> float:
         """No set of as many candidates sees more than this share in k images or more."""
-        return self.share if self.sets is not None else self.bound_of(len(self.bounds) - 1)
+        if self.most_reached is not None:
+            return self.most_reached / max(1, self.total)
+        return self.bound_of(len(self.bounds) - 1)
 
     def bound_of(self, count: int) -> float:
         """No set of so many candidates, up to as many as were chosen, sees more than this share in k or more."""
@@ -118,7 +121,12 @@ class Cover:
     @property
     def proven(self) -> bool:
         """Whether no set of as many sees more in k images or more."""
-        return self.sets is not None or self.reached >= min(self.bound // self.k, self.all_reached)
+        most = min(self.bound // self.k, self.all_reached) if self.most_reached is None else self.most_reached
+        return self.reached >= most
+
+    def searched(self, most_reached: int, sets: int | None) -> Cover:
+        """With what the best of so many sets reaches; as it is where the search ended without a proof."""
+        return self if sets is None else replace(self, sets=sets, most_reached=most_reached)
 
 
 def steps_of(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> tuple[Step, ...]:

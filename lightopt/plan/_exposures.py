@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -106,9 +107,10 @@ def plan_exposures(
         ]
         if tell is not None:
             tell((index + 1) / len(postures))
-    return pick_shots(
+    found = pick_shots(
         postures, now, offers, survey.weights, least=least, least_gain=gain_points / 100.0, target=target
     )
+    return replace(found, grain=survey.table.grain)
 
 
 def images_of(flags: Sequence[Words], least: int) -> Images:

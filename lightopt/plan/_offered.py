@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lightopt.optimize import Candidates
+from lightopt.plan._best_set import best_set
 from lightopt.plan._brackets import Brackets
 from lightopt.plan._choice import Choice, Wanted
 from lightopt.plan._choose import choose_postures
@@ -168,14 +169,16 @@ class _Offer:
         own = {i: self._counts(choice, postures[i], plan.brackets.of(postures[i])) for i in sorted(indices)}
         cover = replace(
             free,
-            sets=None,
             steps=steps_of([(i, own[i]) for i in greedy_order(own, weights)], weights),
             dropped=choice.cover.dropped,
             # where fewer show all there is, no more can
             bounds=(*free.bounds, *([free.all_worth] * (len(indices) - len(free.steps)))),
         )
         target = self.wanted.target
-        return cover if target is None else replace(cover, least=cover.fewest(target))
+        if target is not None:
+            return replace(cover, least=cover.fewest(target))
+        _, most, sets = best_set(every, weights, free.chosen, len(indices), threads=self.whole.threads)
+        return cover.searched(most, sets)
 
     def _counts(self, choice: Choice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
         survey = replace(self.whole, exposures=exposures)

@@ -61,6 +61,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "optimum": "proven" if chosen.proven else "local",
         "bound": round(cover.bound_share, 6),
         "best_of_sets": cover.sets,
+        "proven_with_these_lights": cover.proven,
         "greedy_guarantee": round(cover.guarantee, 6),
         "fewest_possible": cover.least,
         "all_candidates": round(cover.all_reached / total, 6),
@@ -107,6 +108,7 @@ def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
         "share_without": round(brackets.before, 6),
         "share": round(brackets.after, 6),
         "least_gain": brackets.least_gain,
+        "grain": round(brackets.grain, 6),
         "shots": [
             {
                 "posture": shot.posture.as_dict(),
@@ -129,6 +131,7 @@ def _trust_dict(one: TrustOf, names: Sequence[str]) -> dict[str, Any]:
     return {
         "postures": [posture.as_dict() for posture in one.postures],
         "patches": one.patches,
+        "grain": round(one.grain, 6),
         "score": trust.score,
         "unit": one.unit,
         "worst_corner": {

@@ -116,12 +116,15 @@ class TrustOf:
         Of the score.
     patches
         Patches that it was worked out on.
+    grain
+        How far shares of these may be off since a patch counts as its middle does.
     """
 
     postures: tuple[Posture, ...]
     trust: Trust
     unit: str
     patches: int
+    grain: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -159,11 +159,11 @@ class Turns:
         best = max(covers, key=lambda cover: merit(cover, wanted))
         if self.prove and wanted.target is None and wanted.count is not None:
             size = min(wanted.count, len(counts))
-            chosen, sets = best_set(counts, weights, best.chosen, size, threads=self.survey.threads)
+            chosen, most, sets = best_set(counts, weights, best.chosen, size, threads=self.survey.threads)
             if chosen != best.chosen:
                 covers.append(greedy(among=chosen))
                 best = covers[-1]
-            best = replace(best, sets=sets)
+            best = best.searched(most, sets)
         same = [cover.bounds for cover in covers if len(cover.bounds) == len(best.bounds)]
         return replace(best, bounds=tuple(min(some) for some in zip(*same, strict=True)))
 

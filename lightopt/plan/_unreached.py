@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from lightopt.errors import CheckFailed, counted, percent
-from lightopt.optimize import Blind, Shown, Thresholds, blind_spots, blind_text, shown_by
+from lightopt.optimize import Blind, Shown, Thresholds, blind_spots, blind_text, share_text, shown_by
 from lightopt.plan._choice import Choice
 from lightopt.plan._survey import Survey
 from lightopt.transforms import Posture
@@ -49,11 +50,13 @@ class TargetUnreached(CheckFailed):
         Share of the pairs that was asked for.
     steps
         What each number of postures shows at least.
+    grain
+        How far shares may be off since a patch counts as its middle does.
     """
 
-    def __init__(self, *messages: str, target: float, steps: tuple[Reach, ...]) -> None:
+    def __init__(self, *messages: str, target: float, steps: tuple[Reach, ...], grain: float) -> None:
         super().__init__(*messages)
-        self.target, self.steps = target, steps
+        self.target, self.steps, self.grain = target, steps, grain
 
 
 def unreached(target: float, choice: Choice, survey: Survey, *, least: int) -> TargetUnreached:
@@ -75,18 +78,21 @@ def unreached(target: float, choice: Choice, survey: Survey, *, least: int) -> T
         Reach(posture=posture, share=step.reached / max(1, cover.total), bound=cover.bound_of(number))
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
-    return TargetUnreached(_text(target, choice, survey, least), target=target, steps=steps)
+    return TargetUnreached(
+        _text(target, choice, survey, least), target=target, steps=steps, grain=survey.table.grain
+    )
 
 
 def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
     cover, offered = choice.cover, len(survey.table.postures)
+    text = partial(share_text, grain=survey.table.grain, short_of=target)
     most = cover.all_reached / max(1, cover.total)
     asked = f"{100.0 * target:.9g} %"
     if most >= target:
         return (
-            f"--target: {counted(len(cover.steps), 'posture')} show {percent(cover.share, short_of=target)} of the "
+            f"--target: {counted(len(cover.steps), 'posture')} show {text(cover.share)} of the "
             f"surface × defects, and no {len(cover.steps)} of {offered} show more than "
-            f"{percent(cover.bound_share, short_of=target)} with these lights; {asked} was asked for. "
+            f"{text(cover.bound_share)} with these lights; {asked} was asked for. "
             "Raise --choose-postures or leave it out"
         )
     lost = _lost(choice, survey, least)
@@ -96,7 +102,7 @@ def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
     )
     return (
         f"--target: {asked} of the surface × defects is not reached: with {_which(choice)}, all {offered} postures "
-        f"together show {percent(most, short_of=target)}, and {counted(near, 'posture')} come within "
+        f"together show {text(most)}, and {counted(near, 'posture')} come within "
         f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. {_hint(lost, survey)}Ask "
         "for less, plan --choose-postures, or change what stands in the way"
     )

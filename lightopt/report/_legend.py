@@ -55,5 +55,5 @@ def with_legend(picture: NDArray[np.uint8], title: str, rows: Sequence[LegendRow
             box = (left, top, left + type_.size, top + type_.size)
             draw.rectangle(box, fill=colour, outline="#5c636e")
         type_.paint(sheet, label, baseline, row.label, fill="#1c1f24")
-        type_.paint(sheet, end, baseline, percent(row.share), fill="#1c1f24", align="right")
+        type_.paint(sheet, end, baseline, row.amount, fill="#1c1f24", align="right")
     return np.asarray(sheet)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.errors import counted, percent
+from lightopt.errors import counted
 from lightopt.optimize import (
     LEFT_OUT_MEANING,
     Detectability,
@@ -134,25 +134,31 @@ def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None)
         f"of the surface × defects is seen in {images} or more, by all planned images together, in {postures}; the "
         "surface is what the camera sees in any posture to choose from"
     )
-    share = chosen["share"]
+    share, grain = chosen["share"], chosen["patches"]["grain"]
     if exposures is not None:
         share = exposures["share"]
         planned = any(shot["planned"] for shot in exposures["shots"])
-        alone = f"With exposure 1 alone {percent(exposures['share_without'])}"
+        alone = f"With exposure 1 alone {share_text(exposures['share_without'], grain)}"
         text += f". {alone if planned else 'No further exposure adds enough to be planned'}"
-    return Answer(figure=percent(share), text=text)
+    return Answer(figure=share_text(share, grain), text=text)
 
 
 def _plan_proof(chosen: Mapping[str, Any]) -> str:
     number = counted(len(chosen["postures"]), "posture")
     if chosen["optimum"] == "proven":
         return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
-    bound = (
-        f"Proven: with these lights none of the {chosen['best_of_sets']:,} sets of {number} shows more."
-        if chosen["best_of_sets"] is not None
-        else f"Proven: with these lights no {number} of the {chosen['candidates']} show more than "
-        f"{percent(chosen['bound'])}."
+    sets = (
+        f"no {number} of the {chosen['candidates']} show"
+        if chosen["best_of_sets"] is None
+        else f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
     )
+    more = (
+        ""
+        if chosen["proven_with_these_lights"]
+        else f" than {share_text(chosen['bound'], chosen['patches']['grain'])}"
+    )
+    whatever = ", at any of the exposures offered" * (len(chosen["bounds_with_any_of_exposures"]) > 1)
+    bound = f"Proven: with these lights {sets} more{more}{whatever}."
     if not chosen["turns"]:
         return f"{bound} No light moves."
     tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"

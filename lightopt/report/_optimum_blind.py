@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightopt.errors import percent
 from lightopt.optimize import (
     BLIND_CLASSES,
     BLIND_LIGHTS,
@@ -15,6 +14,7 @@ from lightopt.optimize import (
     blind_class,
     blind_classes,
     blind_legend,
+    share_text,
 )
 from lightopt.report._surface import SurfaceClass, SurfaceLayer
 
@@ -52,7 +52,7 @@ def share_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
         of_face[spots.codes == one.code] = place
     kinds = [*((label, colour) for _, label, colour in SHARES), *((one.label, _hex(one)) for one in apart)]
     areas = np.bincount(of_face, weights=spots.areas, minlength=len(kinds)) / spots.counted
-    amounts = [*(percent(float(area)) for area in areas[:-1]), ""]
+    amounts = [*(share_text(float(area), spots.grain) for area in areas[:-1]), ""]
     classes = tuple(
         SurfaceClass(label=label, colour=colour, amount=amount)
         for (label, colour), amount in zip(kinds, amounts, strict=True)
@@ -66,7 +66,7 @@ def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
     Which light saturates a patch is told by the table.
     """
     left_out = blind_class(Blind.GRAZING).label
-    shares = {row.label: "" if row.label == left_out else percent(row.share) for row in blind_legend(spots)}
+    shares = {row.label: "" if row.label == left_out else row.amount for row in blind_legend(spots)}
     of_face = blind_classes(spots)
     shown = [k for k, one in enumerate(BLIND_CLASSES) if one.label in shares or (of_face == k).any()]
     classes = tuple(

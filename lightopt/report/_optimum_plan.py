@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from lightopt.errors import counted, percent
-from lightopt.optimize import BLIND_LIGHTS, Draft
+from lightopt.optimize import BLIND_LIGHTS, Draft, share_text
 from lightopt.report._page import Block, Facts, Note, Table
 from lightopt.transforms import Posture
 
@@ -16,7 +17,7 @@ __all__ = ["blind_tables", "defect_blocks", "exposure_blocks", "posture_blocks",
 def defect_blocks(draft: Draft) -> list[Block]:
     """The share of each kind of defect that is seen, and the directions of walls that are seen worst."""
     answers = [
-        (group["postures"], answer)
+        (group["postures"], answer, group["grain"])
         for group in draft.document["results"]
         for answer in group["objectives"]
         if "defects" in answer and answer["lights"] is not None
@@ -27,11 +28,11 @@ def defect_blocks(draft: Draft) -> list[Block]:
     rows = [
         [
             _postures(postures),
-            *(percent(answer["defects"][name]) for name in names),
+            *(share_text(answer["defects"][name], grain) for name in names),
             str(answer["worst_defect"]),
             f"{answer['worst_direction_deg']:g}°" if "worst_direction_deg" in answer else "-",
         ]
-        for postures, answer in answers
+        for postures, answer, grain in answers
     ]
     images = counted(answers[0][1]["seen_in"], "image")
     caption = (
@@ -52,12 +53,14 @@ def blind_tables(draft: Draft) -> list[Block]:
     groups += [(f"posture {Posture.from_dict(one['posture'])}", one) for one in spots["postures"]]
     sides = tuple(zip(("chosen", "any_position"), BLIND_LIGHTS, strict=True))
     entries = [(name, lights, group[key]) for name, group in groups for key, lights in sides]
+    text = partial(share_text, grain=spots["grain"])
     reasons = list(dict.fromkeys(one["reason"] for *_, facts in entries for one in facts["blind"]))
     rows: list[list[str]] = []
     for name, lights, facts in entries:
         shares = {one["reason"]: one["share"] for one in facts["blind"]}
-        lost = [percent(shares.get(reason, 0.0)) for reason in reasons]
-        rows.append([name, lights, percent(facts["seen"]), *lost, percent(facts["left_out_of_surface"])])
+        lost = [shares.get(reason, 0.0) for reason in reasons]
+        cells = [text(share) for share in (facts["seen"], *lost, facts["left_out_of_surface"])]
+        rows.append([name, lights, *cells])
     images = counted(spots["seen_in"], "image")
     caption = (
         f"Shares of {spots['shares_of']}; seen: in {images} or more, of a posture or of all. "
@@ -73,6 +76,7 @@ def posture_blocks(draft: Draft) -> list[Block]:
     chosen = draft.document.get("chosen_postures")
     if chosen is None:
         return []
+    text = partial(share_text, grain=chosen["patches"]["grain"])
     numbered = {
         Posture.from_dict(one): (number, one) for number, one in enumerate(chosen["postures"], start=1)
     }
@@ -81,17 +85,17 @@ def posture_blocks(draft: Draft) -> list[Block]:
             str(posture),
             str(number),
             ", ".join(f"{exposure:.9g}" for exposure in one["exposures"]),
-            percent(one["gain"], 2),
-            percent(one["share"]),
+            text(one["gain"]),
+            text(one["share"]),
         ]
         for posture in map(Posture.from_dict, chosen["order_of_travel"])
         for number, one in [numbered[posture]]
     ]
-    sight = [f"{100.0 * chosen[f'{which}_share_of_surface']:.1f} %" for which in ("inspectable", "left_out")]
+    sight = [text(chosen[f"{which}_share_of_surface"]) for which in ("inspectable", "left_out")]
     facts = [
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
-        ("the same number of others shows at most", _bound(chosen)),
-        ("all candidates together show", percent(chosen["all_candidates"])),
+        ("the same number of others shows at most", _bound(chosen, text(chosen["bound"]))),
+        ("all candidates together show", text(chosen["all_candidates"])),
         (
             "the camera sees, in some posture",
             f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
@@ -100,17 +104,15 @@ def posture_blocks(draft: Draft) -> list[Block]:
         ("each patch counts as its middle does", _grain(chosen["patches"])),
     ]
     if (stood := chosen["lights_as_they_stand"]) is not None:
-        share = (
-            f"{percent(stood['share'])} in {counted(stood['postures'], 'posture')}, of {stood['share_of']}"
-        )
+        share = f"{text(stood['share'])} in {counted(stood['postures'], 'posture')}, of {stood['share_of']}"
         facts.append(("with the lights as they stood", share))
     if chosen["postures_to_a_tenth_of_a_point"] < len(chosen["postures"]):
         first = chosen["postures_to_a_tenth_of_a_point"]
-        facts.append((f"the first {first} chosen show", percent(chosen["postures"][first - 1]["share"])))
+        facts.append((f"the first {first} chosen show", text(chosen["postures"][first - 1]["share"])))
     if chosen["asked"] is not None and chosen["target"] is None and len(chosen["postures"]) < chosen["asked"]:
         facts.append(("postures that were asked for", str(chosen["asked"])))
-    if chosen["optimum"] != "proven" and chosen["best_of_sets"] is None:
-        guarantee = f"{percent(chosen['greedy_guarantee'])} of the best with these lights"
+    if not chosen["proven_with_these_lights"]:
+        guarantee = f"{text(chosen['greedy_guarantee'])} of the best with these lights"
         facts.append(("these postures have at least", guarantee))
     k = chosen["seen_in"]
     if chosen["target"] is not None and chosen["fewest_possible"] is not None:
@@ -144,11 +146,12 @@ def exposure_blocks(draft: Draft) -> list[Block]:
     planned = draft.document.get("exposures")
     if planned is None:
         return []
+    text = partial(share_text, grain=planned["grain"])
     rows = [
         [
             str(Posture.from_dict(shot["posture"])),
             f"{shot['exposure']:g}",
-            percent(shot["gain"], 2),
+            text(shot["gain"]),
             "yes" if shot["planned"] else "no",
         ]
         for shot in planned["shots"]
@@ -156,13 +159,13 @@ def exposure_blocks(draft: Draft) -> list[Block]:
     why = {shot["planned_for"] for shot in planned["shots"]}
     needed = ", or with another twice that" * ("pair" in why)
     needed += ", or where the target takes it" * ("target" in why)
-    text = (
-        f"With the planned exposures {percent(planned['share'])} of the surface × defects is seen, with exposure 1 "
-        f"alone {percent(planned['share_without'])}. One is planned where it adds "
-        f"{percent(planned['least_gain'], 2)} or more{needed}."
+    note = (
+        f"With the planned exposures {text(planned['share'])} of the surface × defects is seen, with exposure 1 "
+        f"alone {text(planned['share_without'])}. One is planned where it adds "
+        f"{100.0 * planned['least_gain']:g} % or more{needed}."
     )
     blocks: list[Block] = [
-        Note(text=text),
+        Note(text=note),
         Table(header=["posture", "exposure", "adds", "planned"], rows=rows),
     ]
     return blocks if "chosen_postures" in draft.document else [*blocks, *_commands(draft.document)]
@@ -175,8 +178,11 @@ def trust_blocks(draft: Draft) -> list[Block]:
         return []
     header = ["off by the tolerance", *(_postures(one["postures"]) for one in trust)]
     rows = [
-        ["worst corner keeps", *(percent(one["worst_corner"]["share_of_score"]) for one in trust)],
-        ["95 % of draws keep", *(percent(one["quantile_5_percent"]) for one in trust)],
+        [
+            "worst corner keeps",
+            *(share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in trust),
+        ],
+        ["95 % of draws keep", *(share_text(one["quantile_5_percent"], one["grain"]) for one in trust)],
     ]
     for index, widest in enumerate(trust[0]["widest"]):
         cells = [
@@ -193,9 +199,12 @@ def trust_blocks(draft: Draft) -> list[Block]:
     return [Table(header=header, rows=rows, caption=caption)]
 
 
-def _bound(chosen: Mapping[str, Any]) -> str:
-    share, sets = percent(chosen["bound"]), chosen["best_of_sets"]
-    return share if sets is None else f"{share}: these are the best of all {sets:,} sets with these lights"
+def _bound(chosen: Mapping[str, Any], share: str) -> str:
+    sets = chosen["best_of_sets"]
+    if sets is None:
+        return share
+    best = "these are the best" if chosen["proven_with_these_lights"] else "the best"
+    return f"{share}: {best} of all {sets:,} sets with these lights"
 
 
 def _travel(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> str:

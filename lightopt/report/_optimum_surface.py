@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import percent
 from lightopt.optimize import Draft, Levels, Thresholds, area_text, area_units, share_text
 from lightopt.rendering import GRAZING_DEG, grain_of
 from lightopt.report._optimum_blind import blind_layers
@@ -153,17 +152,21 @@ def _together(draft: Draft, shown: list[Shown]) -> SurfaceLayer:
     best = _best(shown)
     shares = _shares(draft, best)
     kinds = tuple(
-        SurfaceClass(label=label, colour=colour, amount="" if k == _LEFT_OUT else percent(shares[k]))
+        SurfaceClass(label=label, colour=colour, amount="" if k == _LEFT_OUT else shares[k])
         for k, (label, colour) in enumerate(SHOWN)
     )
     return SurfaceLayer(name="the best of all postures", classes=kinds, of_face=best)
 
 
-def _shares(draft: Draft, classes: NDArray[np.uint8]) -> list[float]:
-    # of each class, of the part's surface without what is left out; the share left out is of the whole surface
-    areas = np.bincount(classes, weights=draft.table.patches.areas, minlength=len(SHOWN))
+def _shares(draft: Draft, classes: NDArray[np.uint8]) -> list[str]:
+    # in words: of each class, of the part's surface without what is left out; the latter is of the whole surface
+    own = draft.table.patches.areas
+    areas, grain = np.bincount(classes, weights=own, minlength=len(SHOWN)), grain_of(own)
     counted = max(float(areas.sum() - areas[_LEFT_OUT]), 1e-300)
-    return [float(area / (areas.sum() if k == _LEFT_OUT else counted)) for k, area in enumerate(areas)]
+    return [
+        share_text(float(area / (areas.sum() if k == _LEFT_OUT else counted)), grain)
+        for k, area in enumerate(areas)
+    ]
 
 
 def _table(shown: list[Shown]) -> Table:
@@ -192,8 +195,8 @@ def _together_note(draft: Draft, shown: list[Shown]) -> list[Block]:
     which = "The posture shows" if len(shown) == 1 else f"The {len(shown)} postures together show"
     return [
         Note(
-            text=f"{which} {percent(shares[0])} of the part's surface in two usable images or more; "
-            f"{percent(shares[_UNSEEN])} the camera never sees. {percent(shares[_LEFT_OUT])} of the whole surface, "
+            text=f"{which} {shares[0]} of the part's surface in two usable images or more; "
+            f"{shares[_UNSEEN]} the camera never sees. {shares[_LEFT_OUT]} of the whole surface, "
             "which it sees at a grazing angle only, is left out of these shares."
         )
     ]

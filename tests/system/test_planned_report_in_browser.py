@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -50,10 +51,6 @@ def planned(shared_bench, tmp_path_factory) -> Path:
 
 def result_of(report: Path):
     return json.loads((report.parent / "result.json").read_text(encoding="utf-8"))
-
-
-def percent(share: float, digits: int = 1) -> str:
-    return f"{100 * share:.{digits}f} %"
 
 
 def pixels(png: bytes) -> np.ndarray:
@@ -149,9 +146,9 @@ def check_blind_spots(seen: Opened, report: Path) -> None:
     header, *rows = table_under(seen, "Blind spots")
     assert header[:3] == ["posture", "lights", "seen"]
     for row, side in zip(rows[:2], ("chosen", "any_position"), strict=True):
-        assert row[2] == percent(spots[side]["seen"])
+        assert row[2] == share_text(spots[side]["seen"], spots["grain"])
         for entry in spots[side]["blind"]:
-            assert row[header.index(entry["reason"])] == percent(entry["share"])
+            assert row[header.index(entry["reason"])] == share_text(entry["share"], spots["grain"])
 
 
 @pytest.mark.slow
@@ -168,10 +165,11 @@ def test_the_report_of_a_search_for_defects(inspected):
         ]
         assert [text.split(" of")[0] for text in answers] == shares
         header, *rows = table_under(seen, "Defects")
-        first = result_of(inspected)["results"][0]["objectives"][0]
-        assert [rows[0][header.index(name)] for name in first["defects"]] == list(
-            map(percent, first["defects"].values())
-        )
+        best = result_of(inspected)["results"][0]
+        first = best["objectives"][0]
+        assert [rows[0][header.index(name)] for name in first["defects"]] == [
+            share_text(share, best["grain"]) for share in first["defects"].values()
+        ]
         check_paper(seen)
 
 
@@ -200,20 +198,21 @@ def test_the_scores_of_several_objectives_are_no_wider_than_the_page(tmp_path):
 def test_the_report_of_a_plan(planned):
     result = result_of(planned)
     chosen = result["chosen_postures"]
+    text = partial(share_text, grain=chosen["patches"]["grain"])
     with opened(planned) as seen:
         check_once_and_silent(seen, planned)
         check_surface(seen)
         check_rig_drawing(seen)
         check_blind_spots(seen, planned)
-        assert seen.page.inner_text("p.answer").startswith(percent(chosen["share"]))
+        assert seen.page.inner_text("p.answer").startswith(text(chosen["share"]))
         # postures, what each adds
         _, *rows = table_under(seen, "Postures")
         assert sorted(row[1:] for row in rows) == [
             [
                 f"{number}",
                 ", ".join(f"{x:.9g}" for x in one["exposures"]),
-                percent(one["gain"], 2),
-                percent(one["share"]),
+                text(one["gain"]),
+                text(one["share"]),
             ]
             for number, one in enumerate(chosen["postures"], start=1)
         ]
@@ -224,13 +223,15 @@ def test_the_report_of_a_plan(planned):
         # exposures, whether planned or not
         _, *rows = table_under(seen, "Exposures")
         assert [row[1:] for row in rows] == [
-            [f"{one['exposure']:g}", f"{100 * one['gain']:.2f} %", "yes" if one["planned"] else "no"]
+            [f"{one['exposure']:g}", text(one["gain"]), "yes" if one["planned"] else "no"]
             for one in result["exposures"]["shots"]
         ]
         # tolerances, of each posture and of all
         header, worst, *_ = table_under(seen, "How exact the angles must be")
         assert header[-1] == "all 2 postures"
-        assert worst[1:] == [percent(one["worst_corner"]["share_of_score"]) for one in result["trust"]]
+        assert worst[1:] == [
+            share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in result["trust"]
+        ]
         # the commands that carry it out
         for command in result["commands"]:
             assert seen.page.get_by_text(command, exact=True).first.is_visible()

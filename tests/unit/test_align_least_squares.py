@@ -5,7 +5,7 @@ Warnings are errors in tests: none of these problems may cause one in NumPy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -138,6 +138,39 @@ def test_what_is_barely_determined_has_the_error_that_it_has():
         found = solve(linear_problem(a, rng.normal(size=400)), np.array([3.0, -3.0, 0.0]), FREE)
         sound(found, FREE)
         assert found.errors[2] == pytest.approx(0.5 / np.sqrt(told), rel=0.4)
+
+
+def test_what_scatters_too_much_in_the_end_stays_nominal():
+    """Ten rows alone show the third parameter, and they scatter three times as much as all others."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        a = np.concatenate([rng.normal(size=(400, 3)) * [30.0, 30.0, 0.0], np.zeros((10, 3))])
+        a[400:, 2] = 1.4
+        noise = rng.normal(size=410)
+        noise[400:] = 3.0 * rng.permutation(np.tile([-1.0, 1.0], 5))
+        found = solve(
+            linear_problem(a, a @ np.array([0.4, -0.7, 0.9]) + noise), np.zeros(3), FREE, loss="huber"
+        )
+        sound(found, FREE)
+        assert found.converged
+        assert len(found.undetermined) == 1
+        assert found.x[2] == pytest.approx(0.0, abs=1e-6)
+        assert found.x[:2] == pytest.approx([0.4, -0.7], abs=0.02)
+        assert 0.5 < found.errors[2] < 2.0
+
+
+def test_what_is_said_to_be_undetermined_stays_nominal():
+    """However steep the residuals are: here along (1, 0, 2)."""
+    rng = np.random.default_rng(7)
+    a = rng.normal(size=(300, 3)) * 20.0
+    limits = replace(FREE, undetermined=np.array([[1.0, 0.0, 2.0]]))
+    found = solve(linear_problem(a, a @ TRUTH + rng.normal(size=300)), TRUTH, limits)
+    sound(found, limits)
+    assert found.converged
+    assert np.abs(found.undetermined[0]) == pytest.approx(np.array([1.0, 0.0, 2.0]) / np.sqrt(5.0), abs=1e-6)
+    assert found.x[0] + 2.0 * found.x[2] == pytest.approx(0.0, abs=1e-6)
+    assert found.errors == pytest.approx([2.5, found.errors[1], 5.0], rel=1e-3)
+    assert found.errors[1] < 0.1
 
 
 def test_an_optimum_out_of_reach_is_the_limit():

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -84,6 +86,9 @@ def test_the_result_says_postures_gains_and_bounds(planned):
     assert chosen["share"] <= chosen["bound"] <= chosen["all_candidates"] + 1e-9
     assert chosen["greedy_guarantee"] == pytest.approx(chosen["share"] / chosen["bound"], abs=2e-6)
     assert chosen["optimum"] == "local"
+    # all sets were searched, at any of the exposures
+    assert chosen["best_of_sets"] == math.comb(chosen["candidates"], 2)
+    assert chosen["proven_with_these_lights"] is (chosen["share"] == chosen["bound"])
     # 0° and ±45°, four turns, and the one of the part's own that is off this grid
     assert chosen["candidates"] + len(chosen["left_out"]) == 3 * 4 + 1
     assert chosen["every_combination_tried"] is True
@@ -155,6 +160,9 @@ def test_there_is_one_share_of_the_plan_and_it_is_said_of_what(planned):
     assert first["share_of_inspectable_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
     page = (planned.out / "report.html").read_text(encoding="utf-8")
     assert f"({share_text(chosen['share'], result['results'][0]['grain'])})" in page
+    assert min(chosen["patches"]["grain"], exposures["grain"], result["blind_spots"]["grain"]) > 0.01
+    words = re.sub(r"<(script|style).*?</\1>|<[^>]+>", " ", page, flags=re.DOTALL)
+    assert not re.search(r"\d\.\d+\s%", words)
 
 
 def test_other_objectives_are_searched_in_the_chosen_postures(planned):
@@ -328,7 +336,8 @@ def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
     assert len(shares) >= 2
     assert shares == sorted(shares)
     assert all(share <= bound for share, bound in zip(shares, bounds, strict=True))
-    assert f"postures together show {shares[-1]:.1f} %" in ran.err
+    # 400 patches support whole percents
+    assert f"postures together show {shares[-1]:.0f} %" in ran.err
 
 
 @pytest.mark.slow
@@ -341,7 +350,7 @@ def test_a_number_of_postures_shows_at_least_what_a_target_beyond_reach_says(two
     told = float(row.split()[-4])
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "2")
     assert ran.status == 0, ran.err
-    assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= told - 0.05
+    assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= told - 0.5
 
 
 @pytest.mark.slow
@@ -361,6 +370,8 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(t
     assert (first < number) == (f"--choose-postures {first} does nearly as well" in ran.out)
     # how large the patches are that all this is told on
     assert chosen["patches"]["max_edge_mm"] > 1.0
+    # no digit that the patches do not support, in any table
+    assert not re.search(r"\d\.\d+ %", ran.out)
     points = f"{100.0 * chosen['patches']['grain']:.1g} points"
     assert f"each seen or not as its middle is: shares may be off by some {points}" in ran.out
     assert 0.01 < chosen["patches"]["grain"] < 0.1
@@ -481,16 +492,23 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
 @pytest.mark.parametrize(
     ("why", "expected"),
     [
-        ("gain", "each adding 1.00 % or more: 90.0 %"),
-        ("pair", "each adding 1.00 % or more, or two that add twice that together: 90.0 %"),
-        ("target", "each adding 1.00 % or more, or needed for the target: 90.0 %"),
+        ("gain", "each adding 1 % or more: 90.0 %"),
+        ("pair", "each adding 1 % or more, or two that add twice that together: 90.0 %"),
+        ("target", "each adding 1 % or more, or needed for the target: 90.0 %"),
     ],
 )
 def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
     shots = (Shot(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, why=why),)
-    brackets = Brackets(before=0.9, after=0.904, shots=shots, least_gain=0.01)
+    brackets = Brackets(before=0.9, after=0.904, shots=shots, least_gain=0.01, grain=0.005)
     show_plan(PlanResult(brackets=brackets), Path("out"))
-    assert f"1 further exposure planned, {expected}" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"1 further exposure planned, {expected}" in told
+    assert "0.4 % " in told
+    # no digit that the patches do not support
+    show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), Path("out"))
+    told = capsys.readouterr().out
+    assert "< 1 % " in told
+    assert not re.search(r"\d\.\d+ %", told)
 
 
 @pytest.mark.nightly

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -322,15 +321,16 @@ def test_the_best_of_all_sets_is_that_of_brute_force_and_never_worse_than_the_gr
     plain, packed, weights, heavy = random_case(seed, postures=8, patches=5, trials=40, k=k)
     for count in (1, 2, 3, 4):
         start = greedy_cover(packed, weights, count=count).chosen
-        found, sets = best_set(packed, weights, start, count)
+        found, most, sets = best_set(packed, weights, start, count)
         every = {
             some: plain_reached(plain[list(some)].sum(axis=0), heavy, k)
             for some in combinations(range(len(plain)), count)
         }
         assert sets == len(every) == math.comb(8, count)
+        assert most == max(every.values())
         assert every[tuple(sorted(found))] == max(every.values())
         assert every[tuple(sorted(found))] >= plain_reached(plain[list(start)].sum(axis=0), heavy, k)
-        assert best_set(packed, weights, start, count, threads=1) == (found, sets)
+        assert best_set(packed, weights, start, count, threads=1) == (found, most, sets)
         # where greed was right it is kept
         if plain_reached(plain[list(start)].sum(axis=0), heavy, k) == max(every.values()):
             assert found == start
@@ -339,7 +339,7 @@ def test_the_best_of_all_sets_is_that_of_brute_force_and_never_worse_than_the_gr
 def test_a_search_of_all_sets_that_is_too_much_work_proves_nothing():
     _, packed, weights, _ = random_case(3, postures=8, k=1)
     start = greedy_cover(packed, weights, count=3).chosen
-    found, sets = best_set(packed, weights, start, 3, most_work=packed[0].size * 8)
+    found, _, sets = best_set(packed, weights, start, 3, most_work=packed[0].size * 8)
     assert sets is None
     assert len(found) == 3
 
@@ -353,9 +353,9 @@ def test_greed_misses_what_all_sets_show():
     )
     greedy = greedy_cover(packed, weights, count=2)
     assert (greedy.chosen, greedy.reached, greedy.proven) == ((0, 1), 7, False)
-    found, sets = best_set(packed, weights, greedy.chosen, 2)
-    assert (sorted(found), sets) == ([1, 2], 3)
-    best = replace(greedy_cover(packed, weights, count=2, among=found), sets=sets)
+    found, most, sets = best_set(packed, weights, greedy.chosen, 2)
+    assert (sorted(found), most, sets) == ([1, 2], 8, 3)
+    best = greedy_cover(packed, weights, count=2, among=found).searched(most, sets)
     assert (best.reached, best.proven) == (8, True)
     assert best.bound_share == best.share
     assert best.guarantee == 1.0

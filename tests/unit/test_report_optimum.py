@@ -20,6 +20,7 @@ from lightopt.optimize import (
     area_text,
     area_units,
     optimize,
+    share_text,
 )
 from lightopt.report import (
     Answer,
@@ -284,7 +285,11 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     groups = [layer.group for layer in view.surface.layers]
     assert groups == ["Defects"] * 5 + ["Levels of the images"] * 3
     assert page_html(page).count('<figure class="surface">') == 1
-    assert list(table.rows[0][:3]) == ["all postures", "chosen", f"{100 * spots['chosen']['seen']:.1f} %"]
+    assert list(table.rows[0][:3]) == [
+        "all postures",
+        "chosen",
+        share_text(spots["chosen"]["seen"], spots["grain"]),
+    ]
     assert table.header[-1] == "left out"
     assert list(table.header[3:-1]) == list(
         dict.fromkeys(
@@ -296,8 +301,10 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     )
     for row, group in zip(table.rows[::2], (spots, *spots["postures"]), strict=True):
         shares = {one["reason"]: one["share"] for one in group["chosen"]["blind"]}
-        assert list(row[3:-1]) == [f"{100 * shares.get(reason, 0):.1f} %" for reason in table.header[3:-1]]
-        assert row[-1] == f"{100 * group['chosen']['left_out_of_surface']:.1f} %"
+        assert list(row[3:-1]) == [
+            share_text(shares.get(reason, 0.0), spots["grain"]) for reason in table.header[3:-1]
+        ]
+        assert row[-1] == share_text(group["chosen"]["left_out_of_surface"], spots["grain"])
     shares, reasons, reachable, *single = view.surface.layers[:5]
     assert len(single) == 2
     labels = [kind.label for kind in reasons.classes]
@@ -317,10 +324,10 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
         assert [labels[k] for k in layer.of_face] == expected
     # the legend has the table's shares
     told = {kind.label: kind.amount for kind in reasons.classes if kind.amount}
-    assert told["seen"] == f"{100 * spots['chosen']['seen']:.1f} %"
+    assert told["seen"] == share_text(spots["chosen"]["seen"], spots["grain"])
     for one in spots["chosen"]["blind"]:
         if not one["reason"].startswith("saturated"):
-            assert told[one["reason"]] == f"{100 * one['share']:.1f} %"
+            assert told[one["reason"]] == share_text(one["share"], spots["grain"])
     # and the surface the colours of blind.ply
     colours = {one.label: "#{:02x}{:02x}{:02x}".format(*one.colour) for one in BLIND_CLASSES}
     assert {kind.label: kind.colour for kind in reasons.classes}.items() <= colours.items()
@@ -348,7 +355,7 @@ def test_defects_seen_are_those_of_the_result(inspected):
         answer = group["objectives"][0]
         shown = dict(zip(table.header, row, strict=True))
         for name, share in answer["defects"].items():
-            assert shown[name] == f"{100 * share:.1f} %"
+            assert shown[name] == share_text(share, group["grain"])
         assert shown["kind seen worst"] == answer["worst_defect"]
         assert shown["walls seen worst lean to"] == f"{answer['worst_direction_deg']:g}°"
 
@@ -396,6 +403,8 @@ PLANNED = {
         "share": 0.905,
         "bound": 0.931,
         "best_of_sets": None,
+        "proven_with_these_lights": False,
+        "bounds_with_any_of_exposures": [1.0, 0.25],
         "greedy_guarantee": 0.75,
         "fewest_possible": 2,
         "all_candidates": 0.97,
@@ -431,6 +440,7 @@ PLANNED = {
         "share_without": 0.905,
         "share": 0.94,
         "least_gain": 0.01,
+        "grain": 0.0177,
         "shots": [
             {"posture": place(0, 0), "exposure": 0.25, "gain": 0.035, "planned": True, "planned_for": "gain"},
             {
@@ -446,6 +456,7 @@ PLANNED = {
         {
             "postures": [place(0, 0)],
             "patches": 100,
+            "grain": 0.0177,
             "score": 1000,
             "worst_corner": {"share_of_score": 0.91, "part": {}, "lights": []},
             "quantile_5_percent": 0.953,
@@ -455,6 +466,7 @@ PLANNED = {
         {
             "postures": [place(0, 0), place(20, 90)],
             "patches": 100,
+            "grain": 0.0177,
             "score": 2000,
             "worst_corner": {"share_of_score": 0.93, "part": {}, "lights": []},
             "quantile_5_percent": 0.96,
@@ -476,16 +488,16 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
     assert "in the folder of this report" in lead.text
     # as they are captured
     assert table.rows == [
-        ["(20°, 90°)", "2", "1", "20.50 %", "90.5 %"],
-        ["(0°, 0°)", "1", "1, 0.25", "70.00 %", "70.0 %"],
+        ["(20°, 90°)", "2", "1", "20 %", "90 %"],
+        ["(0°, 0°)", "1", "1, 0.25", "70 %", "70 %"],
     ]
     assert "Shares are of all that is seen." in table.caption
     told = dict(facts.rows)
-    assert told["the same number of others shows at most"] == "93.1 %"
+    assert told["the same number of others shows at most"] == "93 %"
     assert told["travel from (0°, 0°)"] == "110.0 s at 1°/s, as the stage says"
     assert told["90 % takes at least"] == "2 postures"
-    assert told["with the lights as they stood"] == "85.0 % in 3 postures, of some patches, at exposure 1"
-    assert told["the first 1 chosen show"] == "70.0 %"
+    assert told["with the lights as they stood"] == "85 % in 3 postures, of some patches, at exposure 1"
+    assert told["the first 1 chosen show"] == "70 %"
     # the target was met by fewer than might be
     assert "postures that were asked for" not in told
     untargeted = {**PLANNED["chosen_postures"], "target": None}
@@ -496,33 +508,36 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
     )
     assert left.rows == [["(45°, 0°)", "the part leaves the image"]]
     assert command.text == PLANNED["commands"][0]
-    assert told["these postures have at least"] == "75.0 % of the best with these lights"
+    assert told["these postures have at least"] == "75 % of the best with these lights"
     assert "up to 2 of each; together, what is seen in 2 images" in table.caption
     lead = optimum_page(draft).lead
     (answer,) = (block for block in lead if isinstance(block, Answer))
-    assert answer.figure == "94.0 %"
+    assert answer.figure == "94 %"
     assert "in 2 images or more, by all planned images together, in (20°, 90°), (0°, 0°);" in answer.text
-    assert answer.text.endswith("With exposure 1 alone 90.5 %")
+    assert answer.text.endswith("With exposure 1 alone 90 %")
     (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
-    assert "with these lights no 2 postures of the 12 show more than 93.1 %" in proof
+    assert (
+        "with these lights no 2 postures of the 12 show more than 93 %, at any of the exposures offered."
+        in proof
+    )
     assert "in these postures no other positions of the lights show more" in proof
     assert (
         "in 2 turns, the best of 4 starts (every combination) on 100 patches, then on all 800 patches."
         in proof
     )
     note, shots = sections["Exposures"]
-    assert "94.0 % of the surface × defects is seen, with exposure 1 alone 90.5 %" in note.text
+    assert "94 % of the surface × defects is seen, with exposure 1 alone 90 %" in note.text
     assert [list(row) for row in shots.rows] == [
-        ["(0°, 0°)", "0.25", "3.50 %", "yes"],
-        ["(20°, 90°)", "0.25", "0.20 %", "no"],
+        ["(0°, 0°)", "0.25", "4 %", "yes"],
+        ["(20°, 90°)", "0.25", "< 1 %", "no"],
     ]
     (trust,) = sections["How exact the angles must be"]
     assert list(trust.header[1:]) == ["posture (0°, 0°)", "all 2 postures"]
     assert "lights are off by 2° and the part by 1°" in trust.caption
     assert "before less than 95 % are kept" in trust.caption
     assert trust.rows == [
-        ["worst corner keeps", "91.0 %", "93.0 %"],
-        ["95 % of draws keep", "95.3 %", "96.0 %"],
+        ["worst corner keeps", "91 %", "93 %"],
+        ["95 % of draws keep", "95 %", "96 %"],
         ["widest: left, elevation", "3.25°", "≥ 10.00°"],
     ]
 
@@ -547,9 +562,9 @@ def test_the_way_of_several_commands_is_told_command_by_command(done):
 @pytest.mark.parametrize(
     ("why", "expected"),
     [
-        ("gain", "adds 1.00 % or more."),
-        ("pair", "adds 1.00 % or more, or with another twice that."),
-        ("target", "adds 1.00 % or more, or where the target takes it."),
+        ("gain", "adds 1 % or more."),
+        ("pair", "adds 1 % or more, or with another twice that."),
+        ("target", "adds 1 % or more, or where the target takes it."),
     ],
 )
 def test_exposures_that_the_target_takes_are_told(done, why, expected):
@@ -567,11 +582,32 @@ def test_where_one_image_is_enough_the_greedy_bound_is_told(done):
     draft = replace(done[1], document={**done[1].document, "chosen_postures": one})
     page = optimum_page(draft)
     table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
-    assert dict(facts.rows)["these postures have at least"] == "75.0 % of the best with these lights"
+    assert dict(facts.rows)["these postures have at least"] == "75 % of the best with these lights"
     assert "what each posture shows that those chosen before it do not" in table.caption
     (proof,) = (block.text for block in page.lead if isinstance(block, Note) and "roven" in block.text)
     assert "(one light moved at a time) on 100 of 800 patches." in proof
     assert "no other positions of the lights" not in proof
+
+
+def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done):
+    chosen = {**PLANNED["chosen_postures"], "best_of_sets": 66, "seen_in": 1}
+
+    def told(**more):
+        draft = replace(done[1], document={**done[1].document, "chosen_postures": {**chosen, **more}})
+        (proof,) = (
+            block.text
+            for block in optimum_page(draft).lead
+            if isinstance(block, Note) and "roven" in block.text
+        )
+        return proof, dict(posture_blocks(draft)[1].rows)["the same number of others shows at most"]
+
+    proof, bound = told()
+    whatever = ", at any of the exposures offered."
+    assert f"with these lights none of the 66 sets of 2 postures shows more than 93 %{whatever}" in proof
+    assert bound == "93 %: the best of all 66 sets with these lights"
+    proof, bound = told(proven_with_these_lights=True, bounds_with_any_of_exposures=[1.0])
+    assert "with these lights none of the 66 sets of 2 postures shows more." in proof
+    assert bound == "93 %: these are the best of all 66 sets with these lights"
 
 
 def test_nothing_is_shown_of_what_was_not_planned(done):
