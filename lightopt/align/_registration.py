@@ -129,7 +129,7 @@ def register(
         return None if progress is None else partial(progress, name)
 
     sets = coarse_pixels(scene, observations)
-    refuse_useless_images(scene, sets, observations, caster=caster)
+    refuse_useless_images(scene, sets, observations, caster=caster, threads=threads)
     start = search_placement(scene, sets, caster=caster, threads=threads, progress=stage("finding the part"))
     if reflectance_at is not None:
         reflectance = reflectance_at(place_part(scene, start))

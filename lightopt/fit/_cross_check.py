@@ -105,7 +105,7 @@ def paper_words(
     """
     few = thinned(samples, BUDGET)
     whole = estimate(few, freed=Freed(), threads=threads)
-    quality = appraise(few, whole)
+    quality = appraise(few, whole, threads=threads)
     refuse_other_images(world, few, whole, quality, threads=threads)
     said = [*poor_fit(whole, quality)]
     pairs = [("R_d", R_d, whole.R_d)]

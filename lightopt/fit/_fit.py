@@ -75,13 +75,14 @@ def fit_diffuse(
     samples = collect(world, options, progress)
     freed = Freed(gain=options.gain, dark=options.dark)
     whole = estimate(samples, freed=freed, threads=options.threads, progress=progress)
-    refuse_other_images(world, samples, whole, appraise(samples, whole), threads=options.threads)
+    threads = options.threads
+    refuse_other_images(world, samples, whole, appraise(samples, whole, threads=threads), threads=threads)
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
     found = estimate(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
-    quality = appraise(plain, found)
+    quality = appraise(plain, found, threads=threads)
     first = [f"where the highlights are: {text}" for text in unconverged(whole)]
     said = [*world.warnings, *first, *unconverged(found), *poor_fit(found, quality)]
     if widening < max(WIDENINGS):
@@ -96,7 +97,7 @@ def fit_diffuse(
     )
     dark = fitted_dark(world.scene, found) if options.dark else None
     said += below_zero(dark)
-    noise = measure_noise(plain, mean_levels(plain, found))
+    noise = measure_noise(plain, mean_levels(plain, found, threads=threads))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     return FitResult(
@@ -207,16 +208,16 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
     found = estimate(
         samples, freed=options.freed, held=world.held, threads=options.threads, progress=progress
     )
-    quality = appraise(samples, found)
+    quality = appraise(samples, found, threads=options.threads)
     refuse_other_images(world, samples, found, quality, threads=options.threads)
-    refuse_no_highlight(samples, found)
+    refuse_no_highlight(samples, found, threads=options.threads)
     refuse_out_of_range(found)
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in world.observations}
     said = [*world.warnings, *unconverged(found)]
     said += [*words(found, quality, interval, shorter=len(exposures) > 1), *held_r_d(found)]
-    noise = measure_noise(samples, mean_levels(samples, found))
+    noise = measure_noise(samples, mean_levels(samples, found, threads=options.threads))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)

@@ -89,10 +89,10 @@ class Quality:
         }
 
 
-def appraise(samples: Samples, found: Estimate) -> Quality:
-    """Compare a fit with the pixels that it was made from."""
+def appraise(samples: Samples, found: Estimate, *, threads: int | None = None) -> Quality:
+    """Compare a fit with the pixels that it was made from; the result does not depend on the number of threads."""
     sensor = samples.sensor
-    mean = mean_levels(samples, found)
+    mean = mean_levels(samples, found, threads=threads)
     level = samples.level.astype(np.float64)
     seen = ~samples.saturated & (mean < sensor.saturated_from)
     residual = (level - np.maximum(mean, 0.0))[seen]
@@ -116,9 +116,9 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
     )
 
 
-def mean_levels(samples: Samples, found: Estimate) -> NDArray[np.float64]:
+def mean_levels(samples: Samples, found: Estimate, *, threads: int | None = None) -> NDArray[np.float64]:
     """Sensor levels, not clipped, that a fit predicts for the observations, shape (N,)."""
-    return predicted(samples, samples.specular(found.sigma), found.x)
+    return predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
 
 
 def words(found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool) -> tuple[str, ...]:
