@@ -23,7 +23,15 @@ from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._paper import paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, mean_levels, poor_fit, words
 from lightopt.fit._regions import PointsRow, compare_regions
-from lightopt.fit._result import FitResult, FittedValue, below_zero, fitted_dark, fitted_gains, fitted_values
+from lightopt.fit._result import (
+    FitResult,
+    FittedValue,
+    below_zero,
+    fitted_dark,
+    fitted_gains,
+    fitted_values,
+    joined_regions,
+)
 from lightopt.fit._samples import Samples
 from lightopt.fit._search import estimate
 from lightopt.fit._validate import leave_lights_out, unseen
@@ -216,7 +224,8 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in world.observations}
     said = [*world.warnings, *unconverged(found)]
-    said += [*words(found, quality, interval, shorter=len(exposures) > 1), *held_r_d(found)]
+    said += [*joined_regions(values), *words(found, quality, interval, shorter=len(exposures) > 1)]
+    said += held_r_d(found)
     noise = measure_noise(samples, mean_levels(samples, found, threads=options.threads))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)

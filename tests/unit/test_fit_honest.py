@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,11 +12,24 @@ import pytest
 
 from lightopt import load_rig
 from lightopt.errors import InputError
-from lightopt.fit import FIRST_GAIN, LOG_SIGMA, R_D, FittedValue, _fit, _search
+from lightopt.fit import (
+    FIRST_GAIN,
+    LOG_SIGMA,
+    R_D,
+    Estimate,
+    FittedValue,
+    Optimum,
+    ScanPoint,
+    _fit,
+    _search,
+    interval_words,
+    profile_interval,
+    profile_regions,
+)
 from lightopt.fit._checks import refuse_out_of_range
 from lightopt.fit._criterion import Evaluation, parameter_name
 from lightopt.fit._maximise import maximise
-from lightopt.fit._result import bounded
+from lightopt.fit._result import bounded, joined_regions
 from lightopt.fit._scan import peaks, profile_over_sigma
 
 
@@ -118,11 +132,89 @@ def test_an_end_that_nothing_bounds_is_none():
 
 
 def test_it_is_said_in_words():
-    from lightopt.cli._fit import _in_words
+    assert interval_words((0.0444, None)) == "from 0.0444, no upper bound"
+    assert interval_words((None, 3.0)) == "up to 3, no lower bound"
+    assert interval_words((1.0, 2.0)) == "1 to 2"
 
-    assert _in_words((0.0444, None)) == "from 0.0444, no upper bound"
-    assert _in_words((None, 3.0)) == "up to 3, no lower bound"
-    assert _in_words((1.0, 2.0)) == "1 to 2"
+
+# --- intervals over several optima
+
+FIRST, SECOND = -3.0, -1.5
+
+
+def two_optima(drop):
+    """A criterion of ln σ with two parabolas, the second `drop` below the first: twice the fall; and its estimate."""
+
+    def value(x):
+        ln = x[LOG_SIGMA]
+        return -min(200.0 * (ln - FIRST) ** 2, 200.0 * (ln - SECOND) ** 2 + 0.5 * drop)
+
+    criterion = Landscape(value, bend=400.0)
+    tops = [maximise(criterion, at(0.0, start), [LOG_SIGMA]) for start in (FIRST - 0.05, SECOND + 0.05)]
+    optima = tuple(
+        Optimum(
+            start_sigma=0.1, x=top.x, value=top.evaluation.value, converged=top.converged, criterion=criterion
+        )
+        for top in tops
+    )
+    return Estimate(
+        x=tops[0].x,
+        free=(LOG_SIGMA,),
+        covariance=np.array([[1.0 / 400.0]]),
+        inflation=np.ones(1),
+        criterion=criterion,
+        maximum=tops[0],
+        scan=(),
+        optima=optima,
+        mean_log_likelihood=0.0,
+        unexplained=0.0,
+    )
+
+
+def half(fall):
+    """From a maximum to where twice the criterion has fallen by so much."""
+    return math.sqrt(fall / 400.0)
+
+
+def test_an_interval_reaches_over_an_optimum_that_the_images_do_not_exclude():
+    found = two_optima(1.0)
+    critical = found.critical
+    first, second = profile_regions(found, LOG_SIGMA)
+    assert first == (
+        pytest.approx(FIRST - half(critical), abs=2e-3),
+        pytest.approx(FIRST + half(critical), abs=2e-3),
+    )
+    assert second == (
+        pytest.approx(SECOND - half(critical - 1.0), abs=2e-3),
+        pytest.approx(SECOND + half(critical - 1.0), abs=2e-3),
+    )
+    assert profile_interval(found, LOG_SIGMA) == (first[0], second[1])
+    value = FittedValue(
+        name="sigma_rad",
+        value=found.sigma,
+        interval=bounded((first[0], second[1]), math.exp),
+        regions=tuple(bounded(ends, math.exp) for ends in (first, second)),
+    )
+    assert len(value.as_dict()["regions_95"]) == 2
+    (said,) = joined_regions([value])
+    assert "do not decide between optima (sigma_rad 0.045" in said
+
+
+def test_an_interval_does_not_reach_over_one_that_they_do():
+    found = two_optima(4.0)
+    assert profile_regions(found, LOG_SIGMA) == (profile_interval(found, LOG_SIGMA),)
+    assert profile_interval(found, LOG_SIGMA)[1] == pytest.approx(FIRST + half(found.critical), abs=2e-3)
+    wide = replace(found, inflation=np.array([1.1]))
+    assert profile_interval(wide, LOG_SIGMA)[1] > SECOND
+
+
+def test_an_interval_reaches_every_point_of_the_scan_that_is_not_excluded():
+    row = [(-3.3, 36.0), (-3.05, 1.0), (-2.7, 36.0), (-1.6, 2.0), (-1.4, 3.0), (-1.2, 50.0)]
+    scan = tuple(ScanPoint(x=at(0.0, ln), value=-0.5 * fall, fall=fall) for ln, fall in row)
+    found = replace(two_optima(1.0), optima=(), scan=scan)
+    first, second = profile_regions(found, LOG_SIGMA)
+    assert first[1] == pytest.approx(FIRST + half(found.critical), abs=2e-3)
+    assert second == (-1.6, -1.4)
 
 
 # --- on the command line
@@ -250,5 +342,10 @@ def test_the_profile_that_is_drawn_peaks_at_the_reported_value(cli, bench, noisy
         assert fit(cli, bench, noisy, out, *more).status == 0
         figures = json.loads((out / "fit.json").read_text())
         drawn = min(figures["ridge"], key=lambda point: point["twice_log_likelihood_below_best"])
-        assert drawn["sigma_rad"] == figures["values"]["sigma_rad"]["value"]
+        sigma = figures["values"]["sigma_rad"]["value"]
+        assert drawn["sigma_rad"] == sigma
+        assert figures["optima"][0]["sigma"] == sigma
+        assert figures["optima"][0]["R_s"] == figures["values"]["R_s"]["value"]
+        compared = [optimum["value"] for optimum in figures["optima"]]
+        assert compared == sorted(compared, reverse=True)
         assert figures["converged"] is True
