@@ -84,7 +84,8 @@ def fit_diffuse(
     freed = Freed(gain=options.gain, dark=options.dark)
     whole = estimate(samples, freed=freed, threads=options.threads, progress=progress)
     threads = options.threads
-    refuse_other_images(world, samples, whole, appraise(samples, whole, threads=threads), threads=threads)
+    first_quality = appraise(samples, whole, threads=threads)
+    placed = refuse_other_images(world, samples, whole, first_quality, threads=threads)
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
     found = estimate(
@@ -92,7 +93,7 @@ def fit_diffuse(
     )
     quality = appraise(plain, found, threads=threads)
     first = [f"where the highlights are: {text}" for text in unconverged(whole)]
-    said = [*world.warnings, *first, *unconverged(found), *poor_fit(found, quality)]
+    said = [*world.warnings, *first, *unconverged(found), *poor_fit(found, quality, placed=placed)]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
@@ -217,14 +218,15 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
         samples, freed=options.freed, held=world.held, threads=options.threads, progress=progress
     )
     quality = appraise(samples, found, threads=options.threads)
-    refuse_other_images(world, samples, found, quality, threads=options.threads)
+    placed = refuse_other_images(world, samples, found, quality, threads=options.threads)
     refuse_no_highlight(samples, found, threads=options.threads)
     refuse_out_of_range(found)
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in world.observations}
     said = [*world.warnings, *unconverged(found)]
-    said += [*joined_regions(values), *words(found, quality, interval, shorter=len(exposures) > 1)]
+    said += joined_regions(values)
+    said += words(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
     said += held_r_d(found)
     noise = measure_noise(samples, mean_levels(samples, found, threads=options.threads))
     if options.write_noise:

@@ -449,7 +449,7 @@ def _profile_on_samples(
     # estimate, all samples decide: they either have something better to climb from, or say how much worse it is.
     share = _share_of(few, samples)
     if LOG_SIGMA not in final.free:
-        return _scan_points(profile, share=share), None
+        return _scan_points([replace(profile[0], x=final.maximum.x)]), None
     here = _best_at(few, final.maximum.x, final.free, threads)
     value = here.evaluation.value
     near = max(CLOSE_CALL, share * final.reach)

@@ -13,6 +13,7 @@ import pytest
 from lightopt import load_rig
 from lightopt.errors import InputError
 from lightopt.fit import (
+    DARK,
     FIRST_GAIN,
     LOG_SIGMA,
     R_D,
@@ -29,6 +30,7 @@ from lightopt.fit import (
 from lightopt.fit._checks import refuse_out_of_range
 from lightopt.fit._criterion import Evaluation, parameter_name
 from lightopt.fit._maximise import maximise
+from lightopt.fit._quality import poor_fit
 from lightopt.fit._result import bounded, joined_regions
 from lightopt.fit._scan import peaks, profile_over_sigma
 
@@ -135,6 +137,35 @@ def test_it_is_said_in_words():
     assert interval_words((0.0444, None)) == "from 0.0444, no upper bound"
     assert interval_words((None, 3.0)) == "up to 3, no lower bound"
     assert interval_words((1.0, 2.0)) == "1 to 2"
+
+
+# --- reasons of a poor fit
+
+
+def poor(*, free=(), lights=(0, 1)):
+    """A fit to images of some lights that the model does not describe."""
+    light = np.array(lights)
+    samples = SimpleNamespace(facts=SimpleNamespace(light=light), image=np.arange(len(light)))
+    criterion = SimpleNamespace(samples=samples, size=FIRST_GAIN + 2 + 2)
+    found = SimpleNamespace(
+        free=(R_D, *free), criterion=criterion, scatter="4 lights", lack_of_fit=None, describes=False
+    )
+    quality = SimpleNamespace(noise=1.0, image_noise=1.0, describes=False, misfit=4.0, rms=4.0)
+    return found, quality
+
+
+def test_only_what_was_not_fitted_is_a_possible_reason():
+    everything = ("--free shift", "--free gain", "--free dark")
+    for options, placed, left in (
+        ({}, False, everything),
+        ({}, True, ("--free gain", "--free dark")),
+        ({"free": (DARK,)}, False, ("--free shift", "--free gain")),
+        ({"free": (FIRST_GAIN + 1,)}, True, ("--free dark",)),
+        ({"lights": (1, 1)}, True, ("--free dark",)),
+    ):
+        (said,) = poor_fit(*poor(**options), placed=placed)
+        assert "dirt, the mesh's normals" in said
+        assert [option for option in everything if option in said] == list(left)
 
 
 # --- intervals over several optima
