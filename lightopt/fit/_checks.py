@@ -84,6 +84,11 @@ def unconverged(found: Estimate) -> tuple[str, ...]:
             "intervals are not those of an optimum. Other images, or fewer parameters that are freed, may help"
         )
         return tuple(said)
+    if found.unsettled_refits:
+        said.append(
+            f"{found.unsettled_refits} of the fits without one of the {found.scatter} each did not converge: the "
+            "intervals, which come from their scatter, may be wrong"
+        )
     best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
     said += [
         f"the climb from σ {optimum.start_sigma:.3g} rad did not converge at σ {optimum.sigma:.3g} rad, and is not "

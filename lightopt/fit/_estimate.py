@@ -152,6 +152,8 @@ class Estimate(_Reflectance):
         Whether the model describes the images; None where that was not looked at.
     scatter
         From what the uncertainty is known where it does not, such as "12 lights".
+    unsettled_refits
+        How many of the fits without one of those each did not converge.
     """
 
     x: Float64
@@ -167,6 +169,7 @@ class Estimate(_Reflectance):
     unexplained: float
     lack_of_fit: LackOfFit | None = None
     scatter: str | None = None
+    unsettled_refits: int = 0
 
     @property
     def describes(self) -> bool:

@@ -144,10 +144,11 @@ class FitResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the optimiser of every fit, and the search for the part's place, found no way to anything better."""
+        """Whether every fit, those of validation among them, and the search for the part's place did."""
         fits = [found for found in (self.first, self.estimate) if found is not None]
         placed = self.registration is None or self.registration.converged
-        return placed and not any(unconverged(found) for found in fits)
+        validated = all(left.converged for left in self.left_out)
+        return placed and validated and not any(unconverged(found) for found in fits)
 
     @property
     def placement(self) -> Placement | None:

@@ -20,7 +20,7 @@ from lightopt.fit._jackknife import UNDETERMINED, leave_groups_out, with_errors
 from lightopt.fit._lack_of_fit import LackOfFit, find_dust, measure_lack_of_fit
 from lightopt.fit._least_squares import LeastSquares, SpecularTable
 from lightopt.fit._likelihood import Likelihood, predicted
-from lightopt.fit._maximise import Maximum, maximise, newton_step
+from lightopt.fit._maximise import Maximum, has_settled, maximise
 from lightopt.fit._profile import fall
 from lightopt.fit._samples import Samples, thinned
 from lightopt.fit._scan import peaks, profile_outwards, profile_over_sigma
@@ -57,9 +57,6 @@ MOST_RESTARTS = 3
 
 ERROR_STEPS = (1.0, 0.3, 0.1)
 """How far from the best the fall of the criterion is looked at [standard errors]; the first that is within range."""
-
-SETTLED = 0.1
-"""Least squares have converged where no parameter has a step left of more than this share of its standard error."""
 
 HELD_SIGMA = 0.05
 """Width of a lobe that is not fitted and not said."""
@@ -221,7 +218,10 @@ def refine(
     few = thinned(samples, _scan_budget(samples))
     criterion = LeastSquares(few, SpecularTable(few, threads=threads), threads=threads)
     criterion = criterion.without(find_dust(few, predicted(few, criterion.light(start.x), start.x)))
-    return replace(start, x=maximise(criterion, start.x, free).x, free=free, criterion=criterion)
+    top = maximise(criterion, start.x, free)
+    errors = np.array([start.standard_error(place) for place in free])
+    top = replace(top, converged=has_settled(top, free, errors))
+    return replace(start, x=top.x, free=free, criterion=criterion, maximum=top, optima=())
 
 
 def _least_squares(
@@ -283,11 +283,7 @@ def _by_least_squares(
     alone = np.sqrt(1.0 / np.maximum(np.diag(best.evaluation.curvature)[list(plain)], 1e-300))
     errors = np.clip(np.maximum(spread, alone), 0.0, UNDETERMINED)
     covariance = with_errors(scatter.covariance, errors)
-    if not best.converged:
-        # a clipped level bends the criterion at single pixels: what counts is the step that is left, in standard errors
-        moving = np.array([place for place in plain if place != R_D or best.x[R_D] > 0.0])
-        left = np.abs(newton_step(best.evaluation, moving, 1e-6)) / errors[np.isin(plain, moving)]
-        best = replace(best, converged=bool(np.all(left < SETTLED)))
+    best = replace(best, converged=has_settled(best, plain, errors))
     # the noise that the likelihood would see around this reflectance, for figures that are compared
     log_sigma = np.array([best.x[LOG_SIGMA]])
     light = samples.specular(math.exp(log_sigma[0]), threads=threads)
@@ -310,6 +306,7 @@ def _by_least_squares(
         unexplained=_share(noise.x),
         lack_of_fit=squares.lack_of_fit,
         scatter=scatter.of,
+        unsettled_refits=sum(not has_settled(refit, plain, errors) for refit in scatter.refits),
     )
     # a standard error is where the criterion has fallen by this: 1 for a model that is right
     inflation = np.ones(len(plain))

@@ -17,8 +17,11 @@ from lightopt.fit import (
     FIRST_GAIN,
     LOG_SIGMA,
     R_D,
+    Comparison,
     Estimate,
+    FitResult,
     FittedValue,
+    LeftOut,
     Optimum,
     ScanPoint,
     _fit,
@@ -27,12 +30,13 @@ from lightopt.fit import (
     profile_interval,
     profile_regions,
 )
-from lightopt.fit._checks import refuse_out_of_range
+from lightopt.fit._checks import refuse_out_of_range, unconverged
 from lightopt.fit._criterion import Evaluation, parameter_name
-from lightopt.fit._maximise import maximise
+from lightopt.fit._maximise import has_settled, maximise
 from lightopt.fit._quality import poor_fit
 from lightopt.fit._result import bounded, joined_regions
 from lightopt.fit._scan import peaks, profile_over_sigma
+from lightopt.fit._validate import unseen
 
 
 class Landscape:
@@ -88,6 +92,48 @@ def test_too_few_steps_have_not_converged():
     found = maximise(Landscape(lambda x: -((x[R_D] - 3.0) ** 4)), at(-9.0, -2.0), [R_D], most_steps=3)
     assert not found.converged
     assert parameter_name(found.unsettled[0], ("one",)) == "R_d"
+
+
+def test_a_step_that_is_short_beside_the_standard_error_is_none():
+    found = maximise(Landscape(lambda x: -((x[R_D] - 3.0) ** 4)), at(-9.0, -2.0), [R_D], most_steps=3)
+    left = abs(float(found.evaluation.gradient[R_D])) / 4.0  # by a curvature of 4
+    assert not has_settled(found, [R_D], np.array([9.0 * left]))
+    assert has_settled(found, [R_D], np.array([11.0 * left]))
+
+
+def test_fits_without_a_light_that_did_not_converge_are_counted_and_named():
+    """Those that intervals come from, and those of validation."""
+    found = SimpleNamespace(
+        maximum=SimpleNamespace(converged=True), unsettled_refits=3, scatter="12 lights", optima=()
+    )
+    (said,) = unconverged(found)
+    assert said.startswith("3 of the fits without one of the 12 lights each did not converge")
+    image = Comparison(image="a", rms=1.0, rms_sensor=1.0, iou=None, border=None, area=0, predicted_area=0)
+    left_out = tuple(
+        LeftOut(light=name, R_d=45.0, R_s=1.0, sigma=0.1, images=(image,), converged=name != "two")
+        for name in ("one", "two")
+    )
+    (said,) = unseen(left_out, SimpleNamespace(max_level=255))
+    assert "1 of the 2 fits without one light each did not converge (without two)" in said
+    assert left_out[1].as_dict()["converged"] is False
+    result = FitResult(
+        kind="specular", method="likelihood", points=4, values=(), fitted=(), left_out=left_out
+    )
+    assert not result.converged
+    assert replace(result, left_out=left_out[:1]).converged
+
+
+def test_the_optimum_of_the_most_value_on_all_samples_is_the_best():
+    """Whatever the few pixels of the scan prefer; climbs that ended in the same place are one."""
+
+    def found(log_sigma, value, *, far=False):
+        top = SimpleNamespace(x=at(1.0, log_sigma), evaluation=SimpleNamespace(value=value))
+        return _search._Found(0.1, top, None if far else SimpleNamespace(maximum=top))
+
+    ends = [found(-3.0, 5.0), found(-2.0, 9.0), found(-2.01, 8.0), found(-1.0, -99.0, far=True)]
+    best, kept = _search._best_first(ends)
+    assert best.maximum is ends[1].maximum
+    assert [one.value for one in kept] == [9.0, 5.0, -99.0]
 
 
 def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
