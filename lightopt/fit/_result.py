@@ -241,8 +241,8 @@ def joined_regions(values: Iterable[FittedValue]) -> tuple[str, ...]:
     if not several:
         return ()
     text = (
-        f"the images do not decide between optima ({'; '.join(several)}): the 95 % intervals reach over all of these, "
-        "and values between them fit worse. Images under other lights, or at another exposure, may decide"
+        f"the images do not decide between separate ranges ({'; '.join(several)}): the 95 % intervals reach over all "
+        "of these, and values between them fit worse. Images under other lights, or at another exposure, may decide"
     )
     return (text,)
 

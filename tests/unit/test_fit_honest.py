@@ -274,7 +274,7 @@ def test_an_interval_reaches_over_an_optimum_that_the_images_do_not_exclude():
     )
     assert len(value.as_dict()["regions_95"]) == 2
     (said,) = joined_regions([value])
-    assert "do not decide between optima (sigma_rad 0.045" in said
+    assert "do not decide between separate ranges (sigma_rad 0.045" in said
 
 
 def test_an_interval_does_not_reach_over_one_that_they_do():
