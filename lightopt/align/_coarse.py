@@ -82,7 +82,12 @@ def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[Pix
 
 
 def refuse_useless_images(
-    scene: Scene, sets: Sequence[PixelSet], observations: Sequence[Observation], *, caster: RayCaster
+    scene: Scene,
+    sets: Sequence[PixelSet],
+    observations: Sequence[Observation],
+    *,
+    caster: RayCaster,
+    threads: int | None = None,
 ) -> None:
     """Refuse images that cannot show where the part is.
 
@@ -96,6 +101,8 @@ def refuse_useless_images(
         The images.
     caster
         Of the scene's part.
+    threads
+        Number of threads; the result does not depend on it.
 
     Raises
     ------
@@ -107,7 +114,7 @@ def refuse_useless_images(
     shown: list[NDArray[np.bool_]] = []
     for pixels in sets:
         view = view_of_placed(scene, pixels.posture, 0.0, 0.0, 0.0)
-        light, _ = light_at(scene, pixels, view, caster)
+        light, _ = light_at(scene, pixels, view, caster, threads=threads)
         shown.append(~np.isfinite(light) | (light > 0.0))
     if not any(lit.any() for lit in shown):
         raise InputError(

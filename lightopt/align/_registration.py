@@ -38,7 +38,10 @@ __all__ = ["Registration", "refine_placement", "register"]
 Float64 = NDArray[np.float64]
 
 STAGES = 4
-"""Pixels are chosen anew where the part moved, so many times at most."""
+"""Pixels are chosen anew where the part moved, so many times at most …"""
+
+OUTLINE_STAGES = 2
+"""… and so many times at least once the outline is used along."""
 
 STAGE_ITERATIONS = 15
 """Steps of each: images that show this part take about ten, others never settle."""
@@ -62,7 +65,8 @@ class Registration:
         Standard errors of the shift of the part's middle in x and y [mm] and of the turn about it [rad]; those of the
         placement are larger where the part lies off the stage's axis.
     converged
-        Whether a further step would change nothing, and the place is none of the furthest allowed.
+        Whether a further step would change nothing, the part kept its place in the last stage, and the place is none of
+        the furthest allowed.
     iterations
         Steps of the least squares.
     cost_before, cost_after
@@ -130,7 +134,7 @@ def register(
         return None if progress is None else partial(progress, name)
 
     sets = coarse_pixels(scene, observations)
-    refuse_useless_images(scene, sets, observations, caster=caster)
+    refuse_useless_images(scene, sets, observations, caster=caster, threads=threads)
     start = search_placement(scene, sets, caster=caster, threads=threads, progress=stage("finding the part"))
     if reflectance_at is not None:
         reflectance = reflectance_at(place_part(scene, start))
@@ -184,8 +188,9 @@ def refine_placement(
     limits = limits_of(scene, frame, x)
     solution: Solution | None = None
     outline = False
-    iterations = 0
-    for number in range(STAGES):
+    iterations, moved = 0, math.inf
+    number, stages = 0, STAGES
+    while number < stages:
         inner, edges = choose_pixels(
             scene,
             observations,
@@ -202,20 +207,25 @@ def refine_placement(
         iterations += solution.iterations
         moved = frame.distance_px(frame.placement(x[POSE]), frame.placement(solution.x[POSE]))
         if progress is not None:
-            progress((number + 1) / STAGES)
+            progress((number + 1) / (STAGES + OUTLINE_STAGES))
         if not outline and np.any(solution.errors[POSE] > OUTLINE_PX * frame.pixel_steps):
             # the inner pixels do not determine the place well enough: begin again, with the outline
             outline = True
             x = np.concatenate([frame.pose(start), solution.x[3:]])
-            continue
-        x = solution.x
-        if number > 0 and moved < SETTLED_PX:
-            break
+            stages = max(stages, number + 1 + OUTLINE_STAGES)
+        else:
+            x = solution.x
+            if number > 0 and moved < SETTLED_PX:
+                break
+        number += 1
     assert solution is not None
-    return _registration(solution, frame, iterations, outline=outline)
+    return _registration(solution, frame, iterations, moved, outline=outline)
 
 
-def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outline: bool) -> Registration:
+def _registration(
+    solution: Solution, frame: PoseFrame, iterations: int, moved: float, *, outline: bool
+) -> Registration:
+    # `moved` by so much in the last stage [px]
     directions = solution.undetermined[:, POSE]
     share = np.sum(np.square(directions), axis=0)
     # exactly as in the part file, not but for rounding
@@ -231,6 +241,10 @@ def _registration(solution: Solution, frame: PoseFrame, iterations: int, *, outl
             words = (*words, word + "correct its placement in the part file")
         elif not converged:
             word = f"the search for the part's place did not converge; the place is the best of {iterations} steps, "
+            words = (*words, word + "and its errors may be larger than stated")
+        elif moved >= SETTLED_PX:
+            converged = False
+            word = f"the search for the part's place did not converge: its last stage moved it by {moved:.1f} px, "
             words = (*words, word + "and its errors may be larger than stated")
     return Registration(
         placement=replace(

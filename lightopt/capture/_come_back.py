@@ -63,16 +63,21 @@ class CameBack:
         About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
     tilt_error_deg, turn_error_deg
         Standard errors [°]; those of an axis that cannot be seen are large.
+    converged
+        Whether the comparison found its optimum; if not, the angles say nothing.
     """
 
     tilt_deg: float
     turn_deg: float
     tilt_error_deg: float
     turn_error_deg: float
+    converged: bool = True
 
     @property
     def off(self) -> str | None:
         """What stands elsewhere, in words; None where nothing does for certain."""
+        if not self.converged:
+            return None
         said = [
             f"its {axis} by roughly {angle:+.1f}°"
             for axis, angle, error in (
@@ -89,9 +94,12 @@ class CameBack:
         errors = (("elevation", self.tilt_error_deg), ("rotation", self.turn_error_deg))
         return " and ".join(name for name, error in errors if CERTAIN * error > UNSEEN_DEG)
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, float | bool]:
         """JSON form."""
-        return {name: float(f"{value:.3g}") for name, value in vars(self).items()}
+        return {
+            name: value if isinstance(value, bool) else float(f"{value:.3g}")
+            for name, value in vars(self).items()
+        }
 
 
 def came_back(
@@ -176,4 +184,5 @@ def came_back(
         turn_deg=float(found.x[1]),
         tilt_error_deg=float(found.errors[0]),
         turn_error_deg=float(found.errors[1]),
+        converged=found.converged,
     )

@@ -182,7 +182,11 @@ class Taking:
             self.warn(f"{told}{light} shows too little of the part to tell whether the stage lost steps")
             return
         self._records.note_came_back({"light": light, "posture": posture.as_dict(), **found.as_dict()})
-        if found.off is not None:
+        if not found.converged:
+            self.warn(
+                f"{told}the comparison of its two images did not converge: nothing tells whether steps were lost"
+            )
+        elif found.off is not None:
             self.warn(
                 f"{told}the part has turned since the first image there, {found.off}, and the stage does not know: "
                 "it lost steps, or the part slipped; home the stage and capture again"

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
         FitOptions,
         FitResult,
         FittedValue,
-        Interval,
         MeasuredNoise,
         PaperOptions,
     )
@@ -320,11 +319,13 @@ def _keep_pictures(folder: FitFolder, bit_depth: int, saturation: float | None) 
 
 
 def _show(result: FitResult) -> None:
+    from lightopt.fit import interval_words
+
     rows = []
     for value in result.values:
         held = "as in the file" if value.name not in (*result.fitted, "half_angle_rad") else ""
         error = f"{value.standard_error:.2g}" if value.standard_error else ""
-        interval = "" if value.interval is None else _in_words(value.interval)
+        interval = "" if value.interval is None else interval_words(value.interval)
         rows.append([value.name, f"{value.value:.6g}", error, interval or held])
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
@@ -359,17 +360,6 @@ def _show(result: FitResult) -> None:
         _show_points(result)
     if result.left_out:
         _show_left_out(result)
-
-
-def _in_words(interval: Interval) -> str:
-    low, high = interval
-    if low is None and high is None:
-        return "no bounds"
-    if high is None:
-        return f"from {low:.6g}, no upper bound"
-    if low is None:
-        return f"up to {high:.6g}, no lower bound"
-    return f"{low:.6g} to {high:.6g}"
 
 
 def _with_error(value: FittedValue) -> str:

@@ -15,10 +15,10 @@ from lightopt.fit._paper import (
     paper_specular,
 )
 from lightopt.fit._predict import predict_images
-from lightopt.fit._profile import profile_interval
+from lightopt.fit._profile import profile_interval, profile_regions
 from lightopt.fit._quality import Quality, appraise
 from lightopt.fit._regions import PointsRow, compare_regions
-from lightopt.fit._result import FitResult, FittedValue
+from lightopt.fit._result import FitResult, FittedValue, interval_words
 from lightopt.fit._samples import Samples, collect_samples, thinned
 from lightopt.fit._search import estimate, refine
 from lightopt.fit._validate import Comparison, LeftOut, compare_image, leave_lights_out
@@ -58,12 +58,14 @@ __all__ = [
     "fit_diffuse",
     "fit_provenance",
     "fit_specular",
+    "interval_words",
     "leave_lights_out",
     "paper_diffuse",
     "paper_specular",
     "predict_images",
     "predicted",
     "profile_interval",
+    "profile_regions",
     "refine",
     "thinned",
 ]

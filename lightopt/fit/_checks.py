@@ -21,15 +21,22 @@ EDGE = 1.01
 """A value within this factor of an edge is at it."""
 
 
-def refuse_no_highlight(samples: Samples, found: Estimate) -> None:
+def refuse_no_highlight(samples: Samples, found: Estimate, *, threads: int | None = None) -> None:
     """Refuse images that tell nothing of R_s and σ.
+
+    Parameters
+    ----------
+    samples, found
+        The fit.
+    threads
+        Number of threads; the result does not depend on it.
 
     Raises
     ------
     InputError
         No pixel is brighter by a level for a highlight.
     """
-    light = found.R_s * samples.specular(found.sigma)
+    light = found.R_s * samples.specular(found.sigma, threads=threads)
     if float(light.max()) < 1.0:
         raise InputError(
             "no highlight in any image: nothing tells R_s and σ. Add images under lights that the surface mirrors "
@@ -77,6 +84,11 @@ def unconverged(found: Estimate) -> tuple[str, ...]:
             "intervals are not those of an optimum. Other images, or fewer parameters that are freed, may help"
         )
         return tuple(said)
+    if found.unsettled_refits:
+        said.append(
+            f"{found.unsettled_refits} of the fits without one of the {found.scatter} each did not converge: the "
+            "intervals, which come from their scatter, may be wrong"
+        )
     best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
     said += [
         f"the climb from σ {optimum.start_sigma:.3g} rad did not converge at σ {optimum.sigma:.3g} rad, and is not "

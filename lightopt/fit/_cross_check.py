@@ -105,9 +105,9 @@ def paper_words(
     """
     few = thinned(samples, BUDGET)
     whole = estimate(few, freed=Freed(), threads=threads)
-    quality = appraise(few, whole)
-    refuse_other_images(world, few, whole, quality, threads=threads)
-    said = [*poor_fit(whole, quality)]
+    quality = appraise(few, whole, threads=threads)
+    placed = refuse_other_images(world, few, whole, quality, threads=threads)
+    said = [*poor_fit(whole, quality, placed=placed)]
     pairs = [("R_d", R_d, whole.R_d)]
     if specular is not None:
         pairs += [("R_s", specular[0], whole.R_s), ("σ", specular[1], whole.sigma)]

@@ -44,61 +44,83 @@ class Freed:
     dark: bool = False
 
 
+class _Reflectance:
+    # coefficients in a vector of parameters
+    x: Float64
+
+    @property
+    def R_d(self) -> float:  # noqa: N802
+        """[grey level]."""
+        return float(self.x[R_D])
+
+    @property
+    def R_s(self) -> float:  # noqa: N802
+        """[grey level]."""
+        return math.exp(self.x[LOG_R_S])
+
+    @property
+    def sigma(self) -> float:
+        """[rad]."""
+        return math.exp(self.x[LOG_SIGMA])
+
+
 @dataclass(frozen=True, kw_only=True)
-class ScanPoint:
+class ScanPoint(_Reflectance):
     """The best fit at one σ.
 
     Attributes
     ----------
-    sigma
-        [rad].
-    R_d, R_s
-        [grey level].
+    x
+        Parameters, shape (K,).
     value
         Criterion at the scan's pixels [nat].
+    fall
+        How far twice the criterion of the estimate is below its maximum there [nat].
     """
 
-    sigma: float
-    R_d: float
-    R_s: float
+    x: Float64
     value: float
+    fall: float
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optimum:
+class Optimum(_Reflectance):
     """Where the climb from one peak of the profile over σ ended.
 
     Attributes
     ----------
     start_sigma
         Of the peak [rad].
-    sigma
-        [rad].
-    R_d, R_s
-        [grey level].
+    x
+        Parameters, shape (K,).
     value
-        Criterion at the scan's pixels [nat].
+        Criterion of the estimate [nat]: all optima of an estimate are compared by the same one.
     converged
         Whether the climb did.
+    criterion
+        That one, where it can be evaluated around here; None where the climb is not worth while, far below the best.
     """
 
     start_sigma: float
-    sigma: float
-    R_d: float
-    R_s: float
+    x: Float64
     value: float
     converged: bool
+    criterion: Criterion | None
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {
-            name: value if isinstance(value, bool) else float(f"{value:.8g}")
-            for name, value in vars(self).items()
+        numbers = {
+            "start_sigma": self.start_sigma,
+            "sigma": self.sigma,
+            "R_d": self.R_d,
+            "R_s": self.R_s,
+            "value": self.value,
         }
+        return {**{k: float(f"{v:.8g}") for k, v in numbers.items()}, "converged": self.converged}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
+class Estimate(_Reflectance):
     """The best fit, and how sharply the images determine it.
 
     Attributes
@@ -121,7 +143,7 @@ class Estimate:
     scan
         The profile over σ, the estimate's own among them.
     optima
-        Where the climbs from the peaks of the profile ended, the best first.
+        Where the climbs from the peaks of the profile ended, the best first, which is the estimate itself.
     mean_log_likelihood
         Of a level, by the likelihood of noise and outliers [nat]: comparable between fits to the same levels.
     unexplained
@@ -130,6 +152,8 @@ class Estimate:
         Whether the model describes the images; None where that was not looked at.
     scatter
         From what the uncertainty is known where it does not, such as "12 lights".
+    unsettled_refits
+        How many of the fits without one of those each did not converge.
     """
 
     x: Float64
@@ -145,26 +169,12 @@ class Estimate:
     unexplained: float
     lack_of_fit: LackOfFit | None = None
     scatter: str | None = None
+    unsettled_refits: int = 0
 
     @property
     def describes(self) -> bool:
         """Whether the model describes the images, so that the likelihood was maximised; else least squares."""
         return self.scatter is None
-
-    @property
-    def R_d(self) -> float:  # noqa: N802
-        """[grey level]."""
-        return float(self.x[R_D])
-
-    @property
-    def R_s(self) -> float:  # noqa: N802
-        """[grey level]."""
-        return math.exp(self.x[LOG_R_S])
-
-    @property
-    def sigma(self) -> float:
-        """[rad]."""
-        return math.exp(self.x[LOG_SIGMA])
 
     @property
     def tau(self) -> float:

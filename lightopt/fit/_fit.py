@@ -23,7 +23,15 @@ from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._paper import paper_diffuse, paper_specular
 from lightopt.fit._quality import appraise, mean_levels, poor_fit, words
 from lightopt.fit._regions import PointsRow, compare_regions
-from lightopt.fit._result import FitResult, FittedValue, below_zero, fitted_dark, fitted_gains, fitted_values
+from lightopt.fit._result import (
+    FitResult,
+    FittedValue,
+    below_zero,
+    fitted_dark,
+    fitted_gains,
+    fitted_values,
+    joined_regions,
+)
 from lightopt.fit._samples import Samples
 from lightopt.fit._search import estimate
 from lightopt.fit._validate import leave_lights_out, unseen
@@ -75,15 +83,17 @@ def fit_diffuse(
     samples = collect(world, options, progress)
     freed = Freed(gain=options.gain, dark=options.dark)
     whole = estimate(samples, freed=freed, threads=options.threads, progress=progress)
-    refuse_other_images(world, samples, whole, appraise(samples, whole), threads=options.threads)
+    threads = options.threads
+    first_quality = appraise(samples, whole, threads=threads)
+    placed = refuse_other_images(world, samples, whole, first_quality, threads=threads)
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
     found = estimate(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
-    quality = appraise(plain, found)
+    quality = appraise(plain, found, threads=threads)
     first = [f"where the highlights are: {text}" for text in unconverged(whole)]
-    said = [*world.warnings, *first, *unconverged(found), *poor_fit(found, quality)]
+    said = [*world.warnings, *first, *unconverged(found), *poor_fit(found, quality, placed=placed)]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
@@ -96,7 +106,7 @@ def fit_diffuse(
     )
     dark = fitted_dark(world.scene, found) if options.dark else None
     said += below_zero(dark)
-    noise = measure_noise(plain, mean_levels(plain, found))
+    noise = measure_noise(plain, mean_levels(plain, found, threads=threads))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     return FitResult(
@@ -207,16 +217,18 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
     found = estimate(
         samples, freed=options.freed, held=world.held, threads=options.threads, progress=progress
     )
-    quality = appraise(samples, found)
-    refuse_other_images(world, samples, found, quality, threads=options.threads)
-    refuse_no_highlight(samples, found)
+    quality = appraise(samples, found, threads=options.threads)
+    placed = refuse_other_images(world, samples, found, quality, threads=options.threads)
+    refuse_no_highlight(samples, found, threads=options.threads)
     refuse_out_of_range(found)
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in world.observations}
     said = [*world.warnings, *unconverged(found)]
-    said += [*words(found, quality, interval, shorter=len(exposures) > 1), *held_r_d(found)]
-    noise = measure_noise(samples, mean_levels(samples, found))
+    said += joined_regions(values)
+    said += words(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
+    said += held_r_d(found)
+    noise = measure_noise(samples, mean_levels(samples, found, threads=options.threads))
     if options.write_noise:
         said += noise_words(noise, describes=quality.describes)
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)

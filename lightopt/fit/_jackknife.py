@@ -16,7 +16,7 @@ from scipy.special import stdtrit
 
 from lightopt.fit._criterion import FIRST_GAIN
 from lightopt.fit._least_squares import LeastSquares
-from lightopt.fit._maximise import maximise
+from lightopt.fit._maximise import Maximum, maximise
 from lightopt.fit._samples import Samples
 
 __all__ = ["UNDETERMINED", "Jackknife", "leave_groups_out", "with_errors"]
@@ -43,11 +43,14 @@ class Jackknife:
         Number of groups and what they are, such as "12 lights".
     quantile
         Student's t of a two-sided 95 % interval for so many groups.
+    refits
+        Where the fits without one group each ended.
     """
 
     covariance: Float64
     of: str
     quantile: float
+    refits: tuple[Maximum, ...] = ()
 
 
 def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -> Jackknife:
@@ -63,13 +66,14 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     """
     by_light, by_piece = _by_light(criterion.samples), _by_piece(criterion.samples)
     label, of = next((one for one in (*by_light, by_piece) if _count(one[0]) >= LEAST_GROUPS), by_piece)
-    covariance, count, of = _scatter(criterion, x, free, label, of)
+    covariance, count, of, refits = _scatter(criterion, x, free, label, of)
     if any(place >= FIRST_GAIN for place in free) and label is not by_piece[0]:
         # at least as much as between pieces
-        pieces, _, _ = _scatter(criterion, x, free, *by_piece)
+        pieces, _, _, more = _scatter(criterion, x, free, *by_piece)
+        refits += more
         covariance = with_errors(covariance, np.sqrt(np.maximum(np.diag(covariance), np.diag(pieces))))
     quantile = float(stdtrit(max(count - 1, 1), 0.975))
-    return Jackknife(covariance=covariance, of=of, quantile=quantile)
+    return Jackknife(covariance=covariance, of=of, quantile=quantile, refits=refits)
 
 
 def with_errors(covariance: Float64, errors: Float64) -> Float64:
@@ -82,8 +86,8 @@ def with_errors(covariance: Float64, errors: Float64) -> Float64:
 
 def _scatter(
     criterion: LeastSquares, x: Float64, free: Sequence[int], label: NDArray[np.intp], of: str
-) -> tuple[Float64, int, str]:
-    # covariance, number of groups and what they are
+) -> tuple[Float64, int, str, tuple[Maximum, ...]]:
+    # covariance, number of groups and what they are, and where the fits ended
     count = _count(label)
     each = math.ceil(count / MOST_GROUPS)
     if each > 1:
@@ -92,10 +96,11 @@ def _scatter(
         count = _count(label)
     index = list(free)
     if count < 2:
-        return UNDETERMINED**2 * np.eye(len(index)), count, f"{count} {of}"
-    found = np.array([maximise(criterion.without(label == k), x, free).x[index] for k in range(count)])
+        return UNDETERMINED**2 * np.eye(len(index)), count, f"{count} {of}", ()
+    refits = tuple(maximise(criterion.without(label == k), x, free) for k in range(count))
+    found = np.array([refit.x[index] for refit in refits])
     off = found - found.mean(axis=0)
-    return (count - 1.0) / count * off.T @ off, count, f"{count} {of}"
+    return (count - 1.0) / count * off.T @ off, count, f"{count} {of}", refits
 
 
 def _count(label: NDArray[np.intp]) -> int:

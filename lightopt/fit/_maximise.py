@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightopt.fit._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion, Evaluation
 
-__all__ = ["Maximum", "bounds", "maximise", "newton_step"]
+__all__ = ["Maximum", "bounds", "has_settled", "maximise"]
 
 Float64 = NDArray[np.float64]
 
@@ -26,6 +26,9 @@ STALLED = 1e8
 STALL_TOLERANCE = 0.02
 """A climb whose steps had to be damped this much has nowhere to go. It has converged where an undamped step promises
 less than this [nat], a fifth of a standard error: a clipped level bends the criterion at single pixels."""
+
+SETTLED = 0.1
+"""Least squares have converged where no parameter has a step left of more than this share of its standard error."""
 
 LONGEST_STEP = 1.5
 """No logarithm changes by more than this in one step."""
@@ -107,7 +110,7 @@ def maximise(
             converged = True
             break
         gradient = here.gradient[moving]
-        step = newton_step(here, moving, damping)
+        step = _newton_step(here, moving, damping)
         # a step that is damped promises little because it is short
         if float(gradient @ step) < tolerance and (
             damping <= FREE_DAMPING or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
@@ -146,8 +149,30 @@ def _movable(
     return index[~stuck]
 
 
-def newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> Float64:
-    """Step of the parameters at `moving`; a damping of 1 halves it, or shortens it more along a ridge."""
+def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
+    """Whether a climb has converged, or the step that is left is small beside the standard errors.
+
+    A clipped level bends the criterion of least squares at single pixels, where what a step promises tells little.
+
+    Parameters
+    ----------
+    top
+        Where it ended.
+    free
+        Places of the parameters that were fitted.
+    errors
+        Their standard errors, shape (k,).
+    """
+    if top.converged:
+        return True
+    index = np.asarray(free, dtype=np.intp)
+    moving = (index != R_D) | (top.x[index] > 0.0) | (top.evaluation.gradient[index] > 0.0)
+    left = np.abs(_newton_step(top.evaluation, index[moving], 1e-6))
+    return bool(np.all(left < SETTLED * errors[moving]))
+
+
+def _newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> Float64:
+    # a damping of 1 halves it, or shortens it more along a ridge
     matrix = here.curvature[np.ix_(moving, moving)]
     diagonal = np.maximum(np.diag(matrix), 1e-9)
     step = np.linalg.solve(matrix + np.diag(damping * diagonal), here.gradient[moving])
@@ -156,4 +181,4 @@ def newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> F
 
 def _promise(here: Evaluation, moving: NDArray[np.intp]) -> float:
     # what a step that is hardly damped promises [nat]
-    return float(here.gradient[moving] @ newton_step(here, moving, 1e-6))
+    return float(here.gradient[moving] @ _newton_step(here, moving, 1e-6))

@@ -88,7 +88,7 @@ def refuse_other_images(
     quality: Quality,
     *,
     threads: int | None = None,
-) -> None:
+) -> bool:
     """Refuse images that do not show this part on this rig where its file has it.
 
     Parameters
@@ -100,23 +100,28 @@ def refuse_other_images(
     threads
         Number of threads; the result does not depend on it.
 
+    Returns
+    -------
+    bool
+        Whether the part's place is no reason for a poor fit: it was fitted, or no other place explains what is missed.
+
     Raises
     ------
     InputError
         With what would fit better: the part displaced, mirrored or turned images, exchanged lights.
     """
     if not quality.poor:
-        return
+        return world.registration is not None
     if world.registration is None:
         shift = find_displacement(world, samples, quality, threads=threads)
         if shift is not None:
             raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
     own = _agreement(samples, found, threads)
     if not own.foreign:
-        return
-    hint = _what_fits_better(samples, threads) or (
-        "check that rig, part, placement and postures are those of the images, or try --free shift where the part lies "
-        "a little off"
+        return True
+    hint = (
+        _what_fits_better(samples, threads)
+        or "check that rig, part, placement and postures are those of the images"
     )
     raise InputError(
         f"the images do not look like this part on this rig: {100.0 * quality.epsilon:.0f} % of the pixels are "

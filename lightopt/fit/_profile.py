@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.fit._criterion import R_D
-from lightopt.fit._estimate import Estimate
+from lightopt.fit._estimate import Estimate, Optimum
 from lightopt.fit._maximise import bounds, maximise
 
-__all__ = ["fall", "profile_interval"]
+__all__ = ["fall", "profile_interval", "profile_regions"]
 
 Float64 = NDArray[np.float64]
 
 ROUNDS = 16
 CLOSE = 0.02
 """An end is found when the likelihood falls by what it should to within this share, a hundredth of the interval."""
+
+SAME_REGION = 0.02
+"""Regions with a gap of less than this share of the longer one between them are one: ends are known no better."""
 
 FARTHEST = 12.0
 """An end that is this many standard errors away and still not found is not there: the images do not bound that side."""
@@ -26,7 +31,7 @@ FARTHEST = 12.0
 def profile_interval(estimate: Estimate, place: int) -> tuple[float, float]:
     """95 % interval of one parameter, in its own coordinate (R_d, ln R_s, ln σ, …); infinite where nothing bounds it.
 
-    The fall of the criterion that ends it is that of a right model times the inflation of the parameter's variance.
+    It reaches over all of :func:`profile_regions`, and what is between them.
 
     Parameters
     ----------
@@ -35,13 +40,72 @@ def profile_interval(estimate: Estimate, place: int) -> tuple[float, float]:
     place
         Of a parameter that was fitted.
     """
-    return _end(estimate, place, -1.0), _end(estimate, place, 1.0)
+    regions = profile_regions(estimate, place)
+    return regions[0][0], regions[-1][1]
 
 
-def _end(estimate: Estimate, place: int, sign: float) -> float:
+def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float], ...]:
+    """Values of one parameter that the criterion does not exclude: one interval for most images, ascending if more.
+
+    The fall of the criterion that ends a region is that of a right model times the inflation of the parameter's
+    variance. Regions are looked for around the estimate, around the other optima that are within that fall, and at the
+    points of the scan that are. Parameters as for :func:`profile_interval`.
+    """
+    target = estimate.critical * float(estimate.inflation[estimate.free.index(place)])
+    best = estimate.maximum.evaluation.value
+    regions = [_around(estimate, place, target)]
+    for other in estimate.optima[1:]:
+        drop = 2.0 * (best - other.value)
+        if drop < target:
+            at = float(other.x[place])
+            there = _at_optimum(estimate, other)
+            regions.append((at, at) if there is None else _around(there, place, target - drop))
+    # neighbours along the scan belong together
+    for within, run in itertools.groupby(estimate.scan, key=lambda point: point.fall < target):
+        if within:
+            values = [float(point.x[place]) for point in run]
+            regions.append((min(values), max(values)))
+    return _joined(regions)
+
+
+def _at_optimum(estimate: Estimate, other: Optimum) -> Estimate | None:
+    # as if the other optimum were the estimate, with the covariance that its own curvature has
+    if other.criterion is None:
+        return None
+    here = other.criterion.evaluate(other.x)
+    index = list(estimate.free)
+    curvature = here.curvature[np.ix_(index, index)]
+    size = np.sqrt(np.maximum(np.diag(curvature), 1e-12))
+    scaled = curvature / np.outer(size, size) + 1e-9 * np.eye(len(index))
+    return replace(
+        estimate,
+        x=other.x,
+        criterion=other.criterion,
+        maximum=replace(estimate.maximum, x=other.x, evaluation=here),
+        covariance=np.linalg.inv(scaled) / np.outer(size, size),
+    )
+
+
+def _joined(regions: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    joined: list[tuple[float, float]] = []
+    for low, high in sorted(regions):
+        if joined:
+            before = joined[-1]
+            longer = max(before[1] - before[0], high - low)
+            if low <= before[1] + (SAME_REGION * longer if math.isfinite(longer) else 0.0):
+                joined[-1] = before[0], max(before[1], high)
+                continue
+        joined.append((low, high))
+    return tuple(joined)
+
+
+def _around(estimate: Estimate, place: int, target: float) -> tuple[float, float]:
+    return _end(estimate, place, -1.0, target), _end(estimate, place, 1.0, target)
+
+
+def _end(estimate: Estimate, place: int, sign: float, target: float) -> float:
     best = float(estimate.x[place])
     i = estimate.free.index(place)
-    target = estimate.critical * float(estimate.inflation[i])
     expected = math.sqrt(target * float(estimate.covariance[i, i]))
     # distances from the maximum at which the likelihood has fallen too little and too much
     short, far, bounded = 0.0, math.inf, False

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._criterion import LOG_R_S, LOG_SIGMA
+from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA
 from lightopt.fit._estimate import Estimate, Interval
 from lightopt.fit._likelihood import predicted
 from lightopt.fit._noise import image_noise
@@ -22,11 +22,6 @@ MORE_NOISE = 1.5
 """Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are worth a word."""
 
 WIDE_INTERVAL = 0.02
-REASONS = (
-    "Possible reasons: another shape of the lobe or of the diffuse reflection, dirt, the mesh's normals, the part's "
-    "place (--free shift), a light's gain (--free gain), the dark level (--free dark), the number of points of the "
-    "panels"
-)
 STRONG_CORRELATION = 0.95
 
 
@@ -89,10 +84,10 @@ class Quality:
         }
 
 
-def appraise(samples: Samples, found: Estimate) -> Quality:
-    """Compare a fit with the pixels that it was made from."""
+def appraise(samples: Samples, found: Estimate, *, threads: int | None = None) -> Quality:
+    """Compare a fit with the pixels that it was made from; the result does not depend on the number of threads."""
     sensor = samples.sensor
-    mean = mean_levels(samples, found)
+    mean = mean_levels(samples, found, threads=threads)
     level = samples.level.astype(np.float64)
     seen = ~samples.saturated & (mean < sensor.saturated_from)
     residual = (level - np.maximum(mean, 0.0))[seen]
@@ -116,12 +111,14 @@ def appraise(samples: Samples, found: Estimate) -> Quality:
     )
 
 
-def mean_levels(samples: Samples, found: Estimate) -> NDArray[np.float64]:
+def mean_levels(samples: Samples, found: Estimate, *, threads: int | None = None) -> NDArray[np.float64]:
     """Sensor levels, not clipped, that a fit predicts for the observations, shape (N,)."""
-    return predicted(samples, samples.specular(found.sigma), found.x)
+    return predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
 
 
-def words(found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool) -> tuple[str, ...]:
+def words(
+    found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool, placed: bool
+) -> tuple[str, ...]:
     """What a person should know about a fit of R_s and σ beside its numbers.
 
     Parameters
@@ -132,8 +129,10 @@ def words(found: Estimate, quality: Quality, interval: Interval | None, *, short
         95 % of R_s [grey level].
     shorter
         Whether the images have more than one exposure already.
+    placed
+        As for :func:`poor_fit`.
     """
-    said: list[str] = list(poor_fit(found, quality))
+    said: list[str] = list(poor_fit(found, quality, placed=placed))
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
         low, high = interval or (found.R_s, found.R_s)
         width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
@@ -154,8 +153,16 @@ def words(found: Estimate, quality: Quality, interval: Interval | None, *, short
     return tuple(said)
 
 
-def poor_fit(found: Estimate, quality: Quality) -> tuple[str, ...]:
-    """What to say where the model does not describe the images, or the rig file their noise."""
+def poor_fit(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
+    """What to say where the model does not describe the images, or the rig file their noise.
+
+    Parameters
+    ----------
+    found, quality
+        The fit.
+    placed
+        Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
+    """
     said: list[str] = []
     if quality.image_noise > MORE_NOISE * quality.noise:
         said.append(
@@ -173,14 +180,31 @@ def poor_fit(found: Estimate, quality: Quality) -> tuple[str, ...]:
         )
         said.append(
             f"{left}. The values are those of least squares over all pixels, which predict such images best, and the "
-            f"intervals come from the scatter between {found.scatter}. {REASONS}"
+            f"intervals come from the scatter between {found.scatter}. {_reasons(found, placed=placed)}"
         )
     elif quality.poor:
         said.append(
             f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are unexplained, "
-            f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. {REASONS}"
+            f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. "
+            f"{_reasons(found, placed=placed)}"
         )
     return tuple(said)
+
+
+def _reasons(found: Estimate, *, placed: bool) -> str:
+    # what else may be wrong, without what was fitted already
+    samples = found.criterion.samples
+    lights = set(samples.facts.light[samples.image].tolist())
+    reasons = ["another shape of the lobe or of the diffuse reflection", "dirt", "the mesh's normals"]
+    if not placed:
+        reasons.append("the part's place (--free shift)")
+    # of one light alone R_d and R_s are its gain
+    if len(lights) > 1 and not any(FIRST_GAIN <= p < found.criterion.size - 2 for p in found.free):
+        reasons.append("a light's gain (--free gain)")
+    if DARK not in found.free:
+        reasons.append("the dark level (--free dark)")
+    reasons.append("the number of points of the panels")
+    return f"Possible reasons: {', '.join(reasons)}"
 
 
 def _rms(values: NDArray[np.float64]) -> float:

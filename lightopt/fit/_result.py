@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,13 +13,22 @@ from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.fit._estimate import Estimate, Interval
 from lightopt.fit._noise import MeasuredNoise
 from lightopt.fit._paper import PaperDiffuse, PaperSpecular
-from lightopt.fit._profile import profile_interval
+from lightopt.fit._profile import profile_regions
 from lightopt.fit._quality import Quality
 from lightopt.fit._regions import PointsRow
 from lightopt.fit._validate import LeftOut
 from lightopt.scene import Scene
 
-__all__ = ["FitResult", "FittedValue", "below_zero", "fitted_dark", "fitted_gains", "fitted_values"]
+__all__ = [
+    "FitResult",
+    "FittedValue",
+    "below_zero",
+    "fitted_dark",
+    "fitted_gains",
+    "fitted_values",
+    "interval_words",
+    "joined_regions",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,22 +47,29 @@ class FittedValue:
     interval
         95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value that was
         held or by a method that knows none.
+    regions
+        Those that the interval joins where values between them are excluded; none where there is only one.
     """
 
     name: str
     value: float
     standard_error: float = 0.0
     interval: Interval | None = None
+    regions: tuple[Interval, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
+        regions = {"regions_95": [_rounded(region) for region in self.regions]} if self.regions else {}
         return {
             "value": float(f"{self.value:.8g}"),
             "standard_error": float(f"{self.standard_error:.4g}") if self.standard_error else None,
-            "interval_95": None
-            if self.interval is None
-            else [None if end is None else float(f"{end:.8g}") for end in self.interval],
+            "interval_95": None if self.interval is None else _rounded(self.interval),
+            **regions,
         }
+
+
+def _rounded(interval: Interval) -> list[float | None]:
+    return [None if end is None else float(f"{end:.8g}") for end in interval]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,10 +144,11 @@ class FitResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the optimiser of every fit, and the search for the part's place, found no way to anything better."""
+        """Whether every fit, those of validation among them, and the search for the part's place did."""
         fits = [found for found in (self.first, self.estimate) if found is not None]
         placed = self.registration is None or self.registration.converged
-        return placed and not any(unconverged(found) for found in fits)
+        validated = all(left.converged for left in self.left_out)
+        return placed and validated and not any(unconverged(found) for found in fits)
 
     @property
     def placement(self) -> Placement | None:
@@ -206,6 +223,44 @@ def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Inter
     return low, high
 
 
+def interval_words(interval: Interval) -> str:
+    """An interval in words."""
+    low, high = interval
+    if low is None and high is None:
+        return "no bounds"
+    if high is None:
+        return f"from {low:.6g}, no upper bound"
+    if low is None:
+        return f"up to {high:.6g}, no lower bound"
+    return f"{low:.6g} to {high:.6g}"
+
+
+def joined_regions(values: Iterable[FittedValue]) -> tuple[str, ...]:
+    """What to say of values whose interval joins regions between which the images do not decide."""
+    several = [f"{v.name} {' or '.join(map(interval_words, v.regions))}" for v in values if v.regions]
+    if not several:
+        return ()
+    text = (
+        f"the images do not decide between separate ranges ({'; '.join(several)}): the 95 % intervals reach over all "
+        "of these, and values between them fit worse. Images under other lights, or at another exposure, may decide"
+    )
+    return (text,)
+
+
+def _fitted(
+    name: str, value: float, found: Estimate, place: int, of: Callable[[float], float], *, slope: float = 1.0
+) -> FittedValue:
+    # `of` makes the value of the parameter's coordinate, with about this slope
+    regions = tuple(bounded(ends, of) for ends in profile_regions(found, place))
+    return FittedValue(
+        name=name,
+        value=value,
+        standard_error=slope * found.standard_error(place),
+        interval=(regions[0][0], regions[-1][1]),
+        regions=regions if len(regions) > 1 else (),
+    )
+
+
 def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
     """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals.
 
@@ -222,9 +277,8 @@ def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, .
         if place not in found.free:
             values.append(FittedValue(name=name, value=value))
             continue
-        error = found.standard_error(place) * (value if log else 1.0)
-        interval = bounded(profile_interval(found, place), math.exp if log else float)
-        values.append(FittedValue(name=name, value=value, standard_error=error, interval=interval))
+        of, slope = (math.exp, value) if log else (float, 1.0)
+        values.append(_fitted(name, value, found, place, of, slope=slope))
     over = math.log(max(found.R_s / full_scale, 1e-300))
     if over > 0.0:
         angle = found.sigma * math.sqrt(2.0 * over)
@@ -248,11 +302,8 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
         if place not in found.free:
             gains[light.name] = FittedValue(name=light.name, value=value)
             continue
-        gains[light.name] = FittedValue(
-            name=light.name,
-            value=value,
-            standard_error=value * found.standard_error(place),
-            interval=bounded(profile_interval(found, place), lambda end, own=light.gain: own * math.exp(end)),
+        gains[light.name] = _fitted(
+            light.name, value, found, place, lambda end, own=light.gain: own * math.exp(end), slope=value
         )
     return gains
 
@@ -271,9 +322,4 @@ def below_zero(dark: FittedValue | None) -> tuple[str, ...]:
 def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
     """Black level of the sensor [sensor level], its own plus what was fitted."""
     black = scene.sensor.black_level
-    return FittedValue(
-        name="black_level",
-        value=float(black + found.x[DARK]),
-        standard_error=found.standard_error(DARK),
-        interval=bounded(profile_interval(found, DARK), lambda end: black + end),
-    )
+    return _fitted("black_level", float(black + found.x[DARK]), found, DARK, lambda end: black + end)

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
-from lightopt.fit._estimate import Estimate, Freed, Optimum, ScanPoint
+from lightopt.fit._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion
+from lightopt.fit._estimate import CHI2_95, Estimate, Freed, Optimum, ScanPoint
 from lightopt.fit._jackknife import UNDETERMINED, leave_groups_out, with_errors
 from lightopt.fit._lack_of_fit import LackOfFit, find_dust, measure_lack_of_fit
 from lightopt.fit._least_squares import LeastSquares, SpecularTable
 from lightopt.fit._likelihood import Likelihood, predicted
-from lightopt.fit._maximise import Maximum, maximise, newton_step
+from lightopt.fit._maximise import Maximum, has_settled, maximise
 from lightopt.fit._profile import fall
 from lightopt.fit._samples import Samples, thinned
 from lightopt.fit._scan import peaks, profile_outwards, profile_over_sigma
@@ -51,15 +51,12 @@ SAME_PEAK = 0.02
 """Climbs that end within this of ln σ have found the same."""
 
 CLOSE_CALL = 20.0
-"""Peaks of the scan within this of the best are decided on all samples [nat of those]."""
+"""Peaks and points of the scan that are within this of the best [nat] are looked at on all samples, which decide."""
 
 MOST_RESTARTS = 3
 
 ERROR_STEPS = (1.0, 0.3, 0.1)
 """How far from the best the fall of the criterion is looked at [standard errors]; the first that is within range."""
-
-SETTLED = 0.1
-"""Least squares have converged where no parameter has a step left of more than this share of its standard error."""
 
 HELD_SIGMA = 0.05
 """Width of a lobe that is not fitted and not said."""
@@ -94,6 +91,28 @@ class _Climbed:
         error = math.sqrt(self.covariance[i, i])
         wanted = error * max(TABLE_DEVIATIONS, TABLE_INTERVALS * math.sqrt(self.inflation[i]))
         return float(np.clip(wanted, NARROWEST_TABLE, WIDEST_TABLE))
+
+    @property
+    def reach(self) -> float:
+        """How far below this maximum something may be and still matter, for the intervals or by chance [nat]."""
+        return max(CLOSE_CALL, 0.5 * CHI2_95 * float(np.max(self.inflation, initial=1.0)))
+
+
+@dataclass(frozen=True)
+class _Found:
+    # an optimum of all samples, and the start of its climb; one far below the best is as the scan's pixels have it
+    start_sigma: float
+    maximum: Maximum
+    climbed: _Climbed | None
+
+    @property
+    def value(self) -> float:
+        return self.maximum.evaluation.value
+
+    @property
+    def optimum(self) -> Optimum:
+        criterion = None if self.climbed is None else self.climbed.likelihood
+        return _optimum(self.start_sigma, self.maximum, criterion)
 
 
 @dataclass(frozen=True)
@@ -199,7 +218,10 @@ def refine(
     few = thinned(samples, _scan_budget(samples))
     criterion = LeastSquares(few, SpecularTable(few, threads=threads), threads=threads)
     criterion = criterion.without(find_dust(few, predicted(few, criterion.light(start.x), start.x)))
-    return replace(start, x=maximise(criterion, start.x, free).x, free=free, criterion=criterion)
+    top = maximise(criterion, start.x, free)
+    errors = np.array([start.standard_error(place) for place in free])
+    top = replace(top, converged=has_settled(top, free, errors))
+    return replace(start, x=top.x, free=free, criterion=criterion, maximum=top, optima=())
 
 
 def _least_squares(
@@ -261,11 +283,7 @@ def _by_least_squares(
     alone = np.sqrt(1.0 / np.maximum(np.diag(best.evaluation.curvature)[list(plain)], 1e-300))
     errors = np.clip(np.maximum(spread, alone), 0.0, UNDETERMINED)
     covariance = with_errors(scatter.covariance, errors)
-    if not best.converged:
-        # a clipped level bends the criterion at single pixels: what counts is the step that is left, in standard errors
-        moving = np.array([place for place in plain if place != R_D or best.x[R_D] > 0.0])
-        left = np.abs(newton_step(best.evaluation, moving, 1e-6)) / errors[np.isin(plain, moving)]
-        best = replace(best, converged=bool(np.all(left < SETTLED)))
+    best = replace(best, converged=has_settled(best, plain, errors))
     # the noise that the likelihood would see around this reflectance, for figures that are compared
     log_sigma = np.array([best.x[LOG_SIGMA]])
     light = samples.specular(math.exp(log_sigma[0]), threads=threads)
@@ -279,12 +297,16 @@ def _by_least_squares(
         critical=scatter.quantile**2,
         criterion=criterion,
         maximum=best,
-        scan=_scan_points(squares.profile, best),
-        optima=_optima([(squares.climbs[0][0], best), *squares.climbs[1:]]),
+        scan=_scan_points([*squares.profile, best]),
+        optima=tuple(
+            _optimum(start, top, criterion)
+            for start, top in ((squares.climbs[0][0], best), *squares.climbs[1:])
+        ),
         mean_log_likelihood=noise.evaluation.value / max(1, len(samples.sample)),
         unexplained=_share(noise.x),
         lack_of_fit=squares.lack_of_fit,
         scatter=scatter.of,
+        unsettled_refits=sum(not has_settled(refit, plain, errors) for refit in scatter.refits),
     )
     # a standard error is where the criterion has fallen by this: 1 for a model that is right
     inflation = np.ones(len(plain))
@@ -342,30 +364,69 @@ def _by_likelihood(
 
     tops = _climbed(profile, climb)
     report("refining", 0.2)
-    best = tops[0][1].evaluation.value
-    close = [top for _, top in tops if best - top.evaluation.value < CLOSE_CALL]
-    finals = [_final(samples, coarse[id(top)], threads) for top in close]
-    final = max(finals, key=lambda one: one.value)
+    final, optima = _best_first(
+        _on_samples(samples, [(start, coarse[id(top)]) for start, top in tops], threads)
+    )
     report("refining", 0.9)
-    found = _of_likelihood(final, ())
     scan, better = _profile_on_samples(samples, few, profile, final, threads)
     for _ in range(MOST_RESTARTS):
         if better is None:
             break
-        final = _final(samples, _climb(few, better, free, USUAL_TABLE, threads), threads, start=better)
-        found = _of_likelihood(final, ())
+        again = _final(samples, _climb(few, better, free, USUAL_TABLE, threads), threads, start=better)
+        start = math.exp(better[LOG_SIGMA])
+        final, optima = _best_first([*optima, _Found(start, again.maximum, again)])
         scan, better = _profile_on_samples(samples, few, profile, final, threads)
+    found = _of_likelihood(final, ())
     if better is not None:  # there is something better still: said, and not passed for the best
         found = replace(found, maximum=replace(found.maximum, converged=False))
-        scan = _scan_points(profile, None)
+        scan = _scan_points(profile, share=_share_of(few, samples))
     report("refining", 1.0)
     return replace(
         found,
         scan=scan,
-        optima=_optima(tops),
+        optima=tuple(one.optimum for one in optima),
         unexplained=max(found.unexplained, _share(tops[0][1].x)),
         lack_of_fit=squares.lack_of_fit,
     )
+
+
+def _on_samples(
+    samples: Samples, tops: Sequence[tuple[float, _Climbed]], threads: int | None
+) -> list[_Found]:
+    # optima of the scan's pixels, the best first, as optima of all samples. One that is far below stays where it is,
+    # with the value that all samples have there, unless that is not far below
+    best = tops[0][1].value
+    close = [(start, top) for start, top in tops if best - top.value < CLOSE_CALL]
+    finals = [(start, _final(samples, top, threads)) for start, top in close]
+    found = [_Found(start, final.maximum, final) for start, final in finals]
+    least = max(final.value - final.reach for _, final in finals)
+    for start, top in tops[len(close) :]:
+        there = _best_at(samples, top.maximum.x, top.free, threads)
+        if there.evaluation.value > least:
+            final = _final(samples, top, threads)
+            found.append(_Found(start, final.maximum, final))
+        else:
+            found.append(_Found(start, replace(there, converged=top.maximum.converged), None))
+    return found
+
+
+def _best_first(found: Sequence[_Found]) -> tuple[_Climbed, list[_Found]]:
+    # the best of all, and all from the best on, without those that have ended where a better one did
+    kept: list[_Found] = []
+    for one in sorted(found, key=lambda one: -one.value):
+        at = one.maximum.x[LOG_SIGMA]
+        if all(abs(at - other.maximum.x[LOG_SIGMA]) > SAME_PEAK for other in kept):
+            kept.append(one)
+    best = kept[0].climbed
+    assert best is not None  # one that is not far below has been climbed to
+    return best, kept
+
+
+def _best_at(samples: Samples, x: Float64, free: Sequence[int], threads: int | None) -> Maximum:
+    # the best of all other parameters at the σ of `x`
+    light = samples.specular(math.exp(x[LOG_SIGMA]), threads=threads)
+    likelihood = Likelihood(samples, x[LOG_SIGMA : LOG_SIGMA + 1], light[:, None], threads=threads)
+    return maximise(likelihood, x, [place for place in free if place != LOG_SIGMA])
 
 
 def _final(
@@ -381,58 +442,47 @@ def _final(
 def _profile_on_samples(
     samples: Samples, few: Samples, profile: Sequence[Maximum], final: _Climbed, threads: int | None
 ) -> tuple[tuple[ScanPoint, ...], Float64 | None]:
-    # The profile of the scan's pixels with the estimate itself on it. Where those pixels prefer another σ, all samples
-    # decide: they either have something better to climb from, or say how much worse it is.
+    # The profile of the scan's pixels with the estimate itself on it. Where those pixels do not surely prefer the
+    # estimate, all samples decide: they either have something better to climb from, or say how much worse it is.
+    share = _share_of(few, samples)
     if LOG_SIGMA not in final.free:
-        return _scan_points(profile, None), None
-    fixed = [place for place in final.free if place != LOG_SIGMA]
-
-    def best_at(some: Samples, x: Float64) -> Maximum:
-        light = some.specular(math.exp(x[LOG_SIGMA]), threads=threads)
-        return maximise(
-            Likelihood(some, x[LOG_SIGMA : LOG_SIGMA + 1], light[:, None], threads=threads), x, fixed
-        )
-
-    here = best_at(few, final.maximum.x)
+        return _scan_points([replace(profile[0], x=final.maximum.x)]), None
+    here = _best_at(few, final.maximum.x, final.free, threads)
     value = here.evaluation.value
-    share = len(few.sample) / max(1, len(samples.sample))
-    shown: list[Maximum] = [here]
+    near = max(CLOSE_CALL, share * final.reach)
+    shown: list[Maximum] = [replace(here, x=final.maximum.x)]
     for point in profile:
-        if point.evaluation.value >= value:
-            whole = best_at(samples, point.x)
+        if point.evaluation.value > value - near:
+            whole = _best_at(samples, point.x, final.free, threads)
             if whole.evaluation.value > final.value:
                 return (), whole.x
             worse = share * (final.value - whole.evaluation.value)
-            point = replace(point, evaluation=replace(point.evaluation, value=value - worse))
+            point = replace(whole, evaluation=replace(whole.evaluation, value=value - worse))
         shown.append(point)
-    shown.sort(key=lambda one: one.x[LOG_SIGMA])
-    return _scan_points(shown, None), None
+    return _scan_points(shown, share=share), None
 
 
-def _scan_points(profile: Sequence[Maximum], best: Maximum | None) -> tuple[ScanPoint, ...]:
+def _scan_points(profile: Sequence[Maximum], *, share: float = 1.0) -> tuple[ScanPoint, ...]:
+    # `share` of the observations that the estimate is from are in the profile's criterion
+    best = max(one.evaluation.value for one in profile)
     points = [
-        ScanPoint(
-            sigma=math.exp(one.x[LOG_SIGMA]),
-            R_d=float(one.x[R_D]),
-            R_s=math.exp(one.x[LOG_R_S]),
-            value=one.evaluation.value,
-        )
-        for one in (*profile, *(() if best is None else (best,)))
+        ScanPoint(x=one.x, value=one.evaluation.value, fall=2.0 * (best - one.evaluation.value) / share)
+        for one in profile
     ]
     return tuple(sorted(points, key=lambda point: point.sigma))
 
 
-def _optima(climbs: Sequence[tuple[float, Maximum]]) -> tuple[Optimum, ...]:
-    return tuple(
-        Optimum(
-            start_sigma=start,
-            sigma=math.exp(top.x[LOG_SIGMA]),
-            R_d=float(top.x[R_D]),
-            R_s=math.exp(top.x[LOG_R_S]),
-            value=top.evaluation.value,
-            converged=top.converged,
-        )
-        for start, top in climbs
+def _share_of(few: Samples, samples: Samples) -> float:
+    return len(few.sample) / max(1, len(samples.sample))
+
+
+def _optimum(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:
+    return Optimum(
+        start_sigma=start_sigma,
+        x=top.x,
+        value=top.evaluation.value,
+        converged=top.converged,
+        criterion=criterion,
     )
 
 

@@ -87,6 +87,8 @@ class LeftOut:
         As fitted to the other lights.
     images
         Of the light.
+    converged
+        Whether the fit to the others did.
     """
 
     light: str
@@ -94,6 +96,7 @@ class LeftOut:
     R_s: float
     sigma: float
     images: tuple[Comparison, ...]
+    converged: bool = True
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -102,6 +105,7 @@ class LeftOut:
             "R_d": float(f"{self.R_d:.6g}"),
             "R_s": float(f"{self.R_s:.6g}"),
             "sigma_rad": float(f"{self.sigma:.6g}"),
+            "converged": self.converged,
             "images": [image.as_dict() for image in self.images],
         }
 
@@ -156,6 +160,7 @@ def leave_lights_out(
                 R_s=fitted.R_s,
                 sigma=fitted.sigma,
                 images=tuple(comparisons),
+                converged=fitted.maximum.converged,
             )
         )
         if progress is not None:
@@ -167,14 +172,20 @@ def unseen(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
     """What a person should know of the predictions of lights that were left out; the sensor is the images'."""
     if not left_out:
         return ("one light alone cannot be left out: not validated",)
+    said: list[str] = []
+    unsettled = [left.light for left in left_out if not left.converged]
+    if unsettled:
+        said.append(
+            f"{len(unsettled)} of the {len(left_out)} fits without one light each did not converge (without "
+            f"{', '.join(unsettled)}): how well they predict its images says little"
+        )
     worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms_sensor)
-    if worst.rms_sensor <= POOR_SHARE * sensor.max_level:
-        return ()
-    text = (
-        f"{worst.image}, predicted from the other lights, is {worst.rms_sensor:.3g} sensor levels rms off "
-        f"({worst.rms:.3g} grey levels at exposure 1): do not rely on predicted images of this surface"
-    )
-    return (text,)
+    if worst.rms_sensor > POOR_SHARE * sensor.max_level:
+        said.append(
+            f"{worst.image}, predicted from the other lights, is {worst.rms_sensor:.3g} sensor levels rms off "
+            f"({worst.rms:.3g} grey levels at exposure 1): do not rely on predicted images of this surface"
+        )
+    return tuple(said)
 
 
 def compare_image(

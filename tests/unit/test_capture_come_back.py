@@ -80,12 +80,13 @@ def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(
     world = replace(scene, reflectance=replace(scene.reflectance, **reflectance))
     same = looked_again(scene, world, 0.0, 0.0)
     assert same is not None
-    assert same.off is None
+    assert (same.off, same.converged) == (None, True)
     assert max(abs(same.tilt_deg), abs(same.turn_deg)) < 0.1
     for tilt, turn in ((1.0, 0.0), (0.0, -1.0)):
         found = looked_again(scene, world, tilt, turn)
         assert found is not None
         assert found.off is not None
+        assert found.converged
         assert (found.tilt_deg, found.turn_deg) == pytest.approx((tilt, turn), abs=0.7)
         assert ("elevation" if tilt else "rotation") in found.off
 
@@ -112,6 +113,9 @@ def test_what_cannot_be_seen_is_said_to_be_so() -> None:
     unsure = CameBack(tilt_deg=0.9, turn_deg=2.0, tilt_error_deg=0.01, turn_error_deg=0.7)
     assert unsure.off == "its elevation by roughly +0.9°"
     assert unsure.unseen == "rotation"
+    lost = replace(unsure, converged=False)
+    assert lost.off is None
+    assert lost.as_dict()["converged"] is False
     scene = scene_of("cover-knob.yaml")
     dark = np.zeros((300, 400), np.uint8)
     assert came_back(dark, dark, light="light1", posture=POSTURE, scene=scene) is None

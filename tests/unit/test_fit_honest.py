@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,12 +12,31 @@ import pytest
 
 from lightopt import load_rig
 from lightopt.errors import InputError
-from lightopt.fit import FIRST_GAIN, LOG_SIGMA, R_D, FittedValue, _fit, _search
-from lightopt.fit._checks import refuse_out_of_range
+from lightopt.fit import (
+    DARK,
+    FIRST_GAIN,
+    LOG_SIGMA,
+    R_D,
+    Comparison,
+    Estimate,
+    FitResult,
+    FittedValue,
+    LeftOut,
+    Optimum,
+    ScanPoint,
+    _fit,
+    _search,
+    interval_words,
+    profile_interval,
+    profile_regions,
+)
+from lightopt.fit._checks import refuse_out_of_range, unconverged
 from lightopt.fit._criterion import Evaluation, parameter_name
-from lightopt.fit._maximise import maximise
-from lightopt.fit._result import bounded
+from lightopt.fit._maximise import has_settled, maximise
+from lightopt.fit._quality import poor_fit
+from lightopt.fit._result import bounded, joined_regions
 from lightopt.fit._scan import peaks, profile_over_sigma
+from lightopt.fit._validate import unseen
 
 
 class Landscape:
@@ -74,6 +94,48 @@ def test_too_few_steps_have_not_converged():
     assert parameter_name(found.unsettled[0], ("one",)) == "R_d"
 
 
+def test_a_step_that_is_short_beside_the_standard_error_is_none():
+    found = maximise(Landscape(lambda x: -((x[R_D] - 3.0) ** 4)), at(-9.0, -2.0), [R_D], most_steps=3)
+    left = abs(float(found.evaluation.gradient[R_D])) / 4.0  # by a curvature of 4
+    assert not has_settled(found, [R_D], np.array([9.0 * left]))
+    assert has_settled(found, [R_D], np.array([11.0 * left]))
+
+
+def test_fits_without_a_light_that_did_not_converge_are_counted_and_named():
+    """Those that intervals come from, and those of validation."""
+    found = SimpleNamespace(
+        maximum=SimpleNamespace(converged=True), unsettled_refits=3, scatter="12 lights", optima=()
+    )
+    (said,) = unconverged(found)
+    assert said.startswith("3 of the fits without one of the 12 lights each did not converge")
+    image = Comparison(image="a", rms=1.0, rms_sensor=1.0, iou=None, border=None, area=0, predicted_area=0)
+    left_out = tuple(
+        LeftOut(light=name, R_d=45.0, R_s=1.0, sigma=0.1, images=(image,), converged=name != "two")
+        for name in ("one", "two")
+    )
+    (said,) = unseen(left_out, SimpleNamespace(max_level=255))
+    assert "1 of the 2 fits without one light each did not converge (without two)" in said
+    assert left_out[1].as_dict()["converged"] is False
+    result = FitResult(
+        kind="specular", method="likelihood", points=4, values=(), fitted=(), left_out=left_out
+    )
+    assert not result.converged
+    assert replace(result, left_out=left_out[:1]).converged
+
+
+def test_the_optimum_of_the_most_value_on_all_samples_is_the_best():
+    """Whatever the few pixels of the scan prefer; climbs that ended in the same place are one."""
+
+    def found(log_sigma, value, *, far=False):
+        top = SimpleNamespace(x=at(1.0, log_sigma), evaluation=SimpleNamespace(value=value))
+        return _search._Found(0.1, top, None if far else SimpleNamespace(maximum=top))
+
+    ends = [found(-3.0, 5.0), found(-2.0, 9.0), found(-2.01, 8.0), found(-1.0, -99.0, far=True)]
+    best, kept = _search._best_first(ends)
+    assert best.maximum is ends[1].maximum
+    assert [one.value for one in kept] == [9.0, 5.0, -99.0]
+
+
 def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
     def value(x):
         ln = x[LOG_SIGMA]
@@ -118,11 +180,118 @@ def test_an_end_that_nothing_bounds_is_none():
 
 
 def test_it_is_said_in_words():
-    from lightopt.cli._fit import _in_words
+    assert interval_words((0.0444, None)) == "from 0.0444, no upper bound"
+    assert interval_words((None, 3.0)) == "up to 3, no lower bound"
+    assert interval_words((1.0, 2.0)) == "1 to 2"
 
-    assert _in_words((0.0444, None)) == "from 0.0444, no upper bound"
-    assert _in_words((None, 3.0)) == "up to 3, no lower bound"
-    assert _in_words((1.0, 2.0)) == "1 to 2"
+
+# --- reasons of a poor fit
+
+
+def poor(*, free=(), lights=(0, 1)):
+    """A fit to images of some lights that the model does not describe."""
+    light = np.array(lights)
+    samples = SimpleNamespace(facts=SimpleNamespace(light=light), image=np.arange(len(light)))
+    criterion = SimpleNamespace(samples=samples, size=FIRST_GAIN + 2 + 2)
+    found = SimpleNamespace(
+        free=(R_D, *free), criterion=criterion, scatter="4 lights", lack_of_fit=None, describes=False
+    )
+    quality = SimpleNamespace(noise=1.0, image_noise=1.0, describes=False, misfit=4.0, rms=4.0)
+    return found, quality
+
+
+def test_only_what_was_not_fitted_is_a_possible_reason():
+    everything = ("--free shift", "--free gain", "--free dark")
+    for options, placed, left in (
+        ({}, False, everything),
+        ({}, True, ("--free gain", "--free dark")),
+        ({"free": (DARK,)}, False, ("--free shift", "--free gain")),
+        ({"free": (FIRST_GAIN + 1,)}, True, ("--free dark",)),
+        ({"lights": (1, 1)}, True, ("--free dark",)),
+    ):
+        (said,) = poor_fit(*poor(**options), placed=placed)
+        assert "dirt, the mesh's normals" in said
+        assert [option for option in everything if option in said] == list(left)
+
+
+# --- intervals over several optima
+
+FIRST, SECOND = -3.0, -1.5
+
+
+def two_optima(drop):
+    """A criterion of ln σ with two parabolas, the second `drop` below the first: twice the fall; and its estimate."""
+
+    def value(x):
+        ln = x[LOG_SIGMA]
+        return -min(200.0 * (ln - FIRST) ** 2, 200.0 * (ln - SECOND) ** 2 + 0.5 * drop)
+
+    criterion = Landscape(value, bend=400.0)
+    tops = [maximise(criterion, at(0.0, start), [LOG_SIGMA]) for start in (FIRST - 0.05, SECOND + 0.05)]
+    optima = tuple(
+        Optimum(
+            start_sigma=0.1, x=top.x, value=top.evaluation.value, converged=top.converged, criterion=criterion
+        )
+        for top in tops
+    )
+    return Estimate(
+        x=tops[0].x,
+        free=(LOG_SIGMA,),
+        covariance=np.array([[1.0 / 400.0]]),
+        inflation=np.ones(1),
+        criterion=criterion,
+        maximum=tops[0],
+        scan=(),
+        optima=optima,
+        mean_log_likelihood=0.0,
+        unexplained=0.0,
+    )
+
+
+def half(fall):
+    """From a maximum to where twice the criterion has fallen by so much."""
+    return math.sqrt(fall / 400.0)
+
+
+def test_an_interval_reaches_over_an_optimum_that_the_images_do_not_exclude():
+    found = two_optima(1.0)
+    critical = found.critical
+    first, second = profile_regions(found, LOG_SIGMA)
+    assert first == (
+        pytest.approx(FIRST - half(critical), abs=2e-3),
+        pytest.approx(FIRST + half(critical), abs=2e-3),
+    )
+    assert second == (
+        pytest.approx(SECOND - half(critical - 1.0), abs=2e-3),
+        pytest.approx(SECOND + half(critical - 1.0), abs=2e-3),
+    )
+    assert profile_interval(found, LOG_SIGMA) == (first[0], second[1])
+    value = FittedValue(
+        name="sigma_rad",
+        value=found.sigma,
+        interval=bounded((first[0], second[1]), math.exp),
+        regions=tuple(bounded(ends, math.exp) for ends in (first, second)),
+    )
+    assert len(value.as_dict()["regions_95"]) == 2
+    (said,) = joined_regions([value])
+    assert "do not decide between separate ranges (sigma_rad 0.045" in said
+
+
+def test_an_interval_does_not_reach_over_one_that_they_do():
+    found = two_optima(4.0)
+    assert profile_regions(found, LOG_SIGMA) == (profile_interval(found, LOG_SIGMA),)
+    assert profile_interval(found, LOG_SIGMA)[1] == pytest.approx(FIRST + half(found.critical), abs=2e-3)
+    wide = replace(found, inflation=np.array([1.1]))
+    assert profile_interval(wide, LOG_SIGMA)[1] > SECOND
+
+
+def test_an_interval_reaches_every_point_of_the_scan_that_is_not_excluded():
+    row = [(-3.3, 36.0), (-3.05, 1.0), (-2.7, 36.0), (-1.6, 2.0), (-1.4, 3.0), (-1.2, 50.0)]
+    scan = tuple(ScanPoint(x=at(0.0, ln), value=-0.5 * fall, fall=fall) for ln, fall in row)
+    found = replace(two_optima(1.0), optima=(), scan=scan)
+    first, second = profile_regions(found, LOG_SIGMA)
+    assert first[1] == pytest.approx(FIRST + half(found.critical), abs=2e-3)
+    assert second == (-1.6, -1.4)
 
 
 # --- on the command line
@@ -262,5 +431,10 @@ def test_the_profile_that_is_drawn_peaks_at_the_reported_value(cli, bench, noisy
         assert fit(cli, bench, noisy, out, *more).status == 0
         figures = json.loads((out / "fit.json").read_text())
         drawn = min(figures["ridge"], key=lambda point: point["twice_log_likelihood_below_best"])
-        assert drawn["sigma_rad"] == figures["values"]["sigma_rad"]["value"]
+        sigma = figures["values"]["sigma_rad"]["value"]
+        assert drawn["sigma_rad"] == sigma
+        assert figures["optima"][0]["sigma"] == sigma
+        assert figures["optima"][0]["R_s"] == figures["values"]["R_s"]["value"]
+        compared = [optimum["value"] for optimum in figures["optima"]]
+        assert compared == sorted(compared, reverse=True)
         assert figures["converged"] is True

@@ -71,6 +71,7 @@ def test_the_scatter_of_a_mean_is_that_of_the_means_of_the_lights(lights):
     assert found.of == f"{lights} lights"
     assert found.covariance[0, 0] == pytest.approx(np.var(of_lights, ddof=1) / lights, rel=0.01)
     assert found.quantile == pytest.approx(float(stdtrit(lights - 1, 0.975)))
+    assert [refit.converged for refit in found.refits] == [True] * lights
 
 
 def test_many_lights_share_groups_and_it_is_said():

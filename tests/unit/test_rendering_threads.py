@@ -6,7 +6,11 @@ import time
 
 import pytest
 
-from lightopt.rendering import _threads, end_if_stopped, in_threads, run_all
+from lightopt import build_scene, load_part, load_rig
+from lightopt.align import read_observations
+from lightopt.align._coarse import coarse_pixels, refuse_useless_images
+from lightopt.images import read_image_set
+from lightopt.rendering import _images, _threads, cast_rays_at, end_if_stopped, in_threads, run_all
 
 
 def endless() -> None:
@@ -51,18 +55,27 @@ def test_nobody_is_stopped_elsewhere():
 
 @pytest.mark.slow
 def test_one_thread_is_one_thread_whatever_is_done(cli, bench, monkeypatch):
-    """With --threads 1 no pool has more, not even the one that reads images."""
+    """With --threads 1 no work is spread over the machine's processors, not even the reading of images."""
     images = bench.folder / "images"
     ran = cli("render", bench.rig, bench.part, "-o", images, "--posture", "0,0", "--patches", "500", "-q")
     assert ran.status == 0, ran.err
-    plain = _threads.ThreadPoolExecutor
 
-    def pool(threads, **options):
-        assert threads == 1
-        return plain(threads, **options)
+    def all_of_them():
+        raise AssertionError("work was spread over all the machine's processors")
 
-    monkeypatch.setattr(_threads, "ThreadPoolExecutor", pool)
-    monkeypatch.setattr(_threads, "available_processors", lambda: 2)
-    few = ("--threads", "1", "-q")
+    # whether or not these few pixels are more than one piece of work
+    for module in (_threads, _images):
+        monkeypatch.setattr(module, "available_processors", all_of_them)
+    few = ("--threads", "1", "--pixels", "2000", "-q")
     ran = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.out, *few)
     assert ran.status == 0, ran.err
+    ran = cli(
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.folder / "specular", "--joint", *few
+    )  # fmt: skip
+    assert ran.status == 0, ran.err
+    observations = read_observations(
+        read_image_set(images), load_rig(bench.rig), load_part(bench.part), threads=1
+    )
+    scene = build_scene(bench.rig, bench.part)
+    sets = coarse_pixels(scene, observations)
+    refuse_useless_images(scene, sets, observations, caster=cast_rays_at(scene), threads=1)
