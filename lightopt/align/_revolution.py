@@ -32,10 +32,15 @@ DEPTH_FACTOR = 3.0
 sections); those of spheres of even triangles by up to 2.6."""
 
 NORMAL_FACTOR = 0.5
-"""Interpolated normals are off by up to a third of the angle that a facet spans (measured likewise)."""
+"""Interpolated normals are off by up to a third of the angle that a facet spans about the axis (measured likewise)."""
 
-LEAST_DEPTH_PX, LEAST_ANGLE = 0.01, math.radians(0.05)
-"""Differences of depth [px] and of normals [rad] up to these are none."""
+CURVED_FACTOR = 0.15
+"""And, where facets are of unequal shapes, by up to a tenth of the angle between the normals of their corners (measured
+on a torus and on fillets of a knob as they are found in the wild)."""
+
+LEAST_DEPTH_PX, LEAST_ANGLE = 0.1, math.radians(0.05)
+"""Differences of depth [px] and of normals [rad] up to these are none: light depends on normals, on depth by parallax
+alone."""
 
 AXIS_PRIOR = 1e-4
 """Weight of the part's middle for the axis, against normals: flat surface has no axis of its own."""
@@ -47,9 +52,9 @@ def hidden_turns(
     """Directions of poses, shape (u, 3), u = 0 or 1, in which a turn changes nothing but facets at the given pixels.
 
     The part is turned about its middle, and about the axis to which its normals point. A pixel sees the same surface
-    where its depth along the normal and its normal differ by no more than two facets of the same azimuthal extent may
-    be off a common body of revolution: r (1 − cos Δφ/2) and Δφ/2. One pixel that sees more, such as a flat, a key, a
-    hole, or nothing, makes the turn visible.
+    where its depth along the normal and its normal differ by no more than two facets may be off a common body of
+    revolution: r (1 − cos Δφ/2) of their azimuthal extent Δφ; Δφ/2, or a share of the angle between the normals of
+    their corners. One pixel that sees more, such as a flat, a key, a hole, or nothing, makes the turn visible.
 
     Parameters
     ----------
@@ -80,13 +85,15 @@ def hidden_turns(
 class _Surface:
     """What n pixels see: points from the part's middle and normals, axes of the part; how far off facets may be.
 
-    `depth` is the chord error [mm], `angle` the azimuthal extent [rad] of the facets, shape (n,).
+    `depth` is the chord error [mm], `angle` the azimuthal extent, `bend` the greatest difference of corners' normals
+    [rad] of the facets, shape (n,).
     """
 
     points: Float64
     normals: Float64
     depth: Float64
     angle: Float64
+    bend: Float64
 
     def turned(self, about: Float64, foot: Float64) -> _Surface:
         """Turned about the vertical axis through a point."""
@@ -100,9 +107,10 @@ def _differ(before: _Surface, after: _Surface, least_depth: float) -> bool:
     slope = np.hypot(before.normals[:, 0], before.normals[:, 1])
     depth = DEPTH_FACTOR * slope * np.minimum(before.depth, after.depth)
     angle = NORMAL_FACTOR * slope * np.minimum(before.angle, after.angle)
+    angle += CURVED_FACTOR * np.minimum(before.bend, after.bend)
     off = np.abs(np.einsum("ij,ij->i", after.points - before.points, before.normals))
-    bend = np.linalg.norm(after.normals - before.normals, axis=1)
-    return bool(np.any((off > depth + least_depth) | (bend > angle + LEAST_ANGLE)))
+    differ = np.linalg.norm(after.normals - before.normals, axis=1)
+    return bool(np.any((off > depth + least_depth) | (differ > angle + LEAST_ANGLE)))
 
 
 class _Pixels:
@@ -120,18 +128,22 @@ class _Pixels:
         hits, surface = trace_samples(self._caster, self._scene.mesh, view.camera, *self._pixels.positions)
         return _Surface(surface.points - self._middle, surface.normals, *self._facets(hits.face))
 
-    def _facets(self, face: NDArray[np.int32]) -> tuple[Float64, Float64]:
-        # chord error r (1 − cos Δφ/2) [mm] and azimuthal extent Δφ [rad] of facets; a corner on the axis has no azimuth
+    def _facets(self, face: NDArray[np.int32]) -> tuple[Float64, Float64, Float64]:
+        # of facets: chord error r (1 − cos Δφ/2) [mm], azimuthal extent Δφ [rad], and how far their normals bend [rad]
         mesh = self._scene.mesh
+        assert mesh.normals is not None
+        normals = mesh.normals[mesh.faces[face]]
         corners = (mesh.vertices[mesh.faces[face]] - self._middle)[:, :, :2]
         radius = np.linalg.norm(corners, axis=2)
+        # a corner on the axis has no azimuth
         off = radius > 1e-6 * self._frame.radius
         unit = corners / np.where(off, radius, 1.0)[:, :, None]
-        angle = np.zeros(len(face))
+        angle, bend = np.zeros(len(face)), np.zeros(len(face))
         for a, b in ((0, 1), (1, 2), (2, 0)):
             cosine = np.clip(np.einsum("ij,ij->i", unit[:, a], unit[:, b]), -1.0, 1.0)
             angle = np.maximum(angle, np.where(off[:, a] & off[:, b], np.arccos(cosine), 0.0))
-        return radius.max(axis=1, initial=0.0) * (1.0 - np.cos(0.5 * angle)), angle
+            bend = np.maximum(bend, np.linalg.norm(normals[:, a] - normals[:, b], axis=1))
+        return radius.max(axis=1, initial=0.0) * (1.0 - np.cos(0.5 * angle)), angle, bend
 
 
 def _changes(

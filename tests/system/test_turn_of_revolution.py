@@ -56,6 +56,22 @@ def with_dimple(sections, depth):
     return trimesh.Trimesh(vertices, mesh.faces, process=False)
 
 
+def torus_of_unequal_facets(seed=0):
+    # as tessellators may leave it: corners anywhere near their places, always on the surface
+    mesh, rng = (
+        trimesh.creation.torus(9.0, 4.0, major_sections=120, minor_sections=60),
+        np.random.default_rng(seed),
+    )
+    x, y, z = mesh.vertices.T
+    about, across = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y) - 9.0)
+    about, across = (
+        a + rng.uniform(-0.1, 0.1, len(a)) * 2.0 * math.pi / n for a, n in ((about, 120), (across, 60))
+    )
+    radius = 9.0 + 4.0 * np.cos(across)
+    mesh.vertices = np.stack([radius * np.cos(about), radius * np.sin(about), 4.0 * np.sin(across)], axis=1)
+    return mesh
+
+
 def ring(sections):
     # with a bore: its floor is not there
     return revolved(sections, [[3, 0], [12, 0], [12, 4], [6, 8], [3, 8], [3, 0]])
@@ -102,8 +118,21 @@ def turns_of(scene, pose=(0.0, 0.0, 0.0)):
         lambda: trimesh.creation.cylinder(12.0, 6.0, sections=48),
         lambda: trimesh.creation.uv_sphere(12.0, count=[48, 64]),
         lambda: trimesh.creation.icosphere(4, 12.0),
+        torus_of_unequal_facets,
     ],
-    ids=["24", "45", "64", "180", "720", "fine 32", "ring", "cylinder", "sphere", "sphere of even triangles"],
+    ids=[
+        "24",
+        "45",
+        "64",
+        "180",
+        "720",
+        "fine 32",
+        "ring",
+        "cylinder",
+        "sphere",
+        "sphere of even triangles",
+        "unequal facets",
+    ],
 )
 def test_a_body_of_revolution_shows_no_turn(scene_of, mesh, posture):
     (turn,) = turns_of(scene_of(mesh(), posture), pose=(0.3, -0.2, math.radians(1.0)))
