@@ -70,7 +70,7 @@ def slow_but_one(values, fast):
 
 @pytest.mark.parametrize("sigma", slow_but_one(SIGMAS, 0.003))
 @pytest.mark.parametrize("real", [False, True], ids=["paper", "falloff-and-emission"])
-@sampled(500)
+@sampled(1200)
 def test_convex_part(sigma, real, most):
     camera = ref.Camera(width=60, height=45, pixel_um=85)
     light = ref.Light(
