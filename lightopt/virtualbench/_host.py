@@ -25,8 +25,6 @@ __all__ = ["CAMERA", "run"]
 CAMERA = "camera"
 """Name of a GigE camera among the devices."""
 
-_TICK_S = 0.005  # how late a device may be with what it says on its own
-
 
 def run(spec: Mapping[str, Any]) -> None:
     """Serve a bench: print one JSON line with its ports, and return when standard input ends.
@@ -110,9 +108,9 @@ def _serve(world: World, bell: socket.socket) -> None:
         # Which wires there are changes with every client; select alone keeps no memory of closed ones.
         watched = [bell.fileno(), *world.waiting()]
         try:
-            ready, _, _ = select.select(watched, [], [], _TICK_S)
+            ready, _, _ = select.select(watched, [], [], world.pause_s(time.monotonic()))
         except OSError:  # a cable was pulled meanwhile
             continue
         if bell.fileno() in ready:
             return
-        world.serve(time.monotonic())
+        world.serve(time.monotonic(), ready)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -16,6 +17,15 @@ from lightopt.virtualbench._wires import PtyWire, TcpWire, Wire, have_ptys
 __all__ = ["Change", "Device", "World"]
 
 _TRACE = 100_000
+
+_TICK_S = 0.005
+"""How late a device may be with what it says on its own, soon after it was spoken to …"""
+
+_AWAKE_S = 1.0
+"""… which is so long …"""
+
+_ASLEEP_S = 0.05
+"""… and how late afterwards: a bench of many devices would be busy with asking them."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +58,23 @@ class Device:
         self.deliveries = 0
         self._line = Line()
         self._out: list[Sent] = []
+        self._called = -math.inf
+        self._asked = -math.inf
+
+    def is_awake(self, now: float) -> bool:
+        """Whether it has something to say, or was spoken to a moment ago."""
+        return bool(self._out) or now - self._called < _AWAKE_S
+
+    def is_due(self, now: float) -> bool:
+        """Whether it is time to let it speak, though it has heard nothing."""
+        return self.is_awake(now) or now - self._asked >= _ASLEEP_S
 
     def hear(self, now: float) -> None:
         """Take what the client sent, and let the firmware answer."""
         data = self.wire.receive()
         if not data:
             return
+        self._called = now
         self.deliveries += 1
         pulled = self._line.pulled()
         if pulled is not None:
@@ -63,6 +84,7 @@ class Device:
 
     def speak(self, now: float) -> None:
         """Send what is due, the firmware's own words included."""
+        self._asked = now
         self._reply(self.firmware.poll(now), now)
         self._out.sort(key=lambda sent: sent.due)
         while self._out and self._out[0].due <= now:
@@ -74,6 +96,7 @@ class Device:
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
         """Suffer a fault of the line or of the device; ``clear`` ends all of both."""
+        self._called = now
         if fault in LINE_FAULTS or fault == "clear":
             self._line.inject(fault, options)
         if fault == "clear":
@@ -134,12 +157,28 @@ class World:
         with self.lock:
             return [fd for device in self.devices.values() for fd in device.wire.waiting]
 
-    def serve(self, now: float) -> None:
-        """Let every device hear and speak once."""
+    def pause_s(self, now: float) -> float:
+        """How long to wait for something to read before the devices are served again [s]."""
+        with self.lock:
+            return _TICK_S if any(one.is_awake(now) for one in self.devices.values()) else _ASLEEP_S
+
+    def serve(self, now: float, ready: Collection[int]) -> None:
+        """Let every device hear and speak once that has something to.
+
+        Parameters
+        ----------
+        now
+            [s], monotonic clock.
+        ready
+            Of the file descriptors that wait, those with something to read.
+        """
         with self.lock:
             for device in self.devices.values():
-                device.hear(now)
-                device.speak(now)
+                called = any(fd in ready for fd in device.wire.waiting)
+                if called:
+                    device.hear(now)
+                if called or device.is_due(now):
+                    device.speak(now)
             self._look(now)
             self._served.set()
 
