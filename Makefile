@@ -60,8 +60,8 @@ plan: $(BIN)/.installed  ## the sample planned: which postures, lights and expos
 batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
 	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch
 
-# as many workers as tests/conftest.py says, modules kept together as long as all are busy
-PYTEST = $(BIN)/python -m pytest --numprocesses=auto --dist=worksteal
+# as many workers as tests/conftest.py says; modules, whose tests share what takes long, in the order that it gives them
+PYTEST = $(BIN)/python -m pytest --numprocesses=auto --dist=loadscope --no-loadscope-reorder
 
 test: $(BIN)/.installed  ## the tests that take less than five minutes
 	$(PYTEST) -m "not slow and not nightly"

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import sys
+from collections import Counter
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,12 @@ ROOT = Path(__file__).resolve().parents[1]
 def pytest_xdist_auto_num_workers() -> int:
     """Three times as many as there are processors: many tests wait for simulated devices."""
     return 3 * available_processors()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Modules of many slow tests come first, so that no worker is left alone with one at the end."""
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])
 
 
 @pytest.hookimpl(wrapper=True)

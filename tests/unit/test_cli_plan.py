@@ -272,7 +272,7 @@ def test_lights_that_do_not_move_are_taken_as_they_stand(two, cli):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "reach", [pytest.param("", marks=pytest.mark.slow), ", elevation_range_deg: [50, 60]"]
+    "reach", [pytest.param("", marks=pytest.mark.nightly), ", elevation_range_deg: [50, 60]"]
 )
 def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     first, *_, last = LIGHTS.splitlines(keepends=True)

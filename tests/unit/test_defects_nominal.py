@@ -16,7 +16,7 @@ size_mm: 8, R_d_factor: 0.3}
   - {name: dent, kind: dent, at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [92, 72]}, \
 size_mm: 8, slope_deg: 20}
 """
-SOME = ("--pixels", "8000")
+SOME = ("--pixels", "4000")
 FEW = ("--patches", "500", "-q")
 
 
