@@ -25,14 +25,22 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from lightopt import __version__
 
-__all__ = ["code_sha256", "computed_by", "differences", "file_sha256", "provenance", "versions"]
+__all__ = [
+    "code_sha256",
+    "computed_by",
+    "differences",
+    "file_sha256",
+    "files_sha256",
+    "provenance",
+    "versions",
+]
 
 _PACKAGES = ("cascadio", "embreex", "llvmlite", "numba", "numpy", "OpenImageIO", "scipy", "trimesh")
 """Packages that results depend on; llvmlite turns numba's code into that of the processor."""
@@ -102,6 +110,23 @@ def file_sha256(path: str | Path) -> str:
     with Path(path).open("rb") as file:
         while block := file.read(_BLOCK_BYTES):
             digest.update(block)
+    return digest.hexdigest()
+
+
+def files_sha256(folder: Path, names: Iterable[str]) -> str:
+    """SHA-256 in hex of files by name and content; a missing one counts as such, and whoever reads it says so.
+
+    Parameters
+    ----------
+    folder
+        Where they lie.
+    names
+        Relative to it, in their order.
+    """
+    digest = hashlib.sha256()
+    for name in names:
+        path = folder / name
+        digest.update(f"{name} {file_sha256(path) if path.is_file() else 'missing'}\n".encode())
     return digest.hexdigest()
 
 

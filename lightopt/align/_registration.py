@@ -38,10 +38,10 @@ __all__ = ["Registration", "refine_placement", "register"]
 Float64 = NDArray[np.float64]
 
 STAGES = 4
-"""Pixels are chosen anew where the part moved, so many times at most …"""
+"""Pixels are chosen anew where the part moved, so many times at most."""
 
 OUTLINE_STAGES = 2
-"""… and so many times at least once the outline is used along."""
+"""Of the stages, so many use the outline at least, once it is used: more than :data:`STAGES` where it is late."""
 
 STAGE_ITERATIONS = 15
 """Steps of each: images that show this part take about ten, others never settle."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,7 +11,7 @@ from lightopt.compare._channels import Thresholds
 from lightopt.compare._files import FileComparison
 from lightopt.compare._sets import SetComparison
 from lightopt.images import MANIFEST_NAME
-from lightopt.provenance import file_sha256, provenance
+from lightopt.provenance import file_sha256, files_sha256, provenance
 
 __all__ = ["comparison_provenance"]
 
@@ -37,8 +36,5 @@ def comparison_provenance(result: FileComparison | SetComparison, thresholds: Th
 
 def _set_hashes(given: str, files: Sequence[str]) -> dict[str, str]:
     manifest = Path(given) / MANIFEST_NAME if Path(given).is_dir() else Path(given)
-    digest = hashlib.sha256()
-    for path in map(Path, files):
-        name = path.relative_to(manifest.parent).as_posix()
-        digest.update(f"{name} {file_sha256(path) if path.is_file() else 'missing'}\n".encode())
-    return {"manifest_sha256": file_sha256(manifest), "files_sha256": digest.hexdigest()}
+    names = (Path(file).relative_to(manifest.parent).as_posix() for file in files)
+    return {"manifest_sha256": file_sha256(manifest), "files_sha256": files_sha256(manifest.parent, names)}

@@ -285,10 +285,7 @@ def _by_least_squares(
     covariance = with_errors(scatter.covariance, errors)
     best = replace(best, converged=has_settled(best, plain, errors))
     # the noise that the likelihood would see around this reflectance, for figures that are compared
-    log_sigma = np.array([best.x[LOG_SIGMA]])
-    light = samples.specular(math.exp(log_sigma[0]), threads=threads)
-    likelihood = Likelihood(samples, log_sigma, light[:, None], threads=threads)
-    noise = maximise(likelihood, best.x, free[-2:])
+    noise = maximise(_likelihood_at(samples, float(best.x[LOG_SIGMA]), threads), best.x, free[-2:])
     found = Estimate(
         x=noise.x,
         free=plain,
@@ -334,10 +331,6 @@ def _by_likelihood(
     threads: int | None,
     report: Progress,
 ) -> Estimate:
-    def criterion_at(at: float) -> Likelihood:
-        light = few.specular(math.exp(at), threads=threads)
-        return Likelihood(few, np.array([at]), light[:, None], threads=threads)
-
     def starts_at(number: int) -> list[Float64]:
         # what least squares leave at this σ, and the usual start with its wide shoulders
         at = squares.profile[number].x
@@ -348,7 +341,7 @@ def _by_likelihood(
 
     values = [point.evaluation.value for point in squares.profile]
     profile = profile_outwards(
-        criterion_at,
+        lambda at: _likelihood_at(few, at, threads),
         starts_at,
         row,
         free,
@@ -424,9 +417,14 @@ def _best_first(found: Sequence[_Found]) -> tuple[_Climbed, list[_Found]]:
 
 def _best_at(samples: Samples, x: Float64, free: Sequence[int], threads: int | None) -> Maximum:
     # the best of all other parameters at the σ of `x`
-    light = samples.specular(math.exp(x[LOG_SIGMA]), threads=threads)
-    likelihood = Likelihood(samples, x[LOG_SIGMA : LOG_SIGMA + 1], light[:, None], threads=threads)
+    likelihood = _likelihood_at(samples, float(x[LOG_SIGMA]), threads)
     return maximise(likelihood, x, [place for place in free if place != LOG_SIGMA])
+
+
+def _likelihood_at(samples: Samples, log_sigma: float, threads: int | None) -> Likelihood:
+    # at one σ
+    light = samples.specular(math.exp(log_sigma), threads=threads)
+    return Likelihood(samples, np.array([log_sigma]), light[:, None], threads=threads)
 
 
 def _final(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +15,7 @@ from lightopt.images._exr import read_exr
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
 from lightopt.images._parse import read_manifest
 from lightopt.images._png import read_png
-from lightopt.provenance import file_sha256
+from lightopt.provenance import file_sha256, files_sha256
 
 __all__ = ["ImageSet", "LoadedImage", "read_image_set"]
 
@@ -79,14 +78,9 @@ class ImageSet:
         """
         read = [name for i in self.images if (name := i.png or i.exr) is not None]
         read += [name for name in self.manifest.files if name.endswith(".png")]  # frames without light
-        digest = hashlib.sha256()
-        for name in read:
-            path = self.path(name)
-            # whoever reads a missing one says so
-            digest.update(f"{name} {file_sha256(path) if path.is_file() else 'missing'}\n".encode())
         return {
             "manifest_sha256": file_sha256(self.path(MANIFEST_NAME)),
-            "images_sha256": digest.hexdigest(),
+            "images_sha256": files_sha256(self.folder, read),
         }
 
     def load(self, entry: ImageEntry) -> LoadedImage:

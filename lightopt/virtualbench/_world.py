@@ -19,13 +19,13 @@ __all__ = ["Change", "Device", "World"]
 _TRACE = 100_000
 
 _TICK_S = 0.005
-"""How late a device may be with what it says on its own, soon after it was spoken to …"""
+"""How late a device may be with what it says on its own while it is awake."""
 
 _AWAKE_S = 1.0
-"""… which is so long …"""
+"""A device is awake for so long after it was spoken to."""
 
 _ASLEEP_S = 0.05
-"""… and how late afterwards: a bench of many devices would be busy with asking them."""
+"""How late one that is not awake may be: a bench of many devices would be busy with asking them."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from test_cli_optimize import FEW, result_of, with_lights
+from test_cli_optimize import BARE, FEW, result_of, with_lights
 
 from lightopt import build_scene
 from lightopt.cli._main import run
@@ -163,16 +163,7 @@ def blind_row(planned, what):
 @pytest.mark.slow
 def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot, monkeypatch):
     before = snapshot(planned.out)
-    command = (
-        "optimize",
-        planned.rig,
-        planned.part,
-        "-o",
-        planned.out,
-        *FEW,
-        *DEFECTS,
-        "--no-images",
-    )
+    command = ("optimize", planned.rig, planned.part, "-o", planned.out, *FEW, *DEFECTS, "--no-images")
     ran = cli(*command, "--keep-matrix", "--threads", "1")
     assert ran.status == 0
     assert "2 kept luminance matrices reused" in ran.out
@@ -183,18 +174,7 @@ def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot
 
 @pytest.mark.slow
 def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(three, cli):
-    command = (
-        "optimize",
-        three.rig,
-        three.part,
-        "-o",
-        three.out,
-        *FEW,
-        "--no-images",
-        "--no-report",
-        "--posture",
-        "0,0",
-    )
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, *BARE, "--posture", "0,0")
     command += ("--objective", "detectability", "--keep-matrix")
     assert cli(*command).status == 0
     loose = result_of(three.out)["results"][0]["objectives"][0]["score"]
@@ -243,19 +223,7 @@ def test_part_with_a_catalogue_of_its_own(three, cli):
             "  - {name: <knock>, kind: dent, size_mm: 2, slope_deg: 10}\n"
             "  - {name: spot, kind: stain, size_mm: 2, R_d_factor: 0.2}\n"
         )
-    command = (
-        "optimize",
-        three.rig,
-        three.part,
-        "-o",
-        three.out,
-        *FEW,
-        "--no-images",
-        "--no-report",
-        "--posture",
-        "0,0",
-        "-q",
-    )
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, *BARE, "--posture", "0,0", "-q")
     assert cli(*command, "--objective", "detectability").status == 0
     found = result_of(three.out)["results"][0]["objectives"][0]
     assert list(found["defects"]) == ["<knock>", "spot"]

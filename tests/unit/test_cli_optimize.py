@@ -30,6 +30,8 @@ lights:   # three of them
   - {name: light3, distance_mm: 330, elevation_deg: 45, azimuth_deg: 285, elevation_range_deg: [45, 50]}
 """
 FEW = ("--patches", "800", "--step", "10")
+BARE = ("--no-images", "--no-report")
+"""Where only figures are looked at: the report takes longer than a small search."""
 
 
 def with_lights(bench, lights=LIGHTS):
@@ -206,7 +208,7 @@ def test_the_terminal_shows_the_table(optimized, cli):
 
 @pytest.mark.slow
 def test_patches_that_are_too_coarse_are_told(three, cli):
-    few = ("--step", "20", "--no-images", "--no-report", "--posture", "0,0")
+    few = ("--step", "20", *BARE, "--posture", "0,0")
     trimesh.creation.box((40, 30, 10)).export(three.mesh)
     coarse = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--patches", "12")
     assert "patches have edges up to" in coarse.err
@@ -221,7 +223,7 @@ def test_patches_that_are_too_coarse_are_told(three, cli):
 def test_a_step_part_of_many_triangles_says_how_to_have_fewer(three, cli):
     shutil.copyfile(CONFIGS / "parts" / "cover-knob.step", three.folder / "knob.step")
     three.edit("part.yaml", "knob.stl", "knob.step")
-    few = ("--step", "20", "--no-images", "--no-report", "--posture", "0,0", "--patches", "500")
+    few = ("--step", "20", *BARE, "--posture", "0,0", "--patches", "500")
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *few)
     told = re.search(r"visible patches of .*; ([\d,]+) of the mesh's own triangles may show", ran.out)
     assert told is not None, ran.out
@@ -238,17 +240,7 @@ def test_a_step_part_of_many_triangles_says_how_to_have_fewer(three, cli):
 
 @pytest.mark.slow
 def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli, snapshot):
-    command = (
-        "optimize",
-        three.rig,
-        three.part,
-        "-o",
-        three.out,
-        "--patches",
-        "800",
-        "--no-images",
-        "--no-report",
-    )
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW[:2], *BARE)
     assert cli(*command, "--step", "10", "--posture", "0,0").status == 0
     before = snapshot(three.out)
     ran = cli(*command, "--step", "20", "--posture", "0,0")
@@ -302,7 +294,7 @@ def test_common_lights_and_common_elevation(three, cli):
 
 def test_a_limit_is_said_with_its_bound(three, cli):
     ran = cli(
-        "optimize", three.rig, three.part, "-o", three.out, *FEW, "--no-images", "--no-report", "--posture", "0,0",
+        "optimize", three.rig, three.part, "-o", three.out, *FEW, *BARE, "--posture", "0,0",
         "--max-combinations", "2", "--objective", "coverage",
     )  # fmt: skip
     assert ran.status == 0
@@ -380,7 +372,7 @@ SHAPES = {
     "torus": trimesh.creation.torus(12, 4, major_sections=24, minor_sections=12),
     "sheet": sheet(),
 }
-QUICK = ("--step", "30", "--no-images", "--no-report", "--posture", "0,0", "--patches", "400")
+QUICK = ("--step", "30", *BARE, "--posture", "0,0", "--patches", "400")
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -415,7 +407,7 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
         "objective coverage wants each patch usable in 2 images, and there is one light only" in refused.err
     )
     assert "use the objective detectability" in refused.err
-    arguments = ("--step", "30", "--patches", "500", "--no-images", "--no-report", "--posture", "0,0")
+    arguments = ("--step", "30", "--patches", "500", *BARE, "--posture", "0,0")
     ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "detectability", *arguments)
     assert ran.status == 0, ran.err
     (result,) = json.loads((bench.out / "result.json").read_text(encoding="utf-8"))["results"]
@@ -434,18 +426,7 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
 def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):
     lights = LIGHTS.split("  - name: light2")[0] + LIGHTS[LIGHTS.index("  - {name: light3") :]
     with_lights(bench, lights)
-    command = (
-        "optimize",
-        bench.rig,
-        bench.part,
-        "-o",
-        bench.out,
-        *FEW,
-        "--no-images",
-        "--no-report",
-        "--posture",
-        "0,0",
-    )
+    command = ("optimize", bench.rig, bench.part, "-o", bench.out, *FEW, *BARE, "--posture", "0,0")
     ran = cli(*command, "--objective", "paper")
     assert ran.status == 2
     assert "with 2 lights nothing is left" in ran.err
@@ -489,17 +470,7 @@ def test_a_light_that_stands_in_the_part_and_can_leave_it(three, cli):
     three.edit("rig.yaml", "@, elevation_range", "distance_mm: 80, size_mm: [9, 9], @, elevation_range")
     three.edit("rig.yaml", "@, elevation_range_deg: [40, 60]", "elevation_deg: 30, azimuth_deg: 0@")
     three.edit("rig.yaml", "azimuth_deg: 0@", "azimuth_deg: 0, azimuth_range_deg: [0, 40]")
-    command = (
-        "optimize",
-        three.rig,
-        three.part,
-        "-o",
-        three.out,
-        "--patches",
-        "800",
-        "--no-images",
-        "--no-report",
-    )
+    command = ("optimize", three.rig, three.part, "-o", three.out, *FEW[:2], *BARE)
     ran = cli(*command, "--step", "20", "--posture", "0,0")
     assert (
         "left out: light1 at elevation 30°, azimuth 0°: it is inside the part in posture (0°, 0°)" in ran.out
@@ -527,17 +498,6 @@ def test_overlap_wants_two_images_of_one_size(bench, cli):
 def test_an_anchor_that_shares_an_angle_is_told(three, cli):
     three.edit("rig.yaml", "elevation_deg: 60,", "elevation_deg: &low 60,")
     three.edit("rig.yaml", "elevation_deg: 50.0 ", "elevation_deg: *low ")
-    ran = cli(
-        "optimize",
-        three.rig,
-        three.part,
-        "-o",
-        three.out,
-        *FEW,
-        "--no-images",
-        "--no-report",
-        "--posture",
-        "0,0",
-    )
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, *BARE, "--posture", "0,0")
     assert ran.status == 2
     assert "write anchors and aliases out" in ran.err

@@ -71,6 +71,11 @@ def two(bench):
     return prepared(bench)
 
 
+def plan(cli, two, *asked):
+    """Plan without the report, which takes longer than a small plan."""
+    return cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--no-report", *asked)
+
+
 def result_of(folder: Path):
     return json.loads((folder / "result.json").read_text(encoding="utf-8"))
 
@@ -251,7 +256,7 @@ def test_what_is_planned_goes_with_the_plan(two, cli):
     assert (two.out / "part.planned.yaml").is_file()
     options = result_of(two.out)["provenance"]["options"]
     assert (options["seen_in"], options["threshold"]) == (1, 5.0)  # exposures are planned for defects
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--no-report", "--force")
+    ran = plan(cli, two, "--force")
     assert ran.status == 0, ran.err
     assert not (two.out / "part.planned.yaml").exists()
 
@@ -303,19 +308,7 @@ def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
 
 @pytest.mark.slow
 def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
-    ran = cli(
-        "optimize",
-        two.rig,
-        two.part,
-        "-o",
-        two.out,
-        *FEW,
-        "--no-report",
-        "--target",
-        "0.999",
-        "--posture-step",
-        "90",
-    )
+    ran = plan(cli, two, "--target", "0.999", "--posture-step", "90")
     assert ran.status == 1
     assert (
         "99.9 % of the surface × defects is not reached: with the best lights found (others may show more)"
@@ -445,7 +438,7 @@ def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
 @pytest.mark.slow
 def test_nothing_to_see_is_said(two, cli):
     asked = ("--choose-postures", "2", "--posture-step", "90", "--threshold", "1e6")
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--no-report", *asked)
+    ran = plan(cli, two, *asked)
     assert ran.status == 1
     assert "no posture of 13 shows any defect" in ran.err
     assert not two.out.exists()
@@ -455,9 +448,7 @@ def test_nothing_to_see_is_said(two, cli):
 def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two, cli, monkeypatch):
     monkeypatch.setattr("lightopt.optimize._matrices.Matrices.holds", lambda *_: False)
     asked = ("--choose-postures", "1", "--posture-step", "90", "--objective", "detectability")
-    ran = cli(
-        "optimize", two.rig, two.part, "-o", two.out, *FEW, "--no-report", *asked, "--objective", "coverage"
-    )
+    ran = plan(cli, two, *asked, "--objective", "coverage")
     assert ran.status == 0, ran.err
     assert "not searched: they are too many for memory" in ran.err
     first, second = result_of(two.out)["results"][0]["objectives"]
@@ -468,19 +459,7 @@ def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two
 
 @pytest.mark.slow
 def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
-    ran = cli(
-        "optimize",
-        two.rig,
-        two.part,
-        "-o",
-        two.out,
-        *FEW,
-        "--no-report",
-        "--target",
-        "30%",
-        "--posture-step",
-        "90",
-    )
+    ran = plan(cli, two, "--target", "30%", "--posture-step", "90")
     assert ran.status == 0, ran.err
     chosen = result_of(two.out)["chosen_postures"]
     assert chosen["share"] >= 0.3
@@ -513,19 +492,7 @@ def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
 
 @pytest.mark.nightly
 def test_tolerances_of_another_objective(two, cli):
-    ran = cli(
-        "optimize",
-        two.rig,
-        two.part,
-        "-o",
-        two.out,
-        *FEW,
-        "--no-report",
-        "--tolerance-deg",
-        "5",
-        "--pose-tolerance-deg",
-        "2",
-    )
+    ran = plan(cli, two, "--tolerance-deg", "5", "--pose-tolerance-deg", "2")
     assert ran.status == 0, ran.err
     trust = result_of(two.out)["trust"]
     areas = [result["objectives"][0]["score"] for result in result_of(two.out)["results"]]
@@ -635,7 +602,7 @@ def work(*_arguments, **_options):
 def test_a_part_whose_postures_cannot_be_replaced_is_refused_before_any_work(two, cli):
     text = two.part.read_text(encoding="utf-8")
     two.part.write_text(braces(text), encoding="utf-8")
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--no-report", "--choose-postures", "1")
+    ran = plan(cli, two, "--choose-postures", "1")
     assert ran.status == 2
     assert "postures cannot be added at the end of the file" in ran.err
     assert not two.out.exists()
