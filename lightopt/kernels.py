@@ -27,16 +27,19 @@ from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
 import llvmlite
+import llvmlite.ir
 import numba
 import numpy as np
 from numba.core import types
 from numba.core.caching import CompileResultCacheImpl, NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic  # pyright: ignore[reportPrivateUsage]
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
+from numba.extending import intrinsic
 
-__all__ = ["cache_folder", "fingerprint", "kernel"]
+__all__ = ["cache_folder", "call_address", "fingerprint", "kernel"]
 
 _VERSIONS = repr((sys.version_info[:2], numba.__version__, llvmlite.__version__, np.__version__))
 
@@ -67,6 +70,21 @@ def kernel(function: Callable[..., Any]) -> Any:
     if isinstance(compiled, Dispatcher):  # not where NUMBA_DISABLE_JIT is set
         _keep_on_disk(compiled)
     return compiled
+
+
+def _call(_typing: Any, _function: Any, _a: Any, _b: Any, _c: Any, _d: Any) -> Any:
+    def generate(context: Any, builder: Any, _signature: Any, addresses: Any) -> Any:
+        pointer = llvmlite.ir.IntType(8).as_pointer()
+        kind = llvmlite.ir.FunctionType(llvmlite.ir.VoidType(), [pointer] * 4)
+        function = builder.inttoptr(addresses[0], kind.as_pointer())
+        builder.call(function, [builder.inttoptr(address, pointer) for address in addresses[1:]])
+        return context.get_dummy_value()
+
+    return types.void(*[types.int64] * 5), generate
+
+
+call_address: Any = intrinsic(_call)
+"""Call, from a kernel, a C function of four pointers that returns nothing; all five are given as addresses."""
 
 
 def fingerprint(compiled: Any) -> str:
@@ -129,6 +147,10 @@ def _content(value: Any, name: str, user: FunctionType) -> str:
         return f"{value.__qualname__} {getattr(value, '_fields', '')}"
     if isinstance(value, BuiltinFunctionType | np.ufunc):
         return f"{value.__name__}"
+    if isinstance(value, _Intrinsic):  # how numba makes the code of a call; what it uses are parts of numba
+        digest = hashlib.sha256()
+        _add_code(digest, value._defn.__code__)  # pyright: ignore[reportPrivateUsage]
+        return digest.hexdigest()
     if isinstance(value, ModuleType) and value.__name__.split(".")[0] in ("math", "numpy"):
         return value.__name__
     raise TypeError(

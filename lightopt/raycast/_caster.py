@@ -9,6 +9,7 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from numpy.typing import NDArray
 
 from lightopt.kernels import kernel
+from lightopt.raycast._packets import packet_scene
 
 __all__ = ["RayCaster", "RayRecorder"]
 
@@ -51,10 +52,13 @@ class RayCaster:
         self._rays_cast = 0
         # float32 keeps 7 digits, so the mesh is centred and scaled to unit size before it is given to Embree
         local = ((vertices - self.centre) / self.radius).astype(np.float32)
-        self._scene: Any = rtcore_scene.EmbreeScene(robust=True)  # pyright: ignore[reportAttributeAccessIssue]
-        self._mesh = EmbreeMesh(self._scene, local, np.ascontiguousarray(faces, dtype=np.int32))
-        # the first query commits the scene; done here, so that threads only ever read it
-        self._run("INTERSECT", np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+        faces = np.ascontiguousarray(faces, dtype=np.int32)
+        self._packets = packet_scene(local, faces)
+        if self._packets is None:
+            self._scene: Any = rtcore_scene.EmbreeScene(robust=True)  # pyright: ignore[reportAttributeAccessIssue]
+            self._mesh = EmbreeMesh(self._scene, local, faces)
+            # the first query commits the scene; done here, so that threads only ever read it
+            self._run("INTERSECT", np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
     @property
     def rays_cast(self) -> int:
@@ -117,6 +121,9 @@ class RayCaster:
             self._rays_cast += len(origins)
             if self._recorder is not None:
                 self._recorder(query, origins, directions)
+        if self._packets is not None:
+            ask = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
+            return ask(origins, directions)
         if query == "OCCLUDED":
             # directions end at the target, so that a ray reaches from 0 to 1 of its length
             reach = np.ones(len(origins), np.float32)

@@ -75,7 +75,7 @@ def assert_recovers(found: Estimate, truth: Reflectance, *, R_d: float, R_s: flo
     assert abs(errors[2]) <= sigma
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_fine_mesh_is_finer(world):
     assert len(world.fine.faces) > 3 * len(world.scene.mesh.faces)
 
@@ -105,7 +105,7 @@ def is_narrower(wide: Estimate, narrow: Estimate) -> None:
     assert ratio >= 5.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_pixel_in_a_hundred_may_be_garbage(world):
     found = world.fit(exposures=(1.0, 1 / 16), garbage=0.01)
     assert_recovers(found, TRUTH, R_d=0.01, R_s=0.02, sigma=0.01)

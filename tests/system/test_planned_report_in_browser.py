@@ -22,7 +22,7 @@ lights:
   - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [50, 60]}
   - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 225, elevation_range_deg: [40, 50]}
 """
-FEW = ("--patches", "600", "--step", "10", "-q")
+FEW = ("--patches", "200", "--step", "10", "-q")
 PLAN = (
     *("--choose-postures", "2", "--posture-step", "90", "--exposures", "1,1/16"),
     *("--tolerance-deg", "2", "--pose-tolerance-deg", "1"),

@@ -74,7 +74,7 @@ def test_the_images_show_the_defects(shop):
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        (("fit-diffuse", *SOME), "fit.json"),
+        pytest.param(("fit-diffuse", *SOME), "fit.json", marks=pytest.mark.nightly),
         pytest.param(("fit-specular", "--joint", *SOME), "fit.json", marks=pytest.mark.nightly),
         pytest.param(("inspect", "--seen-by", "1", "--no-report"), "defects.json", marks=pytest.mark.slow),
     ],

@@ -325,7 +325,7 @@ def fit(cli, bench, images, out, *more, rig=None, pixels=3000):
 
 @pytest.mark.slow
 def test_the_noise_of_the_images_is_written_into_the_rig(cli, bench, noisy):
-    first = fit(cli, bench, noisy, bench.out, "--write-noise", pixels=14_000)
+    first = fit(cli, bench, noisy, bench.out, "--write-noise", pixels=8_000)
     assert first.status == 0
     assert "sensor levels of noise, the rig file's figures make" in first.err
     assert "noise written" in first.out
@@ -341,7 +341,7 @@ def test_the_noise_of_the_images_is_written_into_the_rig(cli, bench, noisy):
     assert [a for a, b in zip(after, before, strict=True) if a != b] == [
         line for line in after if "read_noise_levels" in line
     ]
-    again = fit(cli, bench, noisy, bench.folder / "again", rig=bench.out / "rig.fitted.yaml", pixels=14_000)
+    again = fit(cli, bench, noisy, bench.folder / "again", rig=bench.out / "rig.fitted.yaml", pixels=8_000)
     assert (again.status, again.err) == (0, "")
 
 

@@ -1,0 +1,81 @@
+"""Rays in packets: the answers are those of embreex, ray by ray; without the library embreex answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from lightopt.raycast import RayCaster, _caster, _packets
+
+MESHES = {
+    "sphere": trimesh.creation.icosphere(3, 10.0),
+    "torus": trimesh.creation.torus(12, 4, major_sections=40, minor_sections=20),
+    "nested shells": trimesh.util.concatenate(
+        [trimesh.creation.box((20, 20, 20)), trimesh.creation.box((8, 8, 8))]
+    ),
+    "open": trimesh.Trimesh(
+        [[0, 0, 0], [9, 0, 0], [0, 9, 0], [9, 9, 3]], [[0, 1, 2], [2, 1, 3]], process=False
+    ),
+}
+
+
+def both(mesh, monkeypatch):
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)
+    packets = RayCaster(vertices, faces)
+    assert packets._packets is not None
+    monkeypatch.setattr(_caster, "packet_scene", lambda *_: None)
+    single = RayCaster(vertices, faces)
+    assert single._packets is None
+    return packets, single
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES.keys())
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 3001])
+def test_packets_answer_as_single_rays(monkeypatch, mesh, count):
+    packets, single = both(mesh, monkeypatch)
+    rng = np.random.default_rng(count)
+    eye = np.array([3.0, -4.0, 60.0])
+    directions = mesh.bounds[0] + rng.random((count, 3)) * np.ptp(mesh.bounds, axis=0) - eye
+    first = packets.first_hit(eye, directions)
+    assert first.dtype == np.int32
+    np.testing.assert_array_equal(first, single.first_hit(eye, directions))
+    points = mesh.triangles_center[rng.integers(0, len(mesh.faces), count)]
+    normals = rng.normal(size=(count, 3))
+    targets = rng.normal(size=(5, 3)) * 40.0
+    pairs = {
+        "point_index": np.arange(count, dtype=np.int32),
+        "target_index": rng.integers(0, 5, count).astype(np.int32),
+    }
+    blocked = packets.occluded(points, normals, targets, **pairs)
+    np.testing.assert_array_equal(blocked, single.occluded(points, normals, targets, **pairs))
+    if count > 1000:
+        assert np.mean(first >= 0) > 0.02
+        assert 0.02 < np.mean(blocked) < 0.98
+    assert packets.rays_cast == 2 * count
+
+
+def test_no_rays_are_no_answers(monkeypatch):
+    packets, single = both(MESHES["sphere"], monkeypatch)
+    none = np.zeros((0, 3))
+    assert packets.first_hit(np.zeros(3), none).shape == single.first_hit(np.zeros(3), none).shape == (0,)
+
+
+@pytest.mark.parametrize("reason", ["no library", "another version", "no packets"])
+def test_without_what_packets_need_embreex_answers(monkeypatch, tmp_path, reason):
+    _packets._embree.cache_clear()
+    _packets._works.cache_clear()
+    if reason == "no library":
+        monkeypatch.setattr(_packets.embreex, "__file__", str(tmp_path / "embreex" / "__init__.py"))
+    elif reason == "another version":
+        monkeypatch.setattr(_packets, "_MAJOR", 5)
+    else:
+        monkeypatch.setattr(_packets, "_NATIVE_WIDTHS", ())
+    try:
+        mesh = MESHES["sphere"]
+        caster = RayCaster(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
+        assert caster._packets is None
+        assert caster.first_hit(np.array([0.0, 0.0, 60.0]), np.array([[0.0, 0.0, -1.0]]))[0] >= 0
+    finally:
+        _packets._embree.cache_clear()
+        _packets._works.cache_clear()
