@@ -76,19 +76,19 @@ def test_an_undisturbed_run_has_no_retries(bed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cases", [4, pytest.param(80, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("cases", [2, pytest.param(80, marks=pytest.mark.nightly)])
 def test_spoilt_replies_are_asked_for_again_or_end_safely(bed, tmp_path, cases):
     check(bed, tmp_path, every(line_cases(bed[2]["shot"][0]), cases))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cases", [4, pytest.param(60, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("cases", [2, pytest.param(60, marks=pytest.mark.nightly)])
 def test_a_pulled_cable_ends_safely_all_along_the_plan(bed, tmp_path, cases):
     check(bed, tmp_path, every(pulled_cases(*bed[2]["shot"]), cases))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cases", [4, pytest.param(40, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("cases", [2, pytest.param(40, marks=pytest.mark.nightly)])
 def test_what_does_not_obey_ends_safely(bed, tmp_path, cases):
     check(bed, tmp_path, every(other_cases(), cases))
 

@@ -70,7 +70,7 @@ QUICK_AND_SLOW = [
 
 @pytest.mark.parametrize("average", QUICK_AND_SLOW)
 def test_means_of_frames_hold_the_truth(bed, tmp_path, average):
-    quality = check(bed, take(bed, tmp_path / "set", exposures=(1.0, 1 / 16), average=average))
+    quality = check(bed, take(bed, tmp_path / "set", exposures=(1.0, 1 / 16), average=average), pixels=6_000)
     # the noise that is told is that of the mean
     assert quality.noise == pytest.approx(quality.image_noise, rel=0.2)
 
@@ -78,4 +78,4 @@ def test_means_of_frames_hold_the_truth(bed, tmp_path, average):
 @pytest.mark.parametrize("average", QUICK_AND_SLOW)
 def test_light_that_is_always_there_is_taken_off_by_frames_without_light(bed, tmp_path, average):
     options = {"exposures": (1.0, 1 / 16), "average": average, "dark": True}
-    check(bed, take(bed, tmp_path / "set", ambient=4.0, **options), pixels=20_000)
+    check(bed, take(bed, tmp_path / "set", ambient=4.0, **options), pixels=6_000)

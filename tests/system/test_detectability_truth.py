@@ -39,7 +39,14 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, finishes, tmp_pa
     monkeypatch.setattr(truth, "FINISHES", {name: truth.FINISHES[name] for name in finishes})
     # as many pixels wide as pits of 1.5 mm under the whole camera
     monkeypatch.setattr("truth_pits.WIDTH_MM", 6.0)
-    points = list(compare(small_rig, load_part(CONFIGS / "parts" / f"{part}.yaml"), patches=2_000 if finishes == ("glossy",) else 4_000, pits=24))
+    points = list(
+        compare(
+            small_rig,
+            load_part(CONFIGS / "parts" / f"{part}.yaml"),
+            patches=2_000 if finishes == ("glossy",) else 4_000,
+            pits=24,
+        )
+    )
     assert {(p.finish, p.seen_in) for p in points} == {(f, k) for f in finishes for k in SEEN_IN}
     whole = [p for p in points if not p.kind.startswith("pits")]
     assert len(whole) == len(finishes) * 2 * 2 * 8

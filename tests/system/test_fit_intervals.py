@@ -83,7 +83,7 @@ def errors_by_hand(samples, found):
 # one of each in every run; all of them, with two seeds each, in the nightly tier
 SAMPLED = {
     ("0.8 levels", "one"): (),
-    ("12 bit", "one"): pytest.mark.slow,
+    ("12 bit", "one"): pytest.mark.nightly,
 }
 
 

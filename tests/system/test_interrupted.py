@@ -16,10 +16,10 @@ import pytest
 from lightopt.images import read_image_set
 from lightopt.interrupts import interrupt
 
-# about a second of rendering, 8 images of 4 × 4 rays a pixel
+# about a second of rendering, 8 images of 3 × 3 rays a pixel
 OPTIONS = (
     *("--exposure", "1", "--exposure", "1/16", "--layers", "--noise", "1"),
-    *("--patches", "2000", "--supersample", "4"),
+    *("--patches", "1000", "--supersample", "3"),
 )
 IMAGES = 8
 INTERRUPTED = "interrupted; files that were finished are complete"

@@ -22,6 +22,11 @@ lights:
   - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [50, 60]}
   - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 225, elevation_range_deg: [40, 50]}
 """
+CATALOGUE = """\
+defect_catalogue:
+  - {name: dent, kind: dent, size_mm: 0.6, slope_deg: 4}
+  - {name: stain, kind: stain, size_mm: 1.5, R_d_factor: 0.7}
+"""
 FEW = ("--patches", "200", "--step", "10", "-q")
 PLAN = (
     *("--choose-postures", "2", "--posture-step", "90", "--exposures", "1,1/16"),
@@ -34,6 +39,8 @@ def report_of(shared_bench, folder: Path, *options: str) -> Path:
     bench = type(shared_bench).make(folder / "bench")
     head, rest = bench.rig.read_text(encoding="utf-8").split("lights:\n", 1)
     bench.rig.write_text(head + LIGHTS + rest[rest.index("stage:") :], encoding="utf-8", newline="\n")
+    with bench.part.open("a", encoding="utf-8") as file:
+        file.write(CATALOGUE)
     command = ["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *FEW]
     assert run([*command, "--objective", "detectability", *options]) == 0
     return bench.out / "report.html"

@@ -79,12 +79,12 @@ def edit_manifest(images, change):
 
 @pytest.mark.slow
 def test_diffuse_then_specular_recovers_the_truth(cli, bench, images):
-    first = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d", "--pixels", 8000)
+    first = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d", "--pixels", 5000)
     assert (first.status, first.err) == (0, "")
     part = bench.folder / "d" / "part.fitted.yaml"
     assert load_part(part).reflectance.R_d == pytest.approx(45.0, rel=0.01)
     assert load_part(part).reflectance.R_s == 500
-    second = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s", "--pixels", 8000)
+    second = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s", "--pixels", 5000)
     assert (second.status, second.err) == (0, "")
     fitted = load_part(bench.folder / "s" / "part.fitted.yaml").reflectance
     assert fitted.R_d == load_part(part).reflectance.R_d
@@ -146,15 +146,16 @@ def test_numbers_of_points_are_compared_and_the_right_one_kept(cli, bench, image
 @pytest.mark.slow
 def test_the_papers_procedure(cli, bench, images):
     one = ("--method", "paper")
+    coarse = ("--sigma-start", "0.03", "--sigma-step", "0.01")
     assert cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d", *one).status == 0
     part = bench.folder / "d" / "part.fitted.yaml"
     assert load_part(part).reflectance.R_d == pytest.approx(45.0, rel=0.01)
-    ran = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s", *one)
+    ran = cli("fit-specular", bench.rig, part, images, "-o", bench.folder / "s", *one, *coarse)
     assert ran.status == 0
     assert "this method knows no uncertainty" in ran.out
     figures = json.loads((bench.folder / "s" / "fit.json").read_text())["paper"]
     # the sweep only knows multiples of its step
-    assert abs(figures["sigma_rad"] - 0.0475) <= 0.005
+    assert abs(figures["sigma_rad"] - 0.0475) <= 0.01
     assert figures["sweep"][0]["iterations"][0]["R_s"] == 255
     assert any(step["reached"] for step in figures["sweep"])
 
@@ -433,7 +434,10 @@ def test_options_of_the_paper_without_its_method(cli, bench, images):
 @pytest.mark.slow
 def test_shifted_images_are_told(cli, bench, images):
     # where the stage has turned the part, no place of the part shifts all images alike
-    edit_manifest(images, lambda m: m.update(images=[e for e in m["images"] if e["exposure"] == 1]))
+    edit_manifest(
+        images,
+        lambda m: m.update(images=[e for e in m["images"] if e["exposure"] == 1 and e["light"] == "light1"]),
+    )
     spoil(images, lambda levels: np.roll(levels, 4, axis=1))
     told = (
         "do not look like this part",
