@@ -64,12 +64,14 @@ def sampled(most):
     )
 
 
-def slow_but_one(values, fast):
-    return [v if v == fast else pytest.param(v, marks=pytest.mark.slow) for v in values]
-
-
-@pytest.mark.parametrize("sigma", slow_but_one(SIGMAS, 0.003))
-@pytest.mark.parametrize("real", [False, True], ids=["paper", "falloff-and-emission"])
+@pytest.mark.parametrize(
+    ("sigma", "real"),
+    [
+        pytest.param(sigma, real, marks=() if real == (sigma == 0.003) else pytest.mark.nightly)
+        for sigma in SIGMAS
+        for real in (False, True)
+    ],
+)
 @sampled(1200)
 def test_convex_part(sigma, real, most):
     camera = ref.Camera(width=60, height=45, pixel_um=85)
@@ -138,14 +140,15 @@ VIEWS = {
 
 
 # the last one fails unless penumbrae grow beyond the pixels whose coarse rays disagree
-QUICK_BOXES = [("aligned", 0.0475), ("mirror", 0.0475), ("plan", 0.15)]
+BOXES = [("aligned", 0.003), ("mirror", 0.003), ("mirror", 0.0475), ("plan", 0.15)]
+"""In every run; all of them in the nightly tier."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "sigma"),
     [
-        pytest.param(view, sigma, marks=() if (view, sigma) in QUICK_BOXES else pytest.mark.slow)
+        pytest.param(view, sigma, marks=() if (view, sigma) in BOXES else pytest.mark.nightly)
         for view in VIEWS
         for sigma in SIGMAS
     ],

@@ -127,7 +127,8 @@ def test_one_light_that_failed_does_not_move_the_part(plate):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "observable"), [("wall", (False, False, False)), ("rail", (False, True, True))]
+    ("name", "observable"),
+    [("wall", (False, False, False)), pytest.param("rail", (False, True, True), marks=pytest.mark.nightly)],
 )
 def test_what_a_plate_larger_than_the_view_hides_stays_nominal(scene_of, name, observable):
     scene = scene_of(name)

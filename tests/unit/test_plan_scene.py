@@ -457,7 +457,9 @@ def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_the
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(3, 8))]
+)
 def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     rig, survey = world
     rng = np.random.default_rng(seed)
@@ -528,7 +530,7 @@ def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("least", [1, 2])
-@pytest.mark.parametrize("drawn", [40, 300])
+@pytest.mark.parametrize("drawn", [40, pytest.param(300, marks=pytest.mark.nightly)])
 def test_a_number_and_a_target_that_takes_as_many_give_the_same_plan(world, least, drawn):
     rig, survey = world
     few = replace(survey, table=drawn_patches(survey.table, drawn))
