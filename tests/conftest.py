@@ -37,9 +37,18 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Modules of many slow tests come first, so that no worker is left alone with one at the end."""
+    """Modules of many slow tests come first; one that waits for simulated devices after every two that compute.
+
+    So no worker is left alone with slow tests at the end, and the processors have work while others wait.
+    """
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
-    items.sort(key=lambda item: -slow[item.path])
+    tests = Counter(item.path for item in items)
+    modules = sorted(tests, key=lambda path: (-slow[path], -tests[path]))
+    computing = [path for path in modules if path.parent.name != "hardware"]
+    waiting = [path for path in modules if path.parent.name == "hardware"]
+    place = {path: 2.0 * number + 1.5 for number, path in enumerate(waiting)}
+    place |= {path: float(number) for number, path in enumerate(computing)}
+    items.sort(key=lambda item: place[item.path])
 
 
 @pytest.hookimpl(wrapper=True)
