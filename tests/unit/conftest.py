@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from lightopt.align import _coarse, _refinement
+
 
 @pytest.fixture
 def read_only_folder(tmp_path: Path) -> Iterator[Path]:
@@ -64,3 +66,11 @@ def take(bench, world, monkeypatch):
         )
 
     return run
+
+
+@pytest.fixture
+def registered_by_few_pixels(monkeypatch):
+    """Registration looks at a third of its pixels: for tests of files and words, which need no exact place."""
+    monkeypatch.setattr(_coarse, "PIXELS", 2000)
+    monkeypatch.setattr(_refinement, "INNER_PIXELS", 4000)
+    monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)

@@ -20,10 +20,15 @@ def cli(cli):
     """Fits look at few pixels here: what is tested are files, words and refusals."""
 
     def command(name, *arguments):
-        few = ("--pixels", 3000) if name.startswith("fit-") and "--pixels" not in arguments else ()
+        few = ("--pixels", 1500) if name.startswith("fit-") and "--pixels" not in arguments else ()
         return cli(name, *arguments, *few)
 
     return command
+
+
+@pytest.fixture(autouse=True)
+def few_pixels(registered_by_few_pixels):
+    """The part is looked for by few pixels, too."""
 
 
 @pytest.fixture(scope="module")
@@ -222,7 +227,7 @@ def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path, points):
 @pytest.mark.slow
 def test_images_that_hardly_separate_the_two_ask_for_a_shorter_exposure(cli, bench, images):
     edit_manifest(images, lambda m: m.update(images=[e for e in m["images"] if e["exposure"] == 1][:2]))
-    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--pixels", "4000")
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--pixels", "2500")
     assert ran.status == 0
     assert "hardly separate R_s from σ" in ran.err
     assert "add a shorter exposure" in ran.err
@@ -259,7 +264,7 @@ def test_images_of_point_lights_want_no_evenly_lit_panel(cli, bench, images):
 @pytest.mark.slow
 def test_force_leaves_nothing_of_the_fit_before(cli, bench, images):
     command = ("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "-q")
-    assert cli(*command, "--free", "gain", "--pixels", "4000").status == 0
+    assert cli(*command, "--free", "gain", "--pixels", "2500").status == 0
     assert (bench.out / "rig.fitted.yaml").exists()
     assert list((bench.out / "left-out").glob("*.png"))
     (bench.out / "notes.txt").write_text("mine")
@@ -272,7 +277,7 @@ def test_force_leaves_nothing_of_the_fit_before(cli, bench, images):
 @pytest.mark.slow
 def test_what_validation_keeps_is_said(cli, bench, images):
     ran = cli(
-        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "gain", "--pixels", "4000"
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "gain", "--pixels", "2500"
     )  # fmt: skip
     assert "each light predicted from the others (its own gain as all images have it):" in ran.out
     figures = json.loads((bench.out / "fit.json").read_text())

@@ -29,7 +29,7 @@ defect_catalogue:
   - {name: dent, kind: dent, size_mm: 0.6, slope_deg: 4}
   - {name: stain, kind: stain, size_mm: 1.5, R_d_factor: 0.7}
 """
-FEW = ("--patches", "250", "--step", "10", "--no-images")
+FEW = ("--patches", "150", "--step", "10", "--no-images")
 PLAN = (
     *FEW,
     "--choose-postures",
@@ -372,7 +372,7 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(t
 
 @pytest.mark.slow
 def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
-    asked = ("--patches", "300", "--step", "15", "--choose-postures", "2", "--posture-step", "90")
+    asked = ("--patches", "150", "--step", "15", "--choose-postures", "2", "--posture-step", "90")
     offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.2")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, *offer, "--no-report")
     assert ran.status == 0, ran.err
@@ -394,7 +394,7 @@ def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
 
 @pytest.mark.slow
 def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
-    asked = ("--patches", "300", "--step", "10", "--common-lights")
+    asked = ("--patches", "150", "--step", "10", "--common-lights")
     offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.6")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, *offer)
     assert ran.status == 0, ran.err

@@ -16,7 +16,7 @@ size_mm: 8, R_d_factor: 0.3}
   - {name: dent, kind: dent, at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [92, 72]}, \
 size_mm: 8, slope_deg: 20}
 """
-SOME = ("--pixels", "4000")
+SOME = ("--pixels", "1500")
 FEW = ("--patches", "500", "-q")
 
 
@@ -51,6 +51,11 @@ def shop(shared_bench, tmp_path_factory):
     ]
     assert run([str(word) for word in command]) == 0
     return bench
+
+
+@pytest.fixture(autouse=True)
+def few_pixels(registered_by_few_pixels):
+    """The part is looked for by few pixels, too."""
 
 
 def parts(shop):

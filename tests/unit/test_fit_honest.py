@@ -316,7 +316,7 @@ def noisy(shared_bench, tmp_path_factory):
     return folder / "set"
 
 
-def fit(cli, bench, images, out, *more, rig=None, pixels=3000):
+def fit(cli, bench, images, out, *more, rig=None, pixels=1500):
     return cli(
         "fit-specular", rig or bench.rig, bench.part, images, "-o", out, "--joint", "--no-validation",
         "--pixels", pixels, *more,

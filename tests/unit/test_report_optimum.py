@@ -44,7 +44,7 @@ lights:
   - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 165, azimuth_range_deg: [155, 165]}
   - {name: light3, distance_mm: 330, elevation_deg: 45, azimuth_deg: 285, elevation_range_deg: [40, 60]}
 """
-FEW = ("--patches", "800", "--step", "10", "-q")
+FEW = ("--patches", "400", "--step", "10", "-q")
 
 
 def with_lights(bench):
@@ -65,7 +65,7 @@ def done(shared_bench, tmp_path_factory):
         drafts.append(draft)
         return optimum_report(draft)
 
-    options = OptimizeOptions(step_deg=10.0, patch_budget=800)
+    options = OptimizeOptions(step_deg=10.0, patch_budget=400)
     found = optimize(bench.rig, bench.part, bench.out, options=options, page=page)
     return bench, drafts[0], found
 
