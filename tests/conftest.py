@@ -32,8 +32,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Four times as many as there are processors: many tests wait for simulated devices."""
-    return 4 * available_processors()
+    """Three times as many as there are processors: many tests wait for simulated devices."""
+    return 3 * available_processors()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

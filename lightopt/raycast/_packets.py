@@ -1,7 +1,7 @@
-"""Rays in packets: Embree's own functions, of the library that the embreex wheel brings, called by kernels.
+"""Embree's own functions, of the library that the embreex wheel brings, called by kernels; shadow rays in packets.
 
-embreex asks Embree for one ray after another. Rays that follow each other take much the same way through the hierarchy,
-and Embree takes as many of them at once as the processor has lanes. The answers are the same.
+embreex asks Embree for one ray after another. Shadow rays that follow each other take much the same way through the
+hierarchy, and Embree takes as many of them at once as the processor has lanes. The answers are the same.
 """
 
 from __future__ import annotations
@@ -71,27 +71,19 @@ def _aligned(raw: NDArray[np.float32]) -> int:
 
 
 @kernel
-def _query(
-    function: int,
-    scene: int,
-    arguments: int,
-    width: int,
-    origins: Float32,
-    directions: Float32,
-    furthest: float,
-    nearest_wanted: bool,
+def _blocked(
+    function: int, scene: int, arguments: int, width: int, origins: Float32, directions: Float32
 ) -> NDArray[np.int32]:
-    # the triangle that each ray meets first, −1 where none; or 0 for any at all
+    # 0 where anything lies within the length of a direction, −1 where nothing does
     n = len(origins)
     found = np.empty(n, np.int32)
     raw = np.zeros(_ROWS * width + _ALIGNMENT // 4, np.float32)
     begin = _aligned(raw)
     ray = raw[begin : begin + _ROWS * width]
-    number = ray.view(np.int32)
     raw_valid = np.zeros(width + _ALIGNMENT // 4, np.float32)
     begin = _aligned(raw_valid)
     valid = raw_valid[begin : begin + width].view(np.int32)
-    number[_MASK * width : (_MASK + 1) * width] = -1
+    ray.view(np.int32)[_MASK * width : (_MASK + 1) * width] = -1
     for first in range(0, n, width):
         for j in range(width):
             i = min(first + j, n - 1)
@@ -99,16 +91,35 @@ def _query(
             for axis in range(3):
                 ray[axis * width + j] = origins[i, axis]
                 ray[(4 + axis) * width + j] = directions[i, axis]
-            ray[_FURTHEST * width + j] = furthest
-            number[_GEOMETRY * width + j] = -1
+            ray[_FURTHEST * width + j] = 1.0
         call_address(function, valid.ctypes.data, scene, ray.ctypes.data, arguments)
         for j in range(min(width, n - first)):
-            if nearest_wanted:
-                hit = number[_GEOMETRY * width + j] != -1
-                found[first + j] = number[_TRIANGLE * width + j] if hit else -1
-            else:
-                # Embree's sign for a ray that is blocked
-                found[first + j] = 0 if ray[_FURTHEST * width + j] < 0.0 else -1
+            # Embree's sign for a ray that is blocked
+            found[first + j] = 0 if ray[_FURTHEST * width + j] < 0.0 else -1
+    return found
+
+
+@kernel
+def _nearest(
+    function: int, scene: int, arguments: int, origins: Float32, directions: Float32
+) -> NDArray[np.int32]:
+    # the triangle that each ray meets first, −1 where none
+    n = len(origins)
+    found = np.empty(n, np.int32)
+    raw = np.zeros(_ROWS + _ALIGNMENT // 4, np.float32)
+    begin = _aligned(raw)
+    ray = raw[begin : begin + _ROWS]
+    number = ray.view(np.int32)
+    number[_MASK] = -1
+    for i in range(n):
+        for axis in range(3):
+            ray[axis] = origins[i, axis]
+            ray[4 + axis] = directions[i, axis]
+        ray[_FURTHEST] = np.inf
+        number[_GEOMETRY] = -1
+        # a function of three pointers; the fourth is not looked at
+        call_address(function, scene, ray.ctypes.data, arguments, arguments)
+        found[i] = number[_TRIANGLE] if number[_GEOMETRY] != -1 else -1
     return found
 
 
@@ -156,20 +167,24 @@ class PacketScene:
             self._library.rtcReleaseScene(scene)
 
     def first_hit(self, origins: Float32, directions: Float32) -> NDArray[np.int32]:
-        """Index of the first triangle that each ray meets, −1 where none; shape (k,)."""
-        return self._ask("rtcIntersect", origins, directions, np.inf)
+        """Index of the first triangle that each ray meets, −1 where none; shape (k,).
+
+        One after another: of triangles that share an edge which a ray meets, a packet takes one or the other by what
+        else is in it.
+        """
+        function = _address(self._library.rtcIntersect1)
+        return _nearest(function, self._scene, self._argument_address, origins, directions)
 
     def occluded(self, origins: Float32, directions: Float32) -> NDArray[np.int32]:
         """0 where anything lies within the length of a direction, −1 where nothing does; shape (k,)."""
-        return self._ask("rtcOccluded", origins, directions, 1.0)
+        function = _address(getattr(self._library, f"rtcOccluded{self._width}"))
+        return _blocked(function, self._scene, self._argument_address, self._width, origins, directions)
 
-    def _ask(self, name: str, origins: Float32, directions: Float32, furthest: float) -> NDArray[np.int32]:
-        function = getattr(self._library, f"{name}{self._width}")
-        address = ctypes.cast(function, ctypes.c_void_p).value
-        return _query(
-            address, self._scene, self._argument_address, self._width, origins, directions, furthest,
-            name == "rtcIntersect",
-        )  # fmt: skip
+
+def _address(function: Any) -> int:
+    address = ctypes.cast(function, ctypes.c_void_p).value
+    assert address is not None
+    return address
 
 
 def packet_scene(vertices: Float32, faces: NDArray[np.int32]) -> PacketScene | None:

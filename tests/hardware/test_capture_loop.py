@@ -49,7 +49,12 @@ def test_the_command_says_what_it_did(captured):
         pytest.param(
             "R_d: 30, R_s: 12500, sigma_rad: 0.0475", ("fit-diffuse",), {"R_d"}, marks=pytest.mark.nightly
         ),
-        ("R_d: 30, R_s: 4000, sigma_rad: 0.06", ("fit-specular", "--joint"), {"R_d", "R_s", "sigma_rad"}),
+        pytest.param(
+            "R_d: 30, R_s: 4000, sigma_rad: 0.06",
+            ("fit-specular", "--joint"),
+            {"R_d", "R_s", "sigma_rad"},
+            marks=pytest.mark.nightly,  # tests/hardware/test_capture_fit.py does as much in one process
+        ),
     ],
 )
 def test_what_is_fitted_to_a_capture_holds_the_truth(captured, tmp_path, guess, command, fitted):

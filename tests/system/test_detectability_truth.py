@@ -17,6 +17,9 @@ from lightopt import load_part, load_rig
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
 
+PITS = {("glossy",): 0, ("glossy", "satin"): 24}
+
+
 @pytest.fixture
 def small_rig(tmp_path):
     """The four panels with a camera of a sixteenth of the pixels."""
@@ -30,7 +33,7 @@ def small_rig(tmp_path):
 @pytest.mark.parametrize(
     ("part", "finishes"),
     [
-        ("cover-knob", ("glossy",)),
+        ("cover-knob", ("glossy",)),  # pits are in test_strewn_truth.py
         pytest.param("cover-knob", ("glossy", "satin"), marks=pytest.mark.nightly),
         pytest.param("spout", ("glossy", "satin"), marks=pytest.mark.nightly),
     ],
@@ -44,7 +47,7 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, finishes, tmp_pa
             small_rig,
             load_part(CONFIGS / "parts" / f"{part}.yaml"),
             patches=2_000 if finishes == ("glossy",) else 4_000,
-            pits=24,
+            pits=PITS[finishes],
         )
     )
     assert {(p.finish, p.seen_in) for p in points} == {(f, k) for f in finishes for k in SEEN_IN}
@@ -54,7 +57,7 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, finishes, tmp_pa
         if p.kind == "all" or p.pixels > 1:
             assert abs(p.predicted - p.measured) < 0.05, p
     strewn = [p for p in points if p.kind.startswith("pits")]
-    assert len(strewn) == len(finishes) * 2 * 2 * 2
+    assert len(strewn) == (len(finishes) * 2 * 2 * 2 if PITS[finishes] else 0)
     for p in strewn:
         # noise takes single pixels across the threshold
         assert abs(p.predicted - p.measured) < (0.05 if p.pixels > 1 else 0.1), p

@@ -55,6 +55,39 @@ def test_packets_answer_as_single_rays(monkeypatch, mesh, count):
     assert packets.rays_cast == 2 * count
 
 
+@pytest.mark.parametrize("height", [0.0, 0.5])
+def test_answers_do_not_depend_on_the_other_rays(monkeypatch, height):
+    """Rays exactly through vertices, through edges that triangles share, and along the border of an open mesh."""
+    n = 40
+    rng = np.random.default_rng(1)
+    grid = np.stack(np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0), indexing="ij"), -1).reshape(-1, 2)
+    corner = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    below, above = corner + n + 1, corner + 1
+    faces = np.vstack([np.stack([corner, below, above], axis=1), np.stack([above, below, below + 1], axis=1)])
+    vertices = np.column_stack([grid, height * rng.random(len(grid))])
+    packets, single = both(trimesh.Trimesh(vertices, faces, process=False), monkeypatch)
+    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ends = np.vstack([vertices, vertices[edges].mean(axis=1)])
+    eye = np.array([0.5 * n, 0.5 * n, 60.0])
+    beyond = ends + 0.3 * (ends - eye)
+
+    def answers(caster, some):
+        none = np.zeros(len(some), np.int32)
+        blocked = caster.occluded(
+            beyond, np.zeros_like(beyond), eye[None], point_index=some.astype(np.int32), target_index=none
+        )
+        return np.stack([caster.first_hit(eye, (ends - eye)[some]), blocked])
+
+    whole = answers(packets, np.arange(len(ends)))
+    assert np.mean(whole[1]) > 0.9
+    np.testing.assert_array_equal(whole, answers(single, np.arange(len(ends))))
+    for _ in range(3):
+        order = rng.permutation(len(ends))
+        np.testing.assert_array_equal(whole[:, order], answers(packets, order))
+    pieces = [np.arange(k, min(k + 7, len(ends))) for k in range(0, len(ends), 7)]
+    np.testing.assert_array_equal(whole, np.hstack([answers(packets, piece) for piece in pieces]))
+
+
 def test_no_rays_are_no_answers(monkeypatch):
     packets, single = both(MESHES["sphere"], monkeypatch)
     none = np.zeros((0, 3))

@@ -30,6 +30,7 @@ from lightopt.report import (
     Picture,
     SurfaceView,
     Table,
+    _optimum_report,
     optimum_page,
     optimum_report,
     page_html,
@@ -74,6 +75,12 @@ def done(shared_bench, tmp_path_factory):
 def blocks(done):
     page = optimum_page(done[1])
     return [*page.lead, *(block for section in page.sections for block in section.blocks)]
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pages without drawings of the rig, which take longer than all the rest."""
+    monkeypatch.setattr(_optimum_report, "drawing_blocks", lambda _: [])
 
 
 @pytest.fixture
@@ -347,7 +354,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
 
 
 @pytest.mark.slow
-def test_defects_seen_are_those_of_the_result(inspected):
+def test_defects_seen_are_those_of_the_result(inspected, undrawn):
     bench, draft = inspected
     section = next(s for s in optimum_page(draft).sections if s.heading == "Defects")
     (table,) = section.blocks
@@ -365,7 +372,7 @@ def with_options(draft, options):
 
 
 @pytest.mark.slow
-def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done):
+def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done, undrawn):
     _, draft = inspected
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
     options = {**draft.document["provenance"]["options"], "tolerances": tolerances}
@@ -479,7 +486,7 @@ PLANNED = {
 
 
 @pytest.mark.slow
-def test_a_plan_is_shown_as_the_result_has_it(done):
+def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
     options = {**done[1].document["provenance"]["options"], "tolerances": tolerances}
     draft = replace(done[1], document={**with_options(done[1], options), **PLANNED})
@@ -542,7 +549,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done):
     ]
 
 
-def test_the_way_of_several_commands_is_told_command_by_command(done):
+def test_the_way_of_several_commands_is_told_command_by_command(done, undrawn):
     rounds = [
         {"command": "one", "order_of_travel": [place(20, 90)], "travel_s": 90.0},
         {"command": "two", "order_of_travel": [place(0, 0)], "travel_s": 40.25},
@@ -567,7 +574,7 @@ def test_the_way_of_several_commands_is_told_command_by_command(done):
         ("target", "adds 1 % or more, or where the target takes it."),
     ],
 )
-def test_exposures_that_the_target_takes_are_told(done, why, expected):
+def test_exposures_that_the_target_takes_are_told(done, undrawn, why, expected):
     planned = PLANNED["exposures"]
     first, other = planned["shots"]
     planned = {**planned, "shots": [first, {**other, "planned": True, "planned_for": why}]}
@@ -576,7 +583,7 @@ def test_exposures_that_the_target_takes_are_told(done, why, expected):
     assert note.text.endswith(expected)
 
 
-def test_where_one_image_is_enough_the_greedy_bound_is_told(done):
+def test_where_one_image_is_enough_the_greedy_bound_is_told(done, undrawn):
     one = {**PLANNED["chosen_postures"], "seen_in": 1, "every_combination_tried": False}
     one |= {"lights_best_for_postures": False, "turns_on_all_patches": False}
     draft = replace(done[1], document={**done[1].document, "chosen_postures": one})
@@ -589,7 +596,7 @@ def test_where_one_image_is_enough_the_greedy_bound_is_told(done):
     assert "no other positions of the lights" not in proof
 
 
-def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done):
+def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done, undrawn):
     chosen = {**PLANNED["chosen_postures"], "best_of_sets": 66, "seen_in": 1}
 
     def told(**more):
