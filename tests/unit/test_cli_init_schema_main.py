@@ -158,7 +158,7 @@ def test_a_reader_that_goes_away_is_no_error():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+@pytest.mark.parametrize("encoding", ["cp1252", pytest.param("ascii", marks=pytest.mark.nightly)])
 def test_output_redirected_in_a_windows_code_page_is_utf_8(tmp_path, shared_bench, encoding):
     """Neither θ nor σ nor ≤ is in cp1252: redirected output is UTF-8 instead of a traceback."""
     environment = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"}
