@@ -15,7 +15,7 @@ from typing import Any
 
 import embreex
 import numpy as np
-from embreex import rtcore_scene  # loads the library and what it depends on
+from embreex import rtcore_scene  # noqa: F401  # pyright: ignore[reportUnusedImport]  # loads the library
 from numpy.typing import NDArray
 
 from lightopt.kernels import call_address, kernel
@@ -65,9 +65,11 @@ _ALIGNMENT = 64
 
 
 @kernel
-def _aligned(raw: NDArray[np.float32]) -> int:
-    # index of the first float that is aligned as packets have to be
-    return (-raw.ctypes.data % _ALIGNMENT) // 4
+def _aligned(count: int) -> Float32:
+    # so many zeros, aligned as packets have to be
+    raw = np.zeros(count + _ALIGNMENT // 4, np.float32)
+    begin = (-raw.ctypes.data % _ALIGNMENT) // 4
+    return raw[begin : begin + count]
 
 
 @kernel
@@ -77,12 +79,8 @@ def _blocked(
     # 0 where anything lies within the length of a direction, −1 where nothing does
     n = len(origins)
     found = np.empty(n, np.int32)
-    raw = np.zeros(_ROWS * width + _ALIGNMENT // 4, np.float32)
-    begin = _aligned(raw)
-    ray = raw[begin : begin + _ROWS * width]
-    raw_valid = np.zeros(width + _ALIGNMENT // 4, np.float32)
-    begin = _aligned(raw_valid)
-    valid = raw_valid[begin : begin + width].view(np.int32)
+    ray = _aligned(_ROWS * width)
+    valid = _aligned(width).view(np.int32)
     ray.view(np.int32)[_MASK * width : (_MASK + 1) * width] = -1
     for first in range(0, n, width):
         for j in range(width):
@@ -106,9 +104,7 @@ def _nearest(
     # the triangle that each ray meets first, −1 where none
     n = len(origins)
     found = np.empty(n, np.int32)
-    raw = np.zeros(_ROWS + _ALIGNMENT // 4, np.float32)
-    begin = _aligned(raw)
-    ray = raw[begin : begin + _ROWS]
+    ray = _aligned(_ROWS)
     number = ray.view(np.int32)
     number[_MASK] = -1
     for i in range(n):
@@ -124,7 +120,7 @@ def _nearest(
 
 
 class PacketScene:
-    """A hierarchy over triangles that is asked with packets of rays.
+    """A hierarchy over triangles, asked through Embree's own functions.
 
     Parameters
     ----------
@@ -201,18 +197,20 @@ def packet_scene(vertices: Float32, faces: NDArray[np.int32]) -> PacketScene | N
 
 
 @cache
-def _works(process: int) -> bool:
+def _works(_process: int) -> bool:
     """Whether the library is the expected one: one triangle, one ray through it, one beside it, twice."""
     triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
     origins = np.array([[0.2, 0.2, 0.5], [0.8, 0.8, 0.5]], np.float32)
     down = np.array([[0, 0, -1], [0, 0, -1]], np.float32)
     try:
-        _embree(process)
         scene = PacketScene(triangle, np.array([[0, 1, 2]], np.int32))
         answers = scene.first_hit(origins, down).tolist(), scene.occluded(origins, down).tolist()
-    except (OSError, NotImplementedError):  # the latter where numba compiles nothing
+    except (OSError, AttributeError, NotImplementedError):  # no function of that name; numba compiles nothing
         return False
     return answers == ([0, -1], [0, -1])
+
+
+_LOADING = threading.Lock()
 
 
 @cache
@@ -235,12 +233,8 @@ def _embree(_process: int) -> tuple[Any, int, int]:
         return library, device, widths[0]
 
 
-_LOADING = threading.Lock()
-
-
 def _library_path() -> Path:
     package = Path(embreex.__file__).parent
-    assert rtcore_scene is not None
     places = (
         (package.parent / "embreex.libs", "libembree4*.so*"),
         (package.parent / "embreex.libs", "embree4*.dll"),
