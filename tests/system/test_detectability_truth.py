@@ -17,9 +17,6 @@ from lightopt import load_part, load_rig
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
 
-PITS = {("glossy",): 0, ("glossy", "satin"): 24}
-
-
 @pytest.fixture
 def small_rig(tmp_path):
     """The four panels with a camera of a sixteenth of the pixels."""
@@ -31,25 +28,21 @@ def small_rig(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("part", "finishes"),
+    ("part", "finishes", "patches", "pits"),
     [
-        ("cover-knob", ("glossy",)),  # pits are in test_strewn_truth.py
-        pytest.param("cover-knob", ("glossy", "satin"), marks=pytest.mark.nightly),
-        pytest.param("spout", ("glossy", "satin"), marks=pytest.mark.nightly),
+        ("cover-knob", ("glossy",), 2_000, 0),  # pits in every run are those of test_strewn_truth.py
+        pytest.param("cover-knob", ("glossy", "satin"), 4_000, 24, marks=pytest.mark.nightly),
+        pytest.param("spout", ("glossy", "satin"), 4_000, 24, marks=pytest.mark.nightly),
     ],
 )
-def test_predicted_shares_are_the_counted_ones(small_rig, part, finishes, tmp_path, monkeypatch):
+def test_predicted_shares_are_the_counted_ones(
+    small_rig, part, finishes, patches, pits, tmp_path, monkeypatch
+):
     monkeypatch.setattr(truth, "FINISHES", {name: truth.FINISHES[name] for name in finishes})
     # as many pixels wide as pits of 1.5 mm under the whole camera
     monkeypatch.setattr("truth_pits.WIDTH_MM", 6.0)
-    points = list(
-        compare(
-            small_rig,
-            load_part(CONFIGS / "parts" / f"{part}.yaml"),
-            patches=2_000 if finishes == ("glossy",) else 4_000,
-            pits=PITS[finishes],
-        )
-    )
+    file = CONFIGS / "parts" / f"{part}.yaml"
+    points = list(compare(small_rig, load_part(file), patches=patches, pits=pits))
     assert {(p.finish, p.seen_in) for p in points} == {(f, k) for f in finishes for k in SEEN_IN}
     whole = [p for p in points if not p.kind.startswith("pits")]
     assert len(whole) == len(finishes) * 2 * 2 * 8
@@ -57,7 +50,7 @@ def test_predicted_shares_are_the_counted_ones(small_rig, part, finishes, tmp_pa
         if p.kind == "all" or p.pixels > 1:
             assert abs(p.predicted - p.measured) < 0.05, p
     strewn = [p for p in points if p.kind.startswith("pits")]
-    assert len(strewn) == (len(finishes) * 2 * 2 * 2 if PITS[finishes] else 0)
+    assert len(strewn) == (len(finishes) * 2 * 2 * 2 if pits else 0)
     for p in strewn:
         # noise takes single pixels across the threshold
         assert abs(p.predicted - p.measured) < (0.05 if p.pixels > 1 else 0.1), p

@@ -30,7 +30,7 @@ defect_catalogue:
 FEW = ("--patches", "120", "--step", "10", "-q")
 PLAN = (
     *("--choose-postures", "2", "--posture-step", "90", "--exposures", "1,1/16"),
-    *("--tolerance-deg", "2"),
+    *("--tolerance-deg", "2", "--pose-tolerance-deg", "1"),
 )
 
 

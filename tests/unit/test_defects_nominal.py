@@ -9,6 +9,7 @@ import pytest
 from lightopt.cli._main import run
 from lightopt.images import read_image_set
 
+pytestmark = pytest.mark.usefixtures("registered_by_few_pixels")
 DEFECTS = """\
 defects:
   - {name: stain, kind: stain, at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [58, 60]}, \
@@ -51,11 +52,6 @@ def shop(shared_bench, tmp_path_factory):
     ]
     assert run([str(word) for word in command]) == 0
     return bench
-
-
-@pytest.fixture(autouse=True)
-def few_pixels(registered_by_few_pixels):
-    """The part is looked for by few pixels, too."""
 
 
 def parts(shop):
