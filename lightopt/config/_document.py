@@ -5,6 +5,7 @@ Built from PyYAML's events, so no tag is ever resolved and no constructor ever r
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
@@ -18,6 +19,10 @@ __all__ = ["INVALID", "Document", "Problem", "YamlError", "parse"]
 
 MAX_NODES = 20_000
 MAX_DEPTH = 40
+
+_READ_DIFFERENTLY = re.compile(r"[\t!?]|[|>]\S*#")
+"""Tabs, tags, question marks, comments without a space before them: PyYAML's parser in C takes some of them that the
+one in Python refuses."""
 
 
 class _Invalid:
@@ -77,9 +82,9 @@ def parse(text: str) -> Document:
     YamlError
         Where the text is not YAML, holds several documents, or expands beyond all measure.
     """
-    reader = _Reader(text)
+    reader = _Reader(text, yaml.SafeLoader)
     try:
-        root = reader.document()
+        root = _quickly_read(text) or reader.document()
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise YamlError(line, f"control character U+{ord(text[error.position]):04X}; remove it") from None
@@ -94,11 +99,22 @@ def parse(text: str) -> Document:
     return document
 
 
+def _quickly_read(text: str) -> _Node | None:
+    # by the parser in C where PyYAML has it; None where there is nothing, or something for the other to explain
+    loader = getattr(yaml, "CSafeLoader", None)
+    if loader is None or _READ_DIFFERENTLY.search(text):
+        return None
+    try:
+        return _Reader(text, loader).document()
+    except (yaml.YAMLError, ValueError, OverflowError, IndexError):
+        return None
+
+
 class _Reader:
     """Builds the tree of nodes from PyYAML's events."""
 
-    def __init__(self, text: str) -> None:
-        self.events: Iterator[yaml.Event] = yaml.parse(text, Loader=yaml.SafeLoader)
+    def __init__(self, text: str, loader: type[yaml.SafeLoader]) -> None:
+        self.events: Iterator[yaml.Event] = yaml.parse(text, Loader=loader)
         self.anchors: dict[str, _Node] = {}
         self.count = 0
         self.line = 1

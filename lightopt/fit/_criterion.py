@@ -20,11 +20,13 @@ __all__ = [
     "LOG_R_S",
     "LOG_SIGMA",
     "R_D",
-    "SLOPES",
     "Criterion",
     "Evaluation",
+    "add_curvature",
+    "image_factors",
+    "mirror_curvature",
     "parameter_name",
-    "signal_and_slopes",
+    "specular_and_slope",
     "sum_pieces",
 ]
 
@@ -32,9 +34,6 @@ Float64 = NDArray[np.float64]
 
 R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
 """Places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε."""
-
-SLOPES = 5
-"""Parameters that the level of a pixel depends on: R_d, ln R_s, ln σ, the gain of its light, the dark level."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +112,8 @@ def sum_pieces(
         return value, gradient, curvature
 
     parts = in_threads(one, range(0, count, piece), threads)
+    if len(parts) == 1:
+        return parts[0]
     return (
         sum(p[0] for p in parts),
         np.sum([p[1] for p in parts], axis=0),
@@ -121,47 +122,77 @@ def sum_pieces(
 
 
 @kernel
-def signal_and_slopes(
-    i: int,
-    m: int,
-    diffuse: Float64,
-    specular: Float64,
-    c: Float64,
-    dc: Float64,
-    factors: Float64,
-    lights: NDArray[np.int32],
-    x: Float64,
-    place: NDArray[np.int64],
-    slope: Float64,
-) -> float:
-    """Level above the dark level that pixel `i` has in image `m`, and its slopes.
+def image_factors(factors: Float64, lights: NDArray[np.int32], x: Float64) -> Float64:
+    """Levels per unit of light in each image at the gains of the parameters `x`, shape (M,).
 
     Parameters
     ----------
-    i, m
-        Numbers of the pixel and of the image.
-    diffuse, specular
-        Light per unit of R_d, shape (n,), and of R_s at the nodes of ln σ, shape (n, w).
-    c, dc
-        Weights of the nodes for the light and for its slope by ln σ, shape (w,).
     factors, lights
-        Of the images: exposure by gain as the rig has it, and the light, shape (M,).
+        Exposure by gain as the rig has it, and the light, shape (M,).
     x
         Parameters, shape (K,).
-    place, slope
-        Filled with the places of the parameters and the slopes by them, shape (:data:`SLOPES`,); the dark level last.
     """
-    r_d, r_s = x[0], math.exp(x[1])
+    return np.array([factors[m] * math.exp(x[4 + lights[m]]) for m in range(len(factors))])
+
+
+@kernel
+def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tuple[float, float]:
+    """Specular light of pixel `i` per unit of R_s, and its slope by ln σ.
+
+    Parameters
+    ----------
+    i
+        Number of the pixel.
+    specular
+        At the nodes of ln σ, shape (n, w).
+    c, dc
+        Weights of the nodes for the light and for its slope, shape (w,).
+    """
     s = ds = 0.0
     for k in range(len(c)):
         s += c[k] * specular[i, k]
         ds += dc[k] * specular[i, k]
-    gain_place = 4 + lights[m]
-    factor = factors[m] * math.exp(x[gain_place])
-    signal = factor * (r_d * diffuse[i] + r_s * s)
-    place[0], slope[0] = 0, factor * diffuse[i]
-    place[1], slope[1] = 1, factor * r_s * s
-    place[2], slope[2] = 2, factor * r_s * ds
-    place[3], slope[3] = gain_place, signal
-    place[4], slope[4] = 3, 1.0
-    return signal
+    return s, ds
+
+
+@kernel
+def add_curvature(
+    bend: float, gain: int, r_d: float, r_s: float, sigma: float, signal: float, curvature: Float64
+) -> None:
+    """Add what one observation bends the criterion by to the upper triangle of the curvature.
+
+    Parameters
+    ----------
+    bend
+        Minus the second derivative by the level.
+    gain
+        Place of the gain of its light.
+    r_d, r_s, sigma, signal
+        Slopes of the level by R_d, ln R_s, ln σ and ln gain; that by the dark level is 1.
+    curvature
+        Shape (K, K).
+    """
+    by_r_d, by_r_s, by_sigma = bend * r_d, bend * r_s, bend * sigma
+    curvature[0, 0] += by_r_d * r_d
+    curvature[0, 1] += by_r_d * r_s
+    curvature[0, 2] += by_r_d * sigma
+    curvature[0, 3] += by_r_d
+    curvature[0, gain] += by_r_d * signal
+    curvature[1, 1] += by_r_s * r_s
+    curvature[1, 2] += by_r_s * sigma
+    curvature[1, 3] += by_r_s
+    curvature[1, gain] += by_r_s * signal
+    curvature[2, 2] += by_sigma * sigma
+    curvature[2, 3] += by_sigma
+    curvature[2, gain] += by_sigma * signal
+    curvature[3, 3] += bend
+    curvature[3, gain] += bend * signal
+    curvature[gain, gain] += bend * signal * signal
+
+
+@kernel
+def mirror_curvature(curvature: Float64) -> None:
+    """Copy the upper triangle to the lower, shape (K, K)."""
+    for k in range(len(curvature)):
+        for n in range(k):
+            curvature[k, n] = curvature[n, k]

@@ -12,7 +12,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.fit._criterion import FIRST_GAIN, LOG_SIGMA, SLOPES, Evaluation, signal_and_slopes, sum_pieces
+from lightopt.fit._criterion import (
+    FIRST_GAIN,
+    LOG_SIGMA,
+    Evaluation,
+    add_curvature,
+    image_factors,
+    mirror_curvature,
+    specular_and_slope,
+    sum_pieces,
+)
 from lightopt.fit._likelihood import lagrange
 from lightopt.fit._samples import Samples
 from lightopt.kernels import kernel
@@ -172,21 +181,32 @@ def _accumulate(
     curvature: Float64,
 ) -> float:
     # minus half the sum of weighted squares, its gradient, and the matrix of Gauss and Newton
-    dark = x[3]
-    place = np.empty(SLOPES, np.int64)
-    slope = np.empty(SLOPES)
+    r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
+    factor_of = image_factors(factors, lights, x)
     total = 0.0
     for j in range(start, end):
         i, m = sample[j], image[j]
-        signal = signal_and_slopes(i, m, diffuse, specular, c, dc, factors, lights, x, place, slope)
+        factor = factor_of[m]
+        s, ds = specular_and_slope(i, specular, c, dc)
+        signal = factor * (r_d * diffuse[i] + r_s * s)
         mean = black + dark + signal
         weight = weights[j]
         residual = min(float(level[j]), top) - min(max(mean, 0.0), top)
         total -= 0.5 * weight * residual * residual
         if mean < 0.0 or mean > top:
             continue
-        for k in range(SLOPES):
-            gradient[place[k]] += weight * residual * slope[k]
-            for n in range(SLOPES):
-                curvature[place[k], place[n]] += weight * slope[k] * slope[n]
+        by_r_d, by_r_s, by_sigma, gain = (
+            factor * diffuse[i],
+            factor * r_s * s,
+            factor * r_s * ds,
+            4 + lights[m],
+        )
+        pull = weight * residual
+        gradient[0] += pull * by_r_d
+        gradient[1] += pull * by_r_s
+        gradient[2] += pull * by_sigma
+        gradient[3] += pull
+        gradient[gain] += pull * signal
+        add_curvature(weight, gain, by_r_d, by_r_s, by_sigma, signal, curvature)
+    mirror_curvature(curvature)
     return total

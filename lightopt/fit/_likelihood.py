@@ -21,9 +21,11 @@ from lightopt.fit._criterion import (
     LOG_R_S,
     LOG_SIGMA,
     R_D,
-    SLOPES,
     Evaluation,
-    signal_and_slopes,
+    add_curvature,
+    image_factors,
+    mirror_curvature,
+    specular_and_slope,
     sum_pieces,
 )
 from lightopt.fit._samples import ImageFacts, Samples
@@ -225,15 +227,16 @@ def _accumulate(
     curvature: Float64,
 ) -> float:
     size = len(x)
-    dark = x[3]
+    r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
+    factor_of = image_factors(factors, lights, x)
     tau2 = math.exp(x[size - 2])
     epsilon = 1.0 / (1.0 + math.exp(-x[size - 1]))
-    place = np.empty(SLOPES, np.int64)
-    slope = np.empty(SLOPES)
     total = 0.0
     for j in range(start, end):
         i, m = sample[j], image[j]
-        signal = signal_and_slopes(i, m, diffuse, specular, c, dc, factors, lights, x, place, slope)
+        factor = factor_of[m]
+        s, ds = specular_and_slope(i, specular, c, dc)
+        signal = factor * (r_d * diffuse[i] + r_s * s)
         mean = sensor.black + dark + signal
         # the mean of frames has less noise; but it is saturated where any one of them is
         share = 1.0 if saturated[j] else 1.0 / frames[m]
@@ -272,14 +275,22 @@ def _accumulate(
             ratio = by_mean / f
             bend = min(max(ratio * ratio - (apa - bpb) / (variance * f), 0.0), 1.0 / variance)
         bend *= surely
-        for k in range(SLOPES):
-            # the dark level, which is the last, makes no shot noise
-            gradient[place[k]] += (score if k < SLOPES - 1 else inside * by_mean) * slope[k]
-            for n in range(SLOPES):
-                curvature[place[k], place[n]] += bend * slope[k] * slope[n]
+        by_r_d, by_r_s, by_sigma, gain = (
+            factor * diffuse[i],
+            factor * r_s * s,
+            factor * r_s * ds,
+            4 + lights[m],
+        )
+        gradient[0] += score * by_r_d
+        gradient[1] += score * by_r_s
+        gradient[2] += score * by_sigma
+        gradient[3] += inside * by_mean  # the dark level makes no shot noise
+        gradient[gain] += score * signal
+        add_curvature(bend, gain, by_r_d, by_r_s, by_sigma, signal, curvature)
         part = tau2 / variance
         gradient[size - 2] += inside * by_variance * tau2
         curvature[size - 2, size - 2] += 0.5 * surely * part * part
         gradient[size - 1] += (outlier - f) / p * epsilon * (1.0 - epsilon)
         curvature[size - 1, size - 1] += epsilon * (1.0 - epsilon)
+    mirror_curvature(curvature)
     return total

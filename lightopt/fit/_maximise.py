@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.fit._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion, Evaluation
+from lightopt.kernels import kernel
 
 __all__ = ["Maximum", "bounds", "has_settled", "maximise"]
 
 Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
 
 TOLERANCE = 1e-4
 """A maximum is found when the next step promises less than this [nat]: a hundredth of a standard error."""
@@ -97,30 +99,28 @@ def maximise(
         Promise of a step that is not worth taking [nat].
     """
     low, high = bounds(criterion)
-    index = np.asarray(free, dtype=np.intp)
-    held = ~np.isin(np.arange(len(x)), index)
-    low[held], high[held] = -np.inf, np.inf
-    x = np.clip(x, low, high)
+    can_change = np.isin(np.arange(len(x)), np.asarray(free, dtype=np.intp))
+    low[~can_change], high[~can_change] = -np.inf, np.inf
+    longest = np.full(len(x), LONGEST_STEP)
+    longest[R_D] = np.inf
+    x = np.minimum(np.maximum(x, low), high)
     here = criterion.evaluate(x)
     damping = FREE_DAMPING
     steps, converged = 1, False
     while steps < most_steps:
-        moving = _movable(x, here, index, low, high)
-        if len(moving) == 0:
+        moving = _movable(x, here.gradient, can_change, low, high)
+        if not moving.any():
             converged = True
             break
-        gradient = here.gradient[moving]
-        step = _newton_step(here, moving, damping)
+        step = _newton_step(here.gradient, here.curvature, moving, damping)
         # a step that is damped promises little because it is short
-        if float(gradient @ step) < tolerance and (
+        if float(here.gradient @ step) < tolerance and (
             damping <= FREE_DAMPING or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
         ):
             converged = True
             break
-        limit = np.where(moving == R_D, np.inf, LONGEST_STEP)
-        trial = x.copy()
-        trial[moving] += np.clip(step, -limit, limit)
-        trial = np.clip(trial, low, high)
+        trial = x + np.minimum(np.maximum(step, -longest), longest)
+        trial = np.minimum(np.maximum(trial, low), high)
         there = criterion.evaluate(trial)
         steps += 1
         if there.value > here.value:
@@ -130,23 +130,14 @@ def maximise(
             damping *= 8.0
             if damping > STALLED:
                 break
-    moving = _movable(x, here, index, low, high)
+    moving = _movable(x, here.gradient, can_change, low, high)
     if not converged:
-        converged = len(moving) == 0 or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+        converged = not moving.any() or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
     unsettled: tuple[int, ...] = ()
     if not converged:
-        gains = here.gradient[moving] ** 2 / np.maximum(np.diag(here.curvature)[moving], 1e-9)
-        unsettled = tuple(int(place) for place in moving[gains > 0.1 * np.max(gains, initial=0.0)])
+        gains = moving * here.gradient**2 / np.maximum(np.diag(here.curvature), 1e-9)
+        unsettled = tuple(np.flatnonzero(moving & (gains > 0.1 * np.max(gains))).tolist())
     return Maximum(x=x, evaluation=here, converged=converged, unsettled=unsettled, steps=steps)
-
-
-def _movable(
-    x: Float64, here: Evaluation, index: NDArray[np.intp], low: Float64, high: Float64
-) -> NDArray[np.intp]:
-    # a parameter at its bound that is pushed beyond it stays there
-    gradient = here.gradient[index]
-    stuck = ((x[index] <= low[index]) & (gradient < 0)) | ((x[index] >= high[index]) & (gradient > 0))
-    return index[~stuck]
 
 
 def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
@@ -166,19 +157,51 @@ def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
     if top.converged:
         return True
     index = np.asarray(free, dtype=np.intp)
-    moving = (index != R_D) | (top.x[index] > 0.0) | (top.evaluation.gradient[index] > 0.0)
-    left = np.abs(_newton_step(top.evaluation, index[moving], 1e-6))
-    return bool(np.all(left < SETTLED * errors[moving]))
+    moving = np.isin(np.arange(len(top.x)), index)
+    moving[R_D] &= top.x[R_D] > 0.0 or top.evaluation.gradient[R_D] > 0.0
+    left = _newton_step(top.evaluation.gradient, top.evaluation.curvature, moving, 1e-6)
+    return bool(np.all(np.abs(left[index]) < SETTLED * errors))
 
 
-def _newton_step(here: Evaluation, moving: NDArray[np.intp], damping: float) -> Float64:
-    # a damping of 1 halves it, or shortens it more along a ridge
-    matrix = here.curvature[np.ix_(moving, moving)]
-    diagonal = np.maximum(np.diag(matrix), 1e-9)
-    step = np.linalg.solve(matrix + np.diag(damping * diagonal), here.gradient[moving])
-    return np.asarray(step, dtype=np.float64)
-
-
-def _promise(here: Evaluation, moving: NDArray[np.intp]) -> float:
+def _promise(here: Evaluation, moving: Bool) -> float:
     # what a step that is hardly damped promises [nat]
-    return float(here.gradient[moving] @ _newton_step(here, moving, 1e-6))
+    return float(here.gradient @ _newton_step(here.gradient, here.curvature, moving, 1e-6))
+
+
+@kernel
+def _movable(x: Float64, gradient: Float64, can_change: Bool, low: Float64, high: Float64) -> Bool:
+    # a parameter at its bound that is pushed beyond it stays there
+    moving = np.empty(len(x), np.bool_)
+    for k in range(len(x)):
+        stuck = (x[k] <= low[k] and gradient[k] < 0.0) or (x[k] >= high[k] and gradient[k] > 0.0)
+        moving[k] = can_change[k] and not stuck
+    return moving
+
+
+@kernel
+def _newton_step(gradient: Float64, curvature: Float64, moving: Bool, damping: float) -> Float64:
+    # 0 where nothing moves; a damping of 1 halves a step, or shortens it more along a ridge
+    size = len(gradient)
+    matrix, step = np.eye(size), np.zeros(size)
+    for k in range(size):
+        if moving[k]:
+            step[k] = gradient[k]
+            for n in range(size):
+                if moving[n]:
+                    matrix[k, n] = curvature[k, n]
+            matrix[k, k] += damping * max(curvature[k, k], 1e-9)
+    # Gaussian elimination; the matrix is positive definite, so that no rows have to change places
+    for k in range(size):
+        if not moving[k]:
+            continue
+        for n in range(k + 1, size):
+            if matrix[n, k] != 0.0:
+                share = matrix[n, k] / matrix[k, k]
+                for m in range(k + 1, size):
+                    matrix[n, m] -= share * matrix[k, m]
+                step[n] -= share * step[k]
+    for k in range(size - 1, -1, -1):
+        for m in range(k + 1, size):
+            step[k] -= matrix[k, m] * step[m]
+        step[k] /= matrix[k, k]
+    return step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,11 +39,9 @@ def surface_place(mesh: TriangleMesh, face: int, u: float, v: float) -> SurfaceP
     corners = mesh.faces[face]
     weights = np.array([1.0 - u - v, u, v])
     a, b, c = mesh.vertices[corners]
-    normal = np.cross(b - a, c - a)
-    if mesh.normals is not None:
-        smooth = weights @ mesh.normals[corners]
-        if np.linalg.norm(smooth) > 1e-12:
-            normal = smooth
+    normal = np.zeros(3) if mesh.normals is None else weights @ mesh.normals[corners]
+    if math.hypot(*normal) <= 1e-12:
+        normal = np.cross(b - a, c - a)
     return SurfacePlace(
         point=weights @ mesh.vertices[corners], normal=normal / np.linalg.norm(normal), face=face
     )

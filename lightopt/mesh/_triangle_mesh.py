@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lightopt.errors import InputError
+from lightopt.kernels import kernel
 
 __all__ = ["TriangleMesh", "face_areas", "face_normals", "transformed"]
 
@@ -116,9 +117,18 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
     return TriangleMesh(mesh.vertices @ R.T + t, mesh.faces, normals)
 
 
+@kernel
 def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    a = vertices[faces[:, 0]]
-    return np.cross(vertices[faces[:, 1]] - a, vertices[faces[:, 2]] - a)
+    # normals as long as twice the areas
+    result = np.empty((len(faces), 3))
+    for i in range(len(faces)):
+        a, b, c = vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        result[i, 0] = uy * vz - uz * vy
+        result[i, 1] = uz * vx - ux * vz
+        result[i, 2] = ux * vy - uy * vx
+    return result
 
 
 def _rows_of_three(name: str, values: NDArray[np.float64]) -> NDArray[np.float64]:

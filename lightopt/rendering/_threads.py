@@ -64,10 +64,16 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
     tasks
         Taken up as threads become free, so that a long generator costs no memory.
     threads
-        Number of threads.
+        Number of threads; with one the calling thread does the work.
     done
         Called from the calling thread after each task; an exception that it raises stops the rest, too.
     """
+    if threads == 1:
+        for function, arguments in tasks:
+            function(*arguments)
+            if done is not None:
+                done()
+        return
     waiting_tasks = iter(tasks)
     stopped = Event()
     with ThreadPoolExecutor(threads, initializer=_stopped.set, initargs=(stopped,)) as pool:

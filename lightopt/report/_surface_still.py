@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
+from lightopt.mesh import TriangleMesh, face_normals
 from lightopt.raycast import RayCaster
 from lightopt.report._surface import ColouredSurface
 
@@ -17,7 +18,7 @@ FIELD_OF_VIEW = math.radians(30.0)
 """From the lower to the upper edge; viewer.js has the same."""
 
 WIDTH, HEIGHT, FINE = 900, 600, 2
-_BLOCK = 250_000
+_BLOCK_ROWS = 128
 _AMBIENT, _LAMP = 0.7, 0.3
 """As in viewer.js: enough to tell the shape, and so little that colours are those of the legend."""
 
@@ -38,26 +39,30 @@ def surface_still(surface: ColouredSurface) -> Image.Image:
     above = np.cross(surface.toward, right)
     classes = surface.layers[0].of_face
     colours = np.array([ImageColor.getrgb(kind.colour) for kind in surface.layers[0].classes], np.float64)
-    picture = np.full((WIDTH * HEIGHT * FINE * FINE, 3), 255, np.uint8)
+    normals = face_normals(TriangleMesh(surface.vertices, surface.triangles))
+    picture = np.full((HEIGHT * FINE, WIDTH * FINE, 3), 255, np.uint8)
     scale = math.tan(0.5 * FIELD_OF_VIEW) / (0.5 * HEIGHT * FINE)
-    for start in range(0, len(picture), _BLOCK):
-        index = np.arange(start, min(start + _BLOCK, len(picture)))
-        rows, columns = np.divmod(index, WIDTH * FINE)
-        across = (columns + 0.5 - 0.5 * WIDTH * FINE) * scale
+    # the rectangle that has all of it
+    seen = surface.vertices - eye
+    depth = -scale * (seen @ surface.toward)
+    left, right_end = _span(0.5 * WIDTH * FINE + (seen @ right) / depth, WIDTH * FINE)
+    top, bottom = _span(0.5 * HEIGHT * FINE - (seen @ above) / depth, HEIGHT * FINE)
+    across = (np.arange(left, right_end) + 0.5 - 0.5 * WIDTH * FINE) * scale
+    for row in range(top, bottom, _BLOCK_ROWS):
+        rows = np.arange(row, min(row + _BLOCK_ROWS, bottom))
         down = (rows + 0.5 - 0.5 * HEIGHT * FINE) * scale
-        rays = across[:, None] * right - down[:, None] * above - surface.toward
+        rays = (across[:, None] * right - down[:, None, None] * above - surface.toward).reshape(-1, 3)
         face = caster.first_hit(eye, rays)
         hit = np.flatnonzero(face >= 0)
-        facing = _facing(surface, face[hit], rays[hit])
+        face, rays = face[hit], rays[hit]
+        facing = np.abs(np.einsum("ij,ij->i", normals[face], rays)) / np.linalg.norm(rays, axis=1)
         shade = np.minimum(1.0, _AMBIENT + _LAMP * facing)
-        picture[index[hit]] = np.floor(colours[classes[face[hit]]] * shade[:, None] + 0.5)
-    return Image.fromarray(picture.reshape(HEIGHT * FINE, WIDTH * FINE, 3)).reduce(FINE)
+        y, x = np.divmod(hit, len(across))
+        picture[rows[y], left + x] = np.floor(colours[classes[face]] * shade[:, None] + 0.5)
+    return Image.fromarray(picture).reduce(FINE)
 
 
-def _facing(
-    surface: ColouredSurface, face: NDArray[np.int32], rays: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    a, b, c = np.moveaxis(surface.vertices[surface.triangles[face]], 1, 0)
-    normals = np.cross(b - a, c - a)
-    cosine = np.abs(np.einsum("ij,ij->i", normals, rays))
-    return cosine / np.maximum(np.linalg.norm(normals, axis=1) * np.linalg.norm(rays, axis=1), 1e-300)
+def _span(places: NDArray[np.float64], size: int) -> tuple[int, int]:
+    # the pixels of a row or column that have all of some places
+    low, high = math.floor(places.min()), math.floor(places.max()) + 1
+    return min(max(low, 0), size), min(max(high, 0), size)

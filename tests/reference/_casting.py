@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-BLOCK = 4_000_000  # ray-triangle pairs in flight
+BLOCK = 100_000  # ray-triangle pairs in flight: what a processor's cache has room for
 
 
 def _edges(triangles):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
+import yaml
 
 from lightopt.config._document import YamlError, parse
 
@@ -128,3 +131,28 @@ def test_a_chain_of_aliases_is_as_deep_as_it_is() -> None:
     lines = ["l0: &l0 [1]", *(f"l{i}: &l{i} [*l{i - 1}]" for i in range(1, 100))]
     with pytest.raises(YamlError, match="aliases expand"):
         parse("\n".join(lines))
+
+
+@pytest.mark.skipif(not hasattr(yaml, "CSafeLoader"), reason="this PyYAML has no parser in C")
+def test_both_parsers_of_pyyaml_read_the_same(bench, monkeypatch) -> None:
+    """What a file means does not depend on whether PyYAML came with its parser in C."""
+    text, draw = bench.rig.read_text(encoding="utf-8"), random.Random(1)
+    texts = [text]
+    for _ in range(1000):
+        start = draw.randrange(len(text) - 60)
+        some = list(text[start : start + draw.randrange(5, 60)])
+        for _ in range(draw.randrange(1, 4)):
+            some.insert(
+                draw.randrange(len(some) + 1), draw.choice("{}[]:,-?&*!|>'\"%@`# \t\n\\~<=ab1.\u00e9")
+            )
+        texts.append("".join(some))
+
+    def read(text: str) -> object:
+        try:
+            return parse(text)
+        except YamlError as error:
+            return error.problem
+
+    quickly = [read(text) for text in texts]
+    monkeypatch.delattr(yaml, "CSafeLoader")
+    assert [read(text) for text in texts] == quickly
