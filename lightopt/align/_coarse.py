@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from lightopt.align._observations import Observation
 from lightopt.align._pixels import PixelSet, light_at, sensor_scale, view_of_placed
@@ -165,6 +164,8 @@ def search_placement(
     progress
         Called as the search goes on.
     """
+    from scipy import optimize  # takes long to load, and a capture seldom needs it
+
     frame = PoseFrame.of(scene)
     done = 0
 

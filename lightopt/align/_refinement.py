@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lightopt.align._least_squares import Limits
 from lightopt.align._observations import Observation
@@ -124,6 +123,8 @@ def _some(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 
 def _across_outline(pixels: PosturePixels) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    from scipy import ndimage  # takes long to load, and a capture seldom needs it
+
     shows = np.zeros(pixels.shape, np.bool_)
     shows[pixels.row, pixels.column] = True
     reach = OUTLINE_HALF_WIDTH_PX

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, stats
+from scipy import ndimage
 
 from lightopt.defects import PlacedDefect
 from lightopt.images import ImageSet
@@ -202,7 +202,9 @@ def area_under_roc(score: Float64, positive: Bool) -> float:
     """
     p = int(positive.sum())
     q = len(positive) - p
-    ranks = np.asarray(stats.rankdata(score))
+    _, which, times = np.unique(score, return_inverse=True, return_counts=True)
+    # equal scores share the mean of their ranks
+    ranks = (np.cumsum(times) - 0.5 * (times - 1))[which]
     return (float(ranks[positive].sum()) - 0.5 * p * (p + 1)) / (p * q)
 
 

@@ -27,7 +27,7 @@ defect_catalogue:
   - {name: dent, kind: dent, size_mm: 0.6, slope_deg: 4}
   - {name: stain, kind: stain, size_mm: 1.5, R_d_factor: 0.7}
 """
-FEW = ("--patches", "120", "--step", "10", "-q")
+FEW = ("--patches", "80", "--step", "10", "-q")
 PLAN = (
     *("--choose-postures", "2", "--posture-step", "90", "--exposures", "1,1/16"),
     *("--tolerance-deg", "2", "--pose-tolerance-deg", "1"),

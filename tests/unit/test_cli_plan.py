@@ -29,7 +29,7 @@ defect_catalogue:
   - {name: dent, kind: dent, size_mm: 0.6, slope_deg: 4}
   - {name: stain, kind: stain, size_mm: 1.5, R_d_factor: 0.7}
 """
-FEW = ("--patches", "150", "--step", "10", "--no-images")
+FEW = ("--patches", "100", "--step", "10", "--no-images")
 PLAN = (
     *FEW,
     "--choose-postures",
