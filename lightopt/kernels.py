@@ -38,6 +38,7 @@ from numba.core.extending import _Intrinsic  # pyright: ignore[reportPrivateUsag
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.extending import intrinsic
+from numba.np import linalg
 
 __all__ = ["cache_folder", "call_address", "fingerprint", "kernel"]
 
@@ -166,11 +167,30 @@ def _keep_on_disk(compiled: Any) -> None:
     compile_here = compiled.compile
 
     def compile_once(signature: Any) -> Any:
+        _load_array_functions()
         # numba's lock first: a thread that holds it may need the file of a kernel that this one calls
         with global_compiler_lock, found.turn(signature):
             return compile_here(signature)
 
     compiled.compile = compile_once
+
+
+@cache
+def _load_array_functions() -> None:
+    """Load numba's functions of arrays, but not SciPy's BLAS to see whether it is there: no kernel uses it.
+
+    Without BLAS, numba convolves by loops of its own; all else that needs BLAS still finds it.
+    """
+
+    def refuse() -> None:
+        raise ImportError
+
+    ensure_blas = linalg.ensure_blas
+    linalg.ensure_blas = refuse
+    try:
+        import numba.np.arraymath  # noqa: F401  # pyright: ignore[reportUnusedImport]
+    finally:
+        linalg.ensure_blas = ensure_blas
 
 
 class _DiskCache(NullCache):

@@ -189,6 +189,8 @@ def lagrange(nodes: Float64, at: float) -> tuple[Float64, Float64]:
     """Weights of the values at `nodes` in the interpolating polynomial at a place, and in its derivative there."""
     m = len(nodes)
     weights, slopes = np.ones(m), np.zeros(m)
+    if m == 1:
+        return weights, slopes
     for j in range(m):
         others = [k for k in range(m) if k != j]
         scale = math.prod(nodes[j] - nodes[k] for k in others)

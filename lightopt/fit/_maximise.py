@@ -99,7 +99,8 @@ def maximise(
         Promise of a step that is not worth taking [nat].
     """
     low, high = bounds(criterion)
-    can_change = np.isin(np.arange(len(x)), np.asarray(free, dtype=np.intp))
+    can_change = np.zeros(len(x), np.bool_)
+    can_change[list(free)] = True
     low[~can_change], high[~can_change] = -np.inf, np.inf
     longest = np.full(len(x), LONGEST_STEP)
     longest[R_D] = np.inf
@@ -157,7 +158,8 @@ def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
     if top.converged:
         return True
     index = np.asarray(free, dtype=np.intp)
-    moving = np.isin(np.arange(len(top.x)), index)
+    moving = np.zeros(len(top.x), np.bool_)
+    moving[index] = True
     moving[R_D] &= top.x[R_D] > 0.0 or top.evaluation.gradient[R_D] > 0.0
     left = _newton_step(top.evaluation.gradient, top.evaluation.curvature, moving, 1e-6)
     return bool(np.all(np.abs(left[index]) < SETTLED * errors))

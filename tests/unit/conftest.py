@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from lightopt.align import _coarse, _refinement
+from lightopt.fit import _cross_check
 
 
 @pytest.fixture
@@ -69,8 +70,9 @@ def take(bench, world, monkeypatch):
 
 
 @pytest.fixture
-def registered_by_few_pixels(monkeypatch):
-    """Registration looks at a third of its pixels: for tests of files and words, which need no exact place."""
+def few_pixels_for_the_rest(monkeypatch):
+    """Registration and second opinions on fits look at a third of their pixels: for tests of files and words."""
+    monkeypatch.setattr(_cross_check, "BUDGET", 80)
     monkeypatch.setattr(_coarse, "PIXELS", 2000)
     monkeypatch.setattr(_refinement, "INNER_PIXELS", 4000)
     monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)

@@ -12,7 +12,7 @@ import pytest
 from lightopt import load_part, load_rig
 from lightopt.images import read_image_set, read_png, write_png
 
-pytestmark = pytest.mark.usefixtures("registered_by_few_pixels")
+pytestmark = pytest.mark.usefixtures("few_pixels_for_the_rest")
 GUESS = ("R_d: 45.0, R_s: 12500, sigma_rad: 0.0475", "R_d: 30, R_s: 500, sigma_rad: 0.1")
 
 

@@ -9,7 +9,7 @@ import pytest
 from lightopt.cli._main import run
 from lightopt.images import read_image_set
 
-pytestmark = pytest.mark.usefixtures("registered_by_few_pixels")
+pytestmark = pytest.mark.usefixtures("few_pixels_for_the_rest")
 DEFECTS = """\
 defects:
   - {name: stain, kind: stain, at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [58, 60]}, \

@@ -181,3 +181,14 @@ def test_a_folder_that_cannot_be_written_is_replaced_by_a_private_one(folder, tm
     assert found.is_dir()
     assert not found.is_relative_to(tmp_path)
     found.rmdir()
+
+
+@pytest.mark.slow
+def test_a_kernel_runs_without_scipys_linear_algebra():
+    """It takes longer to load than the kernels of a command."""
+    script = (
+        "import sys, numpy as np; from lightopt.mesh import TriangleMesh, face_areas; "
+        "print(face_areas(TriangleMesh(np.eye(3), np.array([[0, 1, 2]])))); print('scipy.linalg' in sys.modules)"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert ran.stdout.splitlines() == ["[0.8660254]", "False"], ran.stderr
