@@ -410,6 +410,7 @@ def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, mon
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_a_search_for_the_place_that_did_not_converge_exits_1(cli, bench, noisy, monkeypatch):
     from lightopt.align import _registration
 

@@ -95,7 +95,8 @@ def test_shot_and_read_noise_have_the_mean_and_variance_of_the_model():
 @pytest.mark.slow
 @pytest.mark.parametrize("mean", [0.1, 3.0, 19.9, 20.0, 300.0, 15000.0, 1e6])
 def test_shot_noise_is_poisson(mean):
-    uniform = np.random.default_rng(1).random(100_000)
+    # SciPy's quantiles of large means take long
+    uniform = np.random.default_rng(1).random(100_000 if mean < 1e5 else 10_000)
     counts = _poisson(np.full(len(uniform), mean), uniform, stats.norm.ppf(uniform))
     exact = stats.poisson.ppf(uniform, mean)
     assert np.mean(counts != exact) < (0.01 if mean >= 20 else 1e-12)
