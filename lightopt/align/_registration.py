@@ -102,7 +102,7 @@ def register(
     observations: Sequence[Observation],
     *,
     caster: RayCaster,
-    reflectance_at: Callable[[Scene], Reflectance | None] | None = None,
+    reflectance_at: Callable[[Scene], Reflectance] | None = None,
     threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Registration:
@@ -118,7 +118,7 @@ def register(
         Of the scene's part.
     reflectance_at
         A reflectance for the refinement, given the scene with the part about where it lies; that of the scene by
-        default. None where a refinement is not worth while: the place is good to about a pixel then.
+        default.
     threads
         Number of threads; the result does not depend on it.
     progress
@@ -137,12 +137,7 @@ def register(
     refuse_useless_images(scene, sets, observations, caster=caster, threads=threads)
     start = search_placement(scene, sets, caster=caster, threads=threads, progress=stage("finding the part"))
     if reflectance_at is not None:
-        reflectance = reflectance_at(place_part(scene, start))
-        if reflectance is None:
-            reach = PoseFrame.of(scene).pixel_steps
-            errors = (float(reach[0]), float(reach[1]), float(reach[2]))
-            return Registration(placement=start, pose_errors=errors, converged=False)
-        scene = replace(scene, reflectance=reflectance)
+        scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
     return refine_placement(
         scene,
         observations,

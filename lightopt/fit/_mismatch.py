@@ -40,7 +40,9 @@ BUDGET = 250
 LEVEL_CAP = 0.15
 """Residuals count as at most this share of the sensor's full scale, dust and all."""
 
-LEAST_IMPROVEMENT = 1.0
+TRIAL_LIGHTS = 6
+"""Lights whose images the part is looked for in."""
+
 FLIP_BUDGET = 150
 MOST_LIGHTS = 8
 """Lights are only exchanged with each other, in trials, where there are no more than these."""
@@ -110,7 +112,7 @@ def refuse_other_images(
     InputError
         With what would fit better: the part displaced, mirrored or turned images, exchanged lights.
     """
-    if not quality.poor:
+    if quality.describes and not quality.poor:
         return world.registration is not None
     if world.registration is None:
         shift = find_displacement(world, samples, quality, threads=threads)
@@ -120,7 +122,7 @@ def refuse_other_images(
     if not own.foreign:
         return True
     hint = (
-        _what_fits_better(samples, threads)
+        _what_fits_better(samples, quality.floor**2, threads)
         or "check that rig, part, placement and postures are those of the images"
     )
     raise InputError(
@@ -153,15 +155,8 @@ def _displacement(
 ) -> Displacement | None:
     # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
     registration = find_part(
-        scene,
-        observations,
-        caster=cast_rays_at(scene),
-        # images of something else cost most, and no place explains them
-        worth_refining=lambda some, first: not _agreement(some, first, threads).foreign,
-        threads=threads,
+        scene, _of_some_lights(observations), caster=cast_rays_at(scene), threads=threads
     )
-    if not registration.converged and not registration.iterations:
-        return None
     frame, place = PoseFrame.of(scene), registration.placement
     pose = frame.pose(place)
     turn = float(pose[2])
@@ -174,14 +169,18 @@ def _displacement(
     there = collect_samples(moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads)
     # the same fit at both places: what another reflectance explains is not blamed on the place
     here = thinned(samples, BUDGET)
-    noise = quality.floor**2
-    before, after = (
-        _misfit(some, estimate(some, threads=threads), threads) - noise for some in (here, there)
-    )
-    explains = 1.0 - after / before if before > 0.0 else 0.0
+    before, after = (_missed(some, quality.floor**2, threads) for some in (here, there))
+    explains = _explained(before, after)
     if explains <= LEAST_EXPLAINED:
         return None
     return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=min(explains, 1.0))
+
+
+def _of_some_lights(observations: Sequence[Observation]) -> list[Observation]:
+    # evenly picked: a place is found, not measured
+    lights = list(dict.fromkeys(o.light for o in observations))
+    some = {lights[i * len(lights) // TRIAL_LIGHTS] for i in range(TRIAL_LIGHTS)}
+    return [o for o in observations if o.light in some]
 
 
 def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Float64, Float64]:
@@ -191,9 +190,29 @@ def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Flo
     )
 
 
-def _misfit(samples: Samples, found: Estimate, threads: int | None) -> float:
-    level, model = _levels(samples, found, threads)
-    return float(np.mean(np.minimum(np.square(level - model), (LEVEL_CAP * samples.sensor.max_level) ** 2)))
+def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
+    """Mean square of residuals beyond the noise's [sensor level²], shape (2,).
+
+    Each up to a cap, which dust does not move, and whole, which highlights of few pixels do. Fitted anew, since a
+    reflectance that was fitted to misplaced or flipped images is another one. Not the likelihood: where a dark part has
+    no highlight, that takes those of the images for dust. Over all pixels alike, since flipped images have their
+    highlights where few pixels were chosen.
+    """
+    found = estimate(samples, threads=threads)
+    weight = samples.weight[samples.sample]
+    square = np.square(np.subtract(*_levels(samples, found, threads)))
+    none = np.zeros(len(samples.diffuse))
+    dull = np.square(np.subtract(*clipped_levels(samples, predicted(samples, none, found.x))))
+    cap = (LEVEL_CAP * samples.sensor.max_level) ** 2
+    # a highlight that lies where the images have none is worse than none at all
+    capped = min(float(np.average(np.minimum(some, cap), weights=weight)) for some in (square, dull))
+    whole = min(float(np.average(some, weights=weight)) for some in (square, dull))
+    return np.maximum(np.array([capped, whole]) - noise, 0.0)
+
+
+def _explained(before: Float64, after: Float64) -> float:
+    # share of what was missed that is gone, by the measure that says more
+    return float(np.max(1.0 - after / np.maximum(before, 1e-12))) if before.all() else 0.0
 
 
 def _agreement(samples: Samples, found: Estimate, threads: int | None) -> Agreement:
@@ -204,24 +223,19 @@ def _agreement(samples: Samples, found: Estimate, threads: int | None) -> Agreem
     return agreement(level - black, model - black, noise)
 
 
-def _what_fits_better(samples: Samples, threads: int | None) -> str | None:
-    # each fitted again: the reflectance that was fitted to flipped images is another one
+def _what_fits_better(samples: Samples, noise: float, threads: int | None) -> str | None:
     few = thinned(samples, FLIP_BUDGET)
-    own = _value_per_pixel(few, threads)
-    better = {
-        f"{name}: {remedy}": _value_per_pixel(_flipped(few, flip), threads) - own
+    own = _missed(few, noise, threads)
+    gone = {
+        f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise, threads))
         for name, (flip, remedy) in FLIPS.items()
     }
-    swaps, gain = _swaps(few, own, threads)
+    swaps, share = _swaps(few, own, noise, threads)
     if swaps:
         exchanged = " and ".join(f"{a} and {b} exchanged" for a, b in swaps)
-        better[f"with {exchanged}: check which light is plugged in where"] = gain
-    name = max(better, key=lambda key: better[key])
-    return f"they fit far better {name}" if better[name] > LEAST_IMPROVEMENT else None
-
-
-def _value_per_pixel(samples: Samples, threads: int | None) -> float:
-    return estimate(samples, threads=threads).mean_log_likelihood
+        gone[f"with {exchanged}: check which light is plugged in where"] = share
+    name = max(gone, key=lambda key: gone[key])
+    return f"they fit far better {name}" if gone[name] > LEAST_EXPLAINED else None
 
 
 def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
@@ -230,24 +244,26 @@ def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
     return samples.remeasured(levels, saturated)
 
 
-def _swaps(samples: Samples, own: float, threads: int | None) -> tuple[list[tuple[str, str]], float]:
-    # pairs of lights whose images fit better exchanged, the best first, and what all of them gain
+def _swaps(
+    samples: Samples, own: Float64, noise: float, threads: int | None
+) -> tuple[list[tuple[str, str]], float]:
+    # pairs of lights whose images fit better exchanged, the best first, and the share of what is missed that is gone
     swaps: list[tuple[str, str]] = []
-    gain = 0.0
+    gone = 0.0
     seen = {image.light for image in samples.images}
     lights = [light for light in samples.lights if light in seen]
     while 2 <= len(lights) <= MOST_LIGHTS:
-        values = {
-            pair: _value_per_pixel(_exchanged(samples, [*swaps, pair]), threads) - own
+        shares = {
+            pair: _explained(own, _missed(_exchanged(samples, [*swaps, pair]), noise, threads))
             for pair in itertools.combinations(lights, 2)
         }
-        best = max(values, key=lambda pair: values[pair])
-        if values[best] <= gain:
+        best = max(shares, key=lambda pair: shares[pair])
+        if shares[best] <= gone:
             break
         swaps.append(best)
-        gain = values[best]
+        gone = shares[best]
         lights = [light for light in lights if light not in best]
-    return swaps, gain
+    return swaps, gone
 
 
 def _exchanged(samples: Samples, pairs: list[tuple[str, str]]) -> Samples:

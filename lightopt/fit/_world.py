@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from lightopt.align import (
     register,
 )
 from lightopt.config import PartConfig, RigConfig
-from lightopt.fit._estimate import Estimate, Freed
+from lightopt.fit._estimate import Freed
 from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._samples import OCTAVES, Samples, collect_samples
 from lightopt.fit._search import estimate
@@ -106,7 +106,6 @@ def find_part(
     *,
     caster: RayCaster,
     freed: Freed | None = None,
-    worth_refining: Callable[[Samples, Estimate], bool] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Registration:
@@ -122,21 +121,17 @@ def find_part(
         Of the scene's part.
     freed
         What the first fit may change.
-    worth_refining
-        Whether the first fit is good enough for a refinement of the place; always, by default.
     threads
         Number of threads; the result does not depend on it.
     progress
         Called as the search goes on.
     """
 
-    def first_reflectance(moved: Scene) -> Reflectance | None:
+    def first_reflectance(moved: Scene) -> Reflectance:
         samples = collect_samples(
             moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
         )
         first = estimate(samples, freed=freed, threads=threads)
-        if worth_refining is not None and not worth_refining(samples, first):
-            return None
         return replace(moved.reflectance, R_d=first.R_d, R_s=first.R_s, sigma=first.sigma)
 
     return register(

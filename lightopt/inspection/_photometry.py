@@ -24,6 +24,9 @@ PIXELS_PER_IMAGE = 40_000
 
 HUBER = 1.5
 ROUNDS = 12
+DARK_QUANTILE, DARK_NOISE = 0.05, 4.0
+"""Black is no lighter than that share of an image's pixels, and so many times the noise of black."""
+
 MOST_GAIN = 4.0
 """Lights that seem to be further from what the rig says, up or down, are not believed."""
 
@@ -87,6 +90,7 @@ def fit_photometry(
         return names.index(o.light), *_sample(scene, o, predicted[number], clean)
 
     rows = in_threads(sample, range(len(observations)), threads)
+    darkest = min((_darkest(scene, o, clean) for o in observations), default=np.inf)
     x = np.append(np.ones(n), 0.0)
     held = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
     nominal = x.copy()
@@ -106,8 +110,14 @@ def fit_photometry(
             right[light] += seen
             right[n] += total
         x = np.linalg.solve(normal, right)
-    if not np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN)):
-        x = nominal  # not these lights, or not this part: what is told of the images must not hide that
+        if x[n] > darkest:
+            x[n] = darkest
+            x[:n] = (right[:n] - normal[:n, n] * darkest) / np.diag(normal)[:n]
+    believed = np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN))
+    pairs = list(zip(observations, predicted, strict=True))
+    if not believed or _missed(scene, pairs, clean, x) > _missed(scene, pairs, clean, nominal):
+        # not these lights, not this part or another lobe: what is told of the images must not hide that
+        x = nominal
     return Photometry(gains={name: float(g) for name, g in zip(names, x[:n], strict=True)}, dark=float(x[n]))
 
 
@@ -125,6 +135,32 @@ def _sample(
     usable = (model + 4.0 * noise < top) & (model > 4.0 * noise)
     level = o.levels.ravel()[index].astype(np.float64) - sensor.black_level
     return model[usable], level[usable], noise[usable]
+
+
+def _missed(scene: Scene, pairs: Sequence[tuple[Observation, Float32]], clean: Bool, x: Float64) -> float:
+    # sum of squared residuals over all pixels alike, black and full ones as the camera clips them
+    sensor = scene.sensor
+    names = [light.name for light in scene.lights]
+    total = 0.0
+    for o, predicted in pairs:
+        index = some_pixels(clean)
+        scale = o.exposure * sensor.max_level / scene.reflectance.full_scale
+        model = predicted.ravel()[index] * scale * x[names.index(o.light)] + x[-1]
+        taken = np.broadcast_to(np.float32(o.subtracted), predicted.shape).reshape(-1)[index]
+        top = sensor.saturated_from - sensor.black_level - taken
+        level = np.minimum(o.levels.ravel()[index] - sensor.black_level, top)
+        total += float(np.sum(np.square(level - np.clip(model, -sensor.black_level, top))))
+    return total
+
+
+def _darkest(scene: Scene, o: Observation, clean: Bool) -> float:
+    # the lightest that black may be: where a part is dark, a lobe of another shape would pass for a dark level
+    index = some_pixels(clean)
+    if not len(index):
+        return np.inf
+    level = o.levels.ravel()[index].astype(np.float64) - scene.sensor.black_level
+    noise = float(np.sqrt(scene.sensor.noise_variance(np.zeros(1), frames=o.frames))[0])
+    return max(0.0, float(np.quantile(level, DARK_QUANTILE))) + DARK_NOISE * noise
 
 
 @kernel
