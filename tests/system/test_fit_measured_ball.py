@@ -15,6 +15,8 @@ import pytest
 from measured_ball import Ball, Surface, hemisphere
 
 from lightopt import build_scene
+from lightopt.align import _coarse, _refinement
+from lightopt.errors import InputError
 from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, appraise, collect_samples, estimate, profile_interval
 from lightopt.fit._mismatch import refuse_other_images
 from lightopt.fit._world import World
@@ -122,3 +124,35 @@ def test_subsets_of_96_lights_agree(tmp_path, surface, bits, exposure):
         )
     bench = Bench(tmp_path, surface, lights=96, size=80, bits=bits, exposure=exposure)
     examine(bench, (6, 12, 24, 48, 96), most_of_each=8)
+
+
+CHROME = Surface(0.6, 1.12, ((280.0, 0.03), (30.0, 0.09)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda image: np.roll(image, 3, axis=1), r"shifted by (2\.[5-9]|3\.[0-5]) px"),
+        (lambda image: image[::-1, ::-1], "they fit far better turned by 180°"),
+        pytest.param(lambda image: image, None, marks=pytest.mark.nightly),
+    ],
+    ids=["shifted", "turned", "in place"],
+)
+def test_where_a_chrome_ball_lies_is_told_from_its_highlights(tmp_path, monkeypatch, change, words):
+    """Hardly any light of it is diffuse, and its highlights are few pixels: not dust, nor another posture."""
+    monkeypatch.setattr(_coarse, "PIXELS", 2000)
+    monkeypatch.setattr(_refinement, "INNER_PIXELS", 2000)
+    bench = Bench(tmp_path, CHROME, lights=4, size=96, noise=0.3)
+    images = [
+        replace(image, levels=change(image.levels), saturated=change(image.saturated))
+        for image in bench.ball.observations(bench.levels, bench.all, bits=8)
+    ]
+    samples = collect_samples(bench.scene, images, caster=bench.caster, budget=300)
+    found = estimate(samples)
+    world = World(None, bench.scene, bench.caster, images)
+    if words is None:
+        assert refuse_other_images(world, samples, found, appraise(samples, found))
+        return
+    with pytest.raises(InputError, match=words):
+        refuse_other_images(world, samples, found, appraise(samples, found))

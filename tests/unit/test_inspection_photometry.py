@@ -1,0 +1,45 @@
+"""Brightness of lights and of black, as images have them: not what another lobe would make of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt import build_scene
+from lightopt.align import Observation
+from lightopt.inspection._photometry import fit_photometry
+from lightopt.transforms import Posture
+
+CLEAN = np.ones((80, 120), np.bool_)
+
+
+def highlight(width):
+    """A round one on a part that is all but black [grey level]."""
+    y, x = np.mgrid[-40:40, -60:60]
+    return (0.4 + 900.0 * np.exp(-(x**2 + y**2) / (2.0 * width**2))).astype(np.float32)
+
+
+def fitted(bench, light, predicted, *, gain=1.0, dark=0.0):
+    scene = build_scene(bench.rig, bench.part)
+    levels = np.floor(np.clip(gain * light + dark, 0.0, 255.0) + 0.5)
+    image = Observation(
+        light=scene.lights[0].name, posture=Posture(0.0, 0.0), exposure=1.0, levels=levels.astype(np.float32),
+        saturated=levels >= 255, half_width=0.5, source=Path("made-by-test.png"),
+    )  # fmt: skip
+    found = fit_photometry([image], [predicted], CLEAN, scene)
+    return found.gains[scene.lights[0].name], found.dark
+
+
+def test_a_wider_lobe_than_the_models_is_no_dark_level(bench):
+    """Around the model's highlight the images are lighter; where it predicts nothing they are black."""
+    gain, dark = fitted(bench, highlight(9.0), highlight(7.0))
+    assert dark < 4.0  # four times the noise of black
+    assert 0.5 < gain < 2.0
+
+
+@pytest.mark.parametrize(("gain", "dark"), [(0.8, 0.0), (1.2, 2.0), (1.0, 3.0)])
+def test_gain_and_dark_of_the_models_own_lobe_are_found(bench, gain, dark):
+    light = highlight(9.0) + 30.0
+    assert fitted(bench, light, light, gain=gain, dark=dark) == pytest.approx((gain, dark), abs=0.5)
