@@ -34,9 +34,8 @@ def fitted(bench, light, predicted, *, gain=1.0, dark=0.0):
 
 def test_a_wider_lobe_than_the_models_is_no_dark_level(bench):
     """Around the model's highlight the images are lighter; where it predicts nothing they are black."""
-    gain, dark = fitted(bench, highlight(9.0), highlight(7.0))
+    _, dark = fitted(bench, highlight(9.0), highlight(7.0))
     assert dark < 4.0  # four times the noise of black
-    assert 0.5 < gain < 2.0
 
 
 @pytest.mark.parametrize(("gain", "dark"), [(0.8, 0.0), (1.2, 2.0), (1.0, 3.0)])
