@@ -358,6 +358,7 @@ def test_the_noise_of_dull_pixels_is_written_into_the_rig(cli, bench, noisy):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
     from lightopt.fit import _lack_of_fit
 
