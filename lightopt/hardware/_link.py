@@ -7,6 +7,7 @@ lets a device that dribbles hold up the caller for ever.
 from __future__ import annotations
 
 import re
+import select
 import time
 from collections.abc import Callable
 from typing import TypeVar
@@ -29,9 +30,7 @@ __all__ = ["SerialLink"]
 _LOST = (serial.SerialException, OSError, _termios_error)
 _SLICE_S = 0.02  # longest single wait for a byte; a deadline is kept to within it
 _STALE_BYTES = 65536
-# pyserial says that a write was late by the clock alone, even if all bytes were taken: a limit as short as that of a
-# quick reply takes a busy computer for a dead line
-_WRITE_S = 1.0
+_WRITE_S = 1.0  # a write has this long at least: flow control may hold it up longer than a quick reply takes
 _LATE_BYTES = 4096  # most that is read of what already lies in the input when a deadline is over
 _USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 
@@ -105,6 +104,9 @@ class SerialLink:
                 write_timeout=self._write_s,
                 exclusive=True,
             )
+            self._waits = _has_descriptor(self._serial)
+            if self._waits:
+                self._serial.write_timeout = 0
         except (ValueError, *_LOST) as error:
             raise cannot_open(port, device, error) from None
         if log is not None:
@@ -158,7 +160,7 @@ class SerialLink:
         with self.lock:
             moment = now()
             try:
-                self._guarded(lambda: self._serial.write(data), data)
+                self._guarded(lambda: self._take(data), data)
             finally:  # bytes first: whatever becomes of the log, a light is switched off
                 if self._log is not None:
                     self._log.write(self.port, "out", data, moment)
@@ -298,6 +300,19 @@ class SerialLink:
             if self._log is not None:
                 self._log.write(self.port, "note", "closed")
 
+    def _take(self, data: bytes) -> None:
+        # pyserial calls a write late by the clock alone, even if every byte was taken at once: a computer that was busy
+        # for a second would be a dead line. Late is what is not taken while we wait, which select asks at its end, too.
+        if not (self._waits and self._serial.is_open):
+            self._serial.write(data)
+            return
+        until = time.monotonic() + self._write_s
+        while data:
+            _, free, _ = select.select([], [self._serial], [], max(until - time.monotonic(), 0.0))
+            if not free:
+                raise serial.SerialTimeoutException
+            data = data[self._serial.write(data) :]
+
     def _guarded(self, action: Callable[[], Value], sent: bytes) -> Value:
         try:
             return action()
@@ -338,3 +353,12 @@ def _ended(got: bytearray, end: bytes | re.Pattern[bytes] | None) -> bool:
     if end is None:
         return False
     return got.endswith(end) if isinstance(end, bytes) else end.search(got) is not None
+
+
+def _has_descriptor(port: object) -> bool:
+    # whether select can wait for it: not for COM ports of Windows, where the system judges writes, nor for rfc2217
+    try:
+        port.fileno()  # pyright: ignore[reportAttributeAccessIssue]
+    except (AttributeError, OSError):
+        return False
+    return True

@@ -285,14 +285,38 @@ def test_write_that_nobody_takes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_pty
+def test_write_that_the_line_holds_up() -> None:
+    """More than the system takes at once: it is sent where the other end reads, and late where nobody does."""
+    far = Far("pty")
+    link = far.link()
+    heard: list[bytes] = []
+
+    def listen() -> None:
+        while sum(map(len, heard)) < 50_000:
+            heard.append(far.hear())
+
+    listening = threading.Thread(target=listen)
+    listening.start()
+    link.write(bytes(range(250)) * 200)
+    listening.join()
+    assert b"".join(heard) == bytes(range(250)) * 200
+    with pytest.raises(LinkLostError, match=r"does not take what is sent within 1 s; check flow control"):
+        link.write(b"x" * 1_000_000)
+    far.vanish()
+    link.close()
+
+
+@needs_pty
 def test_a_busy_computer_is_no_dead_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """A process that is held up while it writes or before it reads: the bytes were taken, and the reply is there."""
     far = Far("pty")
     link = far.link(timeout_s=0.1)
+    monkeypatch.setattr(link, "_write_s", 0.1)
     taken = os.write
 
     def held_up(descriptor: int, data: bytes) -> int:
-        count = taken(descriptor, data)
+        time.sleep(0.2)
+        count = taken(descriptor, data[:1])
         time.sleep(0.2)
         return count
 
