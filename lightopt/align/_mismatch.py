@@ -151,7 +151,7 @@ def refuse_mismatch(
 def _what_they_show(seen: Array, model: Array, full: NDArray[np.bool_]) -> str:
     # why images, in no way flipped, may be so far from the model
     mean, expected = float(seen.mean()), float(model.mean())
-    if mean < BLACK_SHARE * expected and not full.any():
+    if mean < BLACK_SHARE * expected:
         return (
             f"they are black: {max(mean, 0.0):.3g} grey levels on the mean, predicted {expected:.3g}; check the lens "
             "cap, that the lights burn, and the exposure"

@@ -173,7 +173,7 @@ def _displacement(
     explains = _explained(before, after)
     if explains <= LEAST_EXPLAINED:
         return None
-    return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=min(explains, 1.0))
+    return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=explains)
 
 
 def _of_some_lights(observations: Sequence[Observation]) -> list[Observation]:

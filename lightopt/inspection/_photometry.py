@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -90,7 +91,8 @@ def fit_photometry(
         return names.index(o.light), *_sample(scene, o, predicted[number], clean)
 
     rows = in_threads(sample, range(len(observations)), threads)
-    darkest = min((_darkest(scene, o, clean) for o in observations), default=np.inf)
+    everywhere = some_pixels(clean)
+    darkest = min((_darkest(scene, o, everywhere) for o in observations), default=np.inf)
     x = np.append(np.ones(n), 0.0)
     held = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
     nominal = x.copy()
@@ -114,52 +116,53 @@ def fit_photometry(
             x[n] = darkest
             x[:n] = (right[:n] - normal[:n, n] * darkest) / np.diag(normal)[:n]
     believed = np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN))
-    pairs = list(zip(observations, predicted, strict=True))
-    if not believed or _missed(scene, pairs, clean, x) > _missed(scene, pairs, clean, nominal):
+    sets = [
+        (names.index(o.light), *_above_black(scene, o, light, everywhere))
+        for o, light in zip(observations, predicted, strict=True)
+    ]
+    if not believed or _missed(sets, x) > _missed(sets, nominal):
         # not these lights, not this part or another lobe: what is told of the images must not hide that
         x = nominal
     return Photometry(gains={name: float(g) for name, g in zip(names, x[:n], strict=True)}, dark=float(x[n]))
+
+
+def _above_black(
+    scene: Scene, o: Observation, predicted: Float32, index: NDArray[np.intp]
+) -> tuple[Float64, Float64, Float64, Float64]:
+    # predicted and measured levels above black at some pixels, and those at which the camera clips them
+    sensor = scene.sensor
+    scale = np.float32(o.exposure * sensor.max_level / scene.reflectance.full_scale)
+    model = (predicted.ravel()[index] * scale).astype(np.float64)
+    level = o.levels.ravel()[index].astype(np.float64) - sensor.black_level
+    taken = np.broadcast_to(np.float32(o.subtracted), predicted.shape).reshape(-1)[index]
+    bottom = -sensor.black_level - taken
+    return model, level, bottom, bottom + sensor.saturated_from
 
 
 def _sample(
     scene: Scene, o: Observation, predicted: Float32, clean: Bool
 ) -> tuple[Float64, Float64, Float64]:
     # predicted and measured levels above black and the noise, at pixels that are neither black nor full
-    sensor = scene.sensor
-    index = some_pixels(clean & ~o.saturated)
-    scale = np.float32(o.exposure * sensor.max_level / scene.reflectance.full_scale)
-    model = (predicted.ravel()[index] * scale).astype(np.float64)
-    noise = np.sqrt(sensor.noise_variance(model, frames=o.frames))
-    taken = np.broadcast_to(np.float32(o.subtracted), predicted.shape).reshape(-1)[index]
-    top = sensor.saturated_from - sensor.black_level - taken
+    model, level, _, top = _above_black(scene, o, predicted, some_pixels(clean & ~o.saturated))
+    noise = np.sqrt(scene.sensor.noise_variance(model, frames=o.frames))
     usable = (model + 4.0 * noise < top) & (model > 4.0 * noise)
-    level = o.levels.ravel()[index].astype(np.float64) - sensor.black_level
     return model[usable], level[usable], noise[usable]
 
 
-def _missed(scene: Scene, pairs: Sequence[tuple[Observation, Float32]], clean: Bool, x: Float64) -> float:
+def _missed(sets: Sequence[tuple[int, Float64, Float64, Float64, Float64]], x: Float64) -> float:
     # sum of squared residuals over all pixels alike, black and full ones as the camera clips them
-    sensor = scene.sensor
-    names = [light.name for light in scene.lights]
-    total = 0.0
-    for o, predicted in pairs:
-        index = some_pixels(clean)
-        scale = o.exposure * sensor.max_level / scene.reflectance.full_scale
-        model = predicted.ravel()[index] * scale * x[names.index(o.light)] + x[-1]
-        taken = np.broadcast_to(np.float32(o.subtracted), predicted.shape).reshape(-1)[index]
-        top = sensor.saturated_from - sensor.black_level - taken
-        level = np.minimum(o.levels.ravel()[index] - sensor.black_level, top)
-        total += float(np.sum(np.square(level - np.clip(model, -sensor.black_level, top))))
-    return total
+    return sum(
+        float(np.sum(np.square(np.minimum(level, top) - np.clip(x[light] * model + x[-1], bottom, top))))
+        for light, model, level, bottom, top in sets
+    )
 
 
-def _darkest(scene: Scene, o: Observation, clean: Bool) -> float:
+def _darkest(scene: Scene, o: Observation, index: NDArray[np.intp]) -> float:
     # the lightest that black may be: where a part is dark, a lobe of another shape would pass for a dark level
-    index = some_pixels(clean)
     if not len(index):
         return np.inf
     level = o.levels.ravel()[index].astype(np.float64) - scene.sensor.black_level
-    noise = float(np.sqrt(scene.sensor.noise_variance(np.zeros(1), frames=o.frames))[0])
+    noise = math.sqrt(scene.sensor.noise_variance(0.0, frames=o.frames))
     return max(0.0, float(np.quantile(level, DARK_QUANTILE))) + DARK_NOISE * noise
 
 
