@@ -71,7 +71,7 @@ def choose_pixels(
     placement: Placement,
     *,
     outline: bool,
-    first: bool = False,
+    few: bool = False,
     threads: int | None = None,
 ) -> tuple[list[PixelSet], list[PixelSet]]:
     """Inner pixels, and pixels across the outline where asked for; one set per posture that shows any.
@@ -86,8 +86,8 @@ def choose_pixels(
         About where the part lies.
     outline
         Whether to choose pixels across the outline.
-    first
-        Whether for the first stage, which has fewer.
+    few
+        Whether for the first stage or a rough place.
     threads
         Number of threads; the result does not depend on it.
     """
@@ -95,7 +95,7 @@ def choose_pixels(
     caster = RayCaster(placed.mesh.vertices, placed.mesh.faces)
     inner: list[PixelSet] = []
     edges: list[PixelSet] = []
-    most = FIRST_INNER_PIXELS if first else INNER_PIXELS
+    most = FIRST_INNER_PIXELS if few else INNER_PIXELS
     budget = max(200, min(most, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 1))))
     for posture in dict.fromkeys(o.posture for o in images):
         mine = [o for o in images if o.posture == posture]

@@ -103,6 +103,7 @@ def register(
     *,
     caster: RayCaster,
     reflectance_at: Callable[[Scene], Reflectance] | None = None,
+    rough: bool = False,
     threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Registration:
@@ -119,6 +120,8 @@ def register(
     reflectance_at
         A reflectance for the refinement, given the scene with the part about where it lies; that of the scene by
         default.
+    rough
+        Whether a part of the pixels is enough: for words on where the part lies.
     threads
         Number of threads; the result does not depend on it.
     progress
@@ -143,6 +146,7 @@ def register(
         observations,
         start,
         caster=caster,
+        rough=rough,
         threads=threads,
         progress=stage("refining the part's place"),
     )
@@ -154,6 +158,7 @@ def refine_placement(
     start: Placement,
     *,
     caster: RayCaster,
+    rough: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Registration:
@@ -173,6 +178,8 @@ def refine_placement(
         Where to begin.
     caster
         Of the scene's part.
+    rough
+        Whether all stages have as few pixels as the first.
     threads
         Number of threads; the result does not depend on it.
     progress
@@ -191,7 +198,7 @@ def refine_placement(
             observations,
             frame.placement(x[POSE]),
             outline=outline,
-            first=number == 0,
+            few=rough or number == 0,
             threads=threads,
         )
         if number == 0:

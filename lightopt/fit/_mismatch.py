@@ -155,7 +155,7 @@ def _displacement(
 ) -> Displacement | None:
     # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
     registration = find_part(
-        scene, _of_some_lights(observations), caster=cast_rays_at(scene), threads=threads
+        scene, _of_some_lights(observations), caster=cast_rays_at(scene), rough=True, threads=threads
     )
     frame, place = PoseFrame.of(scene), registration.placement
     pose = frame.pose(place)

@@ -26,8 +26,9 @@ from lightopt.fit._samples import Samples, thinned
 from lightopt.fit._scan import peaks, profile_outwards, profile_over_sigma
 from lightopt.fit._start import first_guess, start_at
 from lightopt.fit._uncertainty import uncertainty
+from lightopt.reflectance import Reflectance
 
-__all__ = ["estimate", "refine"]
+__all__ = ["estimate", "refine", "rough_reflectance"]
 
 Float64 = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -133,6 +134,16 @@ class _Squares:
         return math.exp(-2.0 * self.profile[number].evaluation.value / count - 1.0) / (2.0 * math.pi)
 
 
+@dataclass(frozen=True)
+class _OverSigma:
+    # the range of ln σ looked at, with the samples and the starts that were used
+    samples: Samples
+    free: tuple[int, ...]
+    row: list[float]
+    starts: list[Float64]
+    squares: _Squares
+
+
 def estimate(
     samples: Samples,
     *,
@@ -162,36 +173,44 @@ def estimate(
         Every pixel is saturated or black.
     """
     report = progress or (lambda _stage, _share: None)
-    freed = freed or Freed()
-    budget = _scan_budget(samples)
-    few = thinned(samples, budget)
-    free = _places(samples, freed)
-    guess = first_guess(few)
-    r_d = guess if freed.diffuse or held is None else float(held[0])
-    table = SpecularTable(few, threads=threads)
-    if freed.specular:
-        row = [float(node) for node in table.nodes[::SCAN_STRIDE]]
-        columns = [table.column(number) for number in range(0, len(table.nodes), SCAN_STRIDE)]
-        log_r_s = None
-    else:
-        row = [math.log(HELD_SIGMA if held is None else held[2])]
-        columns = [few.specular(math.exp(row[0]), threads=threads)]
-        log_r_s = None if held is None else math.log(max(held[1], 1e-6))
-    starts = [start_at(few, column, math.exp(at), r_d) for at, column in zip(row, columns, strict=True)]
-    if log_r_s is not None:
-        starts[0][LOG_R_S] = log_r_s
-    squares = _least_squares(
-        few, table, row, columns, starts, free[:-2], threads, lambda share: report("scanning σ", 0.5 * share)
+    scanned = _scan_sigma(
+        samples, freed or Freed(), held, threads, lambda share: report("scanning σ", 0.5 * share)
     )
+    squares, free = scanned.squares, scanned.free
     if squares.lack_of_fit.significant:
         report("refining", 0.5)
         return _by_least_squares(samples, squares, free, threads)
-    fewer = thinned(few, max(50, budget // LIKELIHOOD_SHARE))
-    found = _by_likelihood(samples, fewer, row, starts, squares, free, threads, report)
+    fewer = thinned(scanned.samples, max(50, _scan_budget(samples) // LIKELIHOOD_SHARE))
+    found = _by_likelihood(samples, fewer, scanned, threads, report)
     ratio = squares.criterion.mean_square(found.x) / squares.criterion.mean_square(squares.best.x)
     if ratio > WORSE_PREDICTION**2:
         return _by_least_squares(samples, squares, free, threads)
     return found
+
+
+def rough_reflectance(
+    samples: Samples, reflectance: Reflectance, *, freed: Freed | None = None, threads: int | None = None
+) -> Reflectance:
+    """Reflectance by least squares alone, which predicts images well enough to find a part by; without intervals.
+
+    Parameters
+    ----------
+    samples
+        From :func:`lightopt.fit.collect_samples`.
+    reflectance
+        Whose R_d, R_s and σ are replaced.
+    freed
+        What may change.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Raises
+    ------
+    InputError
+        Every pixel is saturated or black.
+    """
+    x = _scan_sigma(samples, freed or Freed(), None, threads, lambda _share: None).squares.best.x
+    return replace(reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
 
 
 def refine(
@@ -222,6 +241,33 @@ def refine(
     errors = np.array([start.standard_error(place) for place in free])
     top = replace(top, converged=has_settled(top, free, errors))
     return replace(start, x=top.x, free=free, criterion=criterion, maximum=top, optima=())
+
+
+def _scan_sigma(
+    samples: Samples,
+    freed: Freed,
+    held: Float64 | None,
+    threads: int | None,
+    progress: Callable[[float], None],
+) -> _OverSigma:
+    few = thinned(samples, _scan_budget(samples))
+    free = _places(samples, freed)
+    guess = first_guess(few)
+    r_d = guess if freed.diffuse or held is None else float(held[0])
+    table = SpecularTable(few, threads=threads)
+    if freed.specular:
+        row = [float(node) for node in table.nodes[::SCAN_STRIDE]]
+        columns = [table.column(number) for number in range(0, len(table.nodes), SCAN_STRIDE)]
+        log_r_s = None
+    else:
+        row = [math.log(HELD_SIGMA if held is None else held[2])]
+        columns = [few.specular(math.exp(row[0]), threads=threads)]
+        log_r_s = None if held is None else math.log(max(held[1], 1e-6))
+    starts = [start_at(few, column, math.exp(at), r_d) for at, column in zip(row, columns, strict=True)]
+    if log_r_s is not None:
+        starts[0][LOG_R_S] = log_r_s
+    squares = _least_squares(few, table, row, columns, starts, free[:-2], threads, progress)
+    return _OverSigma(few, tuple(free), row, starts, squares)
 
 
 def _least_squares(
@@ -324,13 +370,12 @@ def _by_least_squares(
 def _by_likelihood(
     samples: Samples,
     few: Samples,
-    row: Sequence[float],
-    starts: Sequence[Float64],
-    squares: _Squares,
-    free: Sequence[int],
+    scanned: _OverSigma,
     threads: int | None,
     report: Progress,
 ) -> Estimate:
+    row, starts, squares, free = scanned.row, scanned.starts, scanned.squares, scanned.free
+
     def starts_at(number: int) -> list[Float64]:
         # what least squares leave at this σ, and the usual start with its wide shoulders
         at = squares.profile[number].x

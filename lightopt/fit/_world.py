@@ -23,7 +23,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.fit._estimate import Freed
 from lightopt.fit._options import FitOptions, Points, Progress
 from lightopt.fit._samples import OCTAVES, Samples, collect_samples
-from lightopt.fit._search import estimate
+from lightopt.fit._search import rough_reflectance
 from lightopt.images import ImageSet
 from lightopt.raycast import RayCaster
 from lightopt.reflectance import Reflectance
@@ -106,6 +106,7 @@ def find_part(
     *,
     caster: RayCaster,
     freed: Freed | None = None,
+    rough: bool = False,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Registration:
@@ -121,6 +122,8 @@ def find_part(
         Of the scene's part.
     freed
         What the first fit may change.
+    rough
+        Whether a part of the pixels is enough.
     threads
         Number of threads; the result does not depend on it.
     progress
@@ -131,14 +134,14 @@ def find_part(
         samples = collect_samples(
             moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
         )
-        first = estimate(samples, freed=freed, threads=threads)
-        return replace(moved.reflectance, R_d=first.R_d, R_s=first.R_s, sigma=first.sigma)
+        return rough_reflectance(samples, moved.reflectance, freed=freed, threads=threads)
 
     return register(
         scene,
         observations,
         caster=caster,
         reflectance_at=first_reflectance,
+        rough=rough,
         threads=threads,
         progress=progress,
     )
