@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import pickle
 import shutil
 import signal
 import sys
@@ -17,6 +18,8 @@ from forked_benches import ForkingProcess
 from hypothesis import settings
 
 from lightopt.cli._main import run
+from lightopt.mesh import _load
+from lightopt.mesh._step import read_step
 from lightopt.rendering import available_processors
 
 # a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly ten times as many
@@ -148,6 +151,33 @@ def one_thread_each() -> Generator[None]:
         if hasattr(os, "sched_getaffinity"):
             patch.setattr(os, "sched_getaffinity", lambda _: {0})
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def step_files_once(tmp_path_factory: pytest.TempPathFactory) -> Generator[None]:
+    """A STEP file is tessellated once for all workers, which takes longer than most tests; see `real_step_files`."""
+    folder = tmp_path_factory.getbasetemp()
+    kept = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+    def once(path: Path, data: bytes, **asked: object) -> object:
+        key = hashlib.sha256(data + repr(sorted(asked.items())).encode()).hexdigest()
+        file = kept / f"step-{key}.pickle"
+        if not file.exists():
+            soup = read_step(path, data, **asked)  # type: ignore[arg-type]
+            mine = file.with_suffix(f".{os.getpid()}")
+            mine.write_bytes(pickle.dumps(soup))
+            mine.replace(file)
+        return pickle.loads(file.read_bytes())
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_load, "read_step", once)
+        yield
+
+
+@pytest.fixture
+def real_step_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """STEP files are tessellated as a command does it."""
+    monkeypatch.setattr(_load, "read_step", read_step)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,6 +1,7 @@
 """Faceted files (STL, PLY, OBJ, GLB) as triangles in the file's unit; the one module that calls trimesh.
 
-trimesh reads the numbers. What it would pass over in silence (a file cut off, counts that disagree with the
+trimesh reads the numbers, but for those of binary STL: they are one array, and trimesh takes longer to load than most
+commands have to compute. What it would pass over in silence (a file cut off, counts that disagree with the
 header, an index out of range) is found here first, so that the message can say what is wrong with the file.
 """
 
@@ -20,6 +21,8 @@ from lightopt.mesh._soup import Soup, check_budget
 
 __all__ = ["read_glb", "read_obj", "read_ply", "read_stl"]
 
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attributes", "<u2")])
+
 
 def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
     """Triangles of a binary or ASCII STL file.
@@ -29,8 +32,6 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
     InputError
         The file is cut off, is no STL, or has more than `max_triangles`.
     """
-    from trimesh.exchange.stl import load_stl
-
     claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     is_binary = len(data) == 84 + 50 * claimed
     # the header of a binary file may begin with solid as well; text holds no zeros
@@ -41,12 +42,17 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
         check_budget(name, claimed, max_triangles)
         if not claimed:
             raise InputError(f"{name}: the binary STL file has no triangles")
-    else:
-        claimed = _check_ascii_stl(name, data)
-        check_budget(name, claimed, max_triangles)
+        vertices = np.frombuffer(data, _STL_TRIANGLE, offset=84)["vertices"].reshape(-1, 3)
+        return Soup(
+            vertices.astype(np.float64), np.arange(3 * claimed).reshape(-1, 3), None, "binary STL", True
+        )
+    from trimesh.exchange.stl import load_stl
+
+    claimed = _check_ascii_stl(name, data)
+    check_budget(name, claimed, max_triangles)
     loaded = _trimesh(name, "STL", lambda: load_stl(io.BytesIO(data)))
     parts = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
-    soup = _joined(name, parts, "binary STL" if is_binary else "ASCII STL", repeats_vertices=True)
+    soup = _joined(name, parts, "ASCII STL", repeats_vertices=True)
     if len(soup.faces) != claimed:
         raise InputError(
             f"{name}: {claimed} triangles in the ASCII STL file, but only {len(soup.faces)} could be read"

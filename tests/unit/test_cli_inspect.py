@@ -18,6 +18,8 @@ from lightopt.errors import InputError
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata, write_png
 from lightopt.inspection import InspectOptions, inspection_provenance
 
+pytestmark = pytest.mark.usefixtures("few_pixels_for_the_rest")
+
 DEFECTS = """\
 defects:
   - name: stain

@@ -11,6 +11,8 @@ from lightopt.errors import InputError
 from lightopt.mesh import LoadedMesh, _step_worker, load_mesh
 from lightopt.mesh._step import declared_unit_mm
 
+pytestmark = pytest.mark.usefixtures("real_step_files")
+
 KNOB = Path(__file__).parents[2] / "configs" / "parts" / "cover-knob.step"
 
 MILLIMETRE = "#30=(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.));"
