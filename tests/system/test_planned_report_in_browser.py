@@ -12,48 +12,26 @@ import numpy as np
 import pytest
 from browsers import Opened, opened
 from PIL import Image
+from planned import made_once, prepared
 
 from lightopt.cli._main import run
 from lightopt.optimize import share_text
 from lightopt.report import Page, Table, page_html
 
-LIGHTS = """\
-lights:
-  - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [50, 60]}
-  - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 225, elevation_range_deg: [40, 50]}
-"""
-CATALOGUE = """\
-defect_catalogue:
-  - {name: dent, kind: dent, size_mm: 0.6, slope_deg: 4}
-  - {name: stain, kind: stain, size_mm: 1.5, R_d_factor: 0.7}
-"""
-FEW = ("--patches", "80", "--step", "10", "-q")
-PLAN = (
-    *("--choose-postures", "2", "--posture-step", "90", "--exposures", "1,1/16"),
-    *("--tolerance-deg", "2", "--pose-tolerance-deg", "1"),
-)
 
-
-def report_of(shared_bench, folder: Path, *options: str) -> Path:
-    """The report of a small rig whose lights move."""
-    bench = type(shared_bench).make(folder / "bench")
-    head, rest = bench.rig.read_text(encoding="utf-8").split("lights:\n", 1)
-    bench.rig.write_text(head + LIGHTS + rest[rest.index("stage:") :], encoding="utf-8", newline="\n")
-    with bench.part.open("a", encoding="utf-8") as file:
-        file.write(CATALOGUE)
-    command = ["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *FEW]
-    assert run([*command, "--objective", "detectability", *options]) == 0
+@pytest.fixture(scope="module")
+def inspected(shared_bench, tmp_path_factory) -> Path:
+    """The report of a search for defects, of a small rig whose lights move."""
+    bench = prepared(type(shared_bench).make(tmp_path_factory.mktemp("inspected") / "bench"))
+    command = ["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), "-q"]
+    few = ("--patches", "80", "--step", "10")
+    assert run([*command, *few, "--objective", "detectability", "--objective", "coverage"]) == 0
     return bench.out / "report.html"
 
 
 @pytest.fixture(scope="module")
-def inspected(shared_bench, tmp_path_factory) -> Path:
-    return report_of(shared_bench, tmp_path_factory.mktemp("inspected"), "--objective", "coverage")
-
-
-@pytest.fixture(scope="module")
 def planned(shared_bench, tmp_path_factory) -> Path:
-    return report_of(shared_bench, tmp_path_factory.mktemp("planned"), *PLAN)
+    return made_once(tmp_path_factory, type(shared_bench)).out / "report.html"
 
 
 def result_of(report: Path):

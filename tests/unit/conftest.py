@@ -11,6 +11,7 @@ import pytest
 
 from lightopt.align import _coarse, _refinement
 from lightopt.fit import _cross_check
+from lightopt.report import _surface_still
 
 
 @pytest.fixture
@@ -67,6 +68,15 @@ def take(bench, world, monkeypatch):
         )
 
     return run
+
+
+@pytest.fixture(scope="session", autouse=True)
+def small_stills() -> Iterator[None]:
+    """Stills of reports have a ninth of their pixels; browsers look at whole ones, in tests/system."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_surface_still, "WIDTH", _surface_still.WIDTH // 3)
+        patch.setattr(_surface_still, "HEIGHT", _surface_still.HEIGHT // 3)
+        yield
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from planned import CATALOGUE, FEW, LIGHTS, PLAN, made_once, prepared
 
 from lightopt.cli._main import run
 from lightopt.cli._plan_tables import show_plan
@@ -19,51 +20,11 @@ from lightopt.optimize import share_text
 from lightopt.plan import Brackets, PlanResult, Shot
 from lightopt.transforms import Posture
 
-LIGHTS = """\
-lights:
-  - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [50, 60]}
-  - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 225, elevation_range_deg: [40, 50]}
-"""
-CATALOGUE = """\
-defect_catalogue:
-  - {name: dent, kind: dent, size_mm: 0.6, slope_deg: 4}
-  - {name: stain, kind: stain, size_mm: 1.5, R_d_factor: 0.7}
-"""
-FEW = ("--patches", "100", "--step", "10", "--no-images")
-PLAN = (
-    *FEW,
-    "--choose-postures",
-    "2",
-    "--posture-step",
-    "90",
-    "--exposures",
-    "1,1/16",
-    "--tolerance-deg",
-    "4",
-    "--objective",
-    "detectability",
-    "--objective",
-    "coverage",
-)
-
-
-def prepared(bench):
-    head, rest = bench.rig.read_text(encoding="utf-8").split("lights:\n", 1)
-    text = head + LIGHTS + rest[rest.index("stage:") :]
-    bench.rig.write_text(text, encoding="utf-8", newline="\n")
-    with bench.part.open("a", encoding="utf-8") as file:
-        file.write(CATALOGUE)
-    # tests want to see that comments stay, and what the two old postures become
-    bench.edit("part.yaml", "postures: [", "# as before\npostures: [")
-    return bench
-
 
 @pytest.fixture(scope="module")
 def planned(shared_bench, tmp_path_factory):
     """A plan that the tests of its content share."""
-    bench = prepared(type(shared_bench).make(tmp_path_factory.mktemp("planned") / "bench"))
-    assert run(["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *PLAN]) == 0
-    return bench
+    return made_once(tmp_path_factory, type(shared_bench))
 
 
 @pytest.fixture
@@ -218,7 +179,10 @@ def test_trust_is_told_posture_by_posture_and_together(planned):
     assert [len(one["postures"]) for one in trust] == [1, 1, 2]
     for one in trust:
         assert 0.0 < one["worst_corner"]["share_of_score"] <= 1.0
-        assert one["worst_corner"]["part"] == {"tilt_deg": 0.0, "rotation_deg": 0.0}
+        assert {angle: abs(by) for angle, by in one["worst_corner"]["part"].items()} == {
+            "tilt_deg": 1.0,
+            "rotation_deg": 1.0,
+        }
         assert {abs(light["elevation_deg"]) for light in one["worst_corner"]["lights"]} == {4.0}
         assert [w["what"] for w in one["widest"]][-3:] == ["all lights", "part", "part"]
         assert len(one["widest"]) == 2 * 2 + 3

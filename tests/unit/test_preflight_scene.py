@@ -14,7 +14,7 @@ from test_preflight_rig import find, make_rig, only
 from lightopt.config import PartConfig, load_part, load_rig
 from lightopt.errors import InputError
 from lightopt.mesh import TriangleMesh, merge_rows, mesh_edges
-from lightopt.preflight import Report, check_scene
+from lightopt.preflight import Report, _coverage, check_scene
 from lightopt.preflight._coverage import facing
 from lightopt.preflight._facets import facet_angles, interpolation_errors
 from lightopt.scene._part_size import likely_units
@@ -59,6 +59,12 @@ def write_stl(path: Path, triangles) -> Path:
         lines += ["endloop", "endfacet"]
     path.write_text("\n".join([*lines, "endsolid part", ""]), encoding="ascii")
     return path
+
+
+@pytest.fixture(autouse=True)
+def few_patches(monkeypatch):
+    """Surface that is not seen is counted on a tenth of the patches."""
+    monkeypatch.setattr(_coverage, "BUDGET", 20_000)
 
 
 @pytest.fixture
@@ -461,7 +467,8 @@ def test_top_of_a_block_is_all_that_is_seen(check):
     assert finding.values["unseen_upper_share"] == 0
 
 
-def test_surface_under_a_bridge(check):
+def test_surface_under_a_bridge(check, monkeypatch):
+    monkeypatch.undo()  # of the patches that a command takes
     # a plate 10 mm wide, 12 mm above the block's middle
     bridge = box((-5, -15, 22), (5, 15, 24))
     finding = only(check(np.concatenate([BLOCK, bridge])), "unseen surface")
@@ -482,7 +489,8 @@ def test_postures_that_look_under_the_bridge(check):
     assert finding.values["unseen_upper_share"] < 0.01
 
 
-def test_part_outside_the_image_is_not_seen(check):
+def test_part_outside_the_image_is_not_seen(check, monkeypatch):
+    monkeypatch.undo()
     finding = only(check(BLOCK, placement={"translate_mm": [35, 0, 0]}), "unseen surface")
     assert finding.values["unseen_upper_share"] == pytest.approx(0.5, abs=0.02)
     assert finding.values["unseen_upper_box_mm"][0][0] == pytest.approx(34.6, abs=0.5)
