@@ -102,7 +102,7 @@ def turns_of(scene, pose=(0.0, 0.0, 0.0)):
         [observe(light, posture, 1.0, black, scene)],
         frame.placement(pose),
         outline=False,
-        first=True,
+        few=True,
         threads=2,
     )
     return hidden_turns(scene, frame, inner, pose, caster=cast_rays_at(scene))
