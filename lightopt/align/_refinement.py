@@ -187,7 +187,10 @@ class Refinement:
         noise = np.sqrt(sensor.noise_variance(np.where(np.isfinite(here), here, 0.0), frames=frames))
         full = _flags([p.saturated.ravel() for p in self._sets])
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
-        self._used = np.isfinite(here) & ~full & (inside | self.correlated)
+        # a pixel that half a pixel further has no prediction, beside a shadow, has no slope: it would pull nowhere, and
+        # the cost would jump where it is lost
+        lost = np.isnan(np.concatenate(self._change_by_pose(start))).any(axis=0)
+        self._used = np.isfinite(here) & ~full & (self.correlated | (inside & ~lost))
         self._noise = noise
         if len(edges):
             self._weigh_outline(start, here)
