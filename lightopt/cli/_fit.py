@@ -331,7 +331,7 @@ def _show(result: FitResult) -> None:
     if result.highlights is not None:
         r_s, sigma = result.highlights
         say(
-            f"where the highlights are comes from R_s {r_s:.4g} and σ {sigma:.4g} rad, found along and not written"
+            f"R_s {r_s:.4g} and σ {sigma:.4g} rad, fitted along to know where the highlights are, are not written"
         )
     if result.paper is not None:
         say(f"from {result.paper.image}; this method knows no uncertainty")

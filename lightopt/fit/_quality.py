@@ -137,14 +137,19 @@ def words(
         low, high = interval or (found.R_s, found.R_s)
         width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
         correlation = found.correlation(LOG_R_S, LOG_SIGMA)
-        what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
+        if quality.saturated == 0.0:
+            what = (
+                "images with highlights elsewhere on the part: other postures, or other places of the lights"
+            )
+        else:
+            what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
         if math.isinf(width):
             side = "upper" if high is None else "lower"
             said.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
         elif abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL and found.describes:
             said.append(
-                f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s known to "
-                f"±{50.0 * width:.1f} %): add {what}"
+                f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s between {low:,.0f} and "
+                f"{high:,.0f}): add {what}"
             )
         if quality.saturated == 0.0:
             said.append(

@@ -90,7 +90,7 @@ def surface_told(result: Inspection) -> list[str]:
         f"Shares of the surface that the camera sees at up to {GRAZING_DEG:g}° to its normal; left out, as a share of "
         "all that it sees, is the rest. What was inspected, by what it shows: an even disc of 5 px, half "
         "of the time, from such a change of the light on; only stronger ones; where it is dark, only glints. The rest, "
-        "by why not. The classes but what is left out add up to the whole."
+        "by why not. The shares of all classes except what is left out add up to 100 %."
     )
     told = [legend]
     if every.fewer > 0.0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,12 +19,14 @@ from lightopt.fit import (
     LOG_SIGMA,
     R_D,
     Likelihood,
+    Quality,
     collect_samples,
     compare_image,
     predicted,
     thinned,
 )
 from lightopt.fit._likelihood import lagrange
+from lightopt.fit._quality import words
 from lightopt.rendering import cast_rays_at
 from lightopt.sensor import expose, image_rng
 
@@ -178,3 +181,30 @@ def test_no_saturation_has_no_overlap(samples):
     seen = replace(samples.images[0], levels=levels, saturated=levels >= 255)
     found = compare_image(seen, levels, np.ones((120, 160), bool), samples.sensor, 255.0)
     assert (found.iou, found.border, found.rms) == (None, None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("saturated", "shorter", "asked"),
+    [
+        (0.02, False, "add a shorter exposure, such as 1/16 of this one"),
+        (0.02, True, "add a still shorter exposure"),
+        (0.0, True, "add images with highlights elsewhere on the part"),
+    ],
+)
+def test_what_separates_r_s_from_sigma_depends_on_what_is_saturated(saturated, shorter, asked):
+    quality = Quality(
+        rms=1.0,
+        typical=1.0,
+        noise=1.0,
+        image_noise=1.0,
+        explained=1.0,
+        epsilon=0.0,
+        tau=0.0,
+        saturated=saturated,
+    )
+    found = SimpleNamespace(
+        free=(LOG_R_S, LOG_SIGMA), R_s=12_500.0, correlation=lambda *_: -0.99, describes=True
+    )
+    said = words(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)
+    assert f"(correlation -0.990, R_s between 12,281 and 13,141): {asked}" in said[0]
+    assert any("no pixel is saturated" in text for text in said) is (saturated == 0.0)
