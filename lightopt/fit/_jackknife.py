@@ -19,7 +19,7 @@ from lightopt.fit._least_squares import LeastSquares
 from lightopt.fit._maximise import Maximum, maximise
 from lightopt.fit._samples import Samples
 
-__all__ = ["UNDETERMINED", "Jackknife", "leave_groups_out", "with_errors"]
+__all__ = ["UNDETERMINED", "Jackknife", "at_least", "leave_groups_out", "with_errors"]
 
 Float64 = NDArray[np.float64]
 
@@ -68,12 +68,24 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     label, of = next((one for one in (*by_light, by_piece) if _count(one[0]) >= LEAST_GROUPS), by_piece)
     covariance, count, of, refits = _scatter(criterion, x, free, label, of)
     if any(place >= FIRST_GAIN for place in free) and label is not by_piece[0]:
-        # at least as much as between pieces
         pieces, _, _, more = _scatter(criterion, x, free, *by_piece)
         refits += more
-        covariance = with_errors(covariance, np.sqrt(np.maximum(np.diag(covariance), np.diag(pieces))))
+        covariance = at_least(covariance, pieces)
     quantile = float(stdtrit(max(count - 1, 1), 0.975))
     return Jackknife(covariance=covariance, of=of, quantile=quantile, refits=refits)
+
+
+def at_least(covariance: Float64, other: Float64) -> Float64:
+    """A covariance that is no smaller than either of two in any direction: the first, and by what the second is larger.
+
+    Standard errors alone would leave the correlations of the first: the lights move R_s and σ along their ridge, pieces
+    of the light that gains are relative to move R_s by itself.
+    """
+    unit = np.sqrt(np.maximum(np.maximum(np.diag(covariance), np.diag(other)), 1e-200))
+    scale = np.outer(unit, unit)
+    values, vectors = np.linalg.eigh((other - covariance) / scale)
+    more = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return covariance + 0.5 * (more + more.T) * scale
 
 
 def with_errors(covariance: Float64, errors: Float64) -> Float64:
