@@ -106,9 +106,9 @@ def fit_diffuse(
     )
     dark = fitted_dark(world.scene, found) if options.dark else None
     said += below_zero(dark)
-    noise = measure_noise(plain, mean_levels(plain, found, threads=threads))
+    noise = measure_noise(plain, mean_levels(plain, found, threads=threads), describes=quality.describes)
     if options.write_noise:
-        said += noise_words(noise, describes=quality.describes)
+        said += noise_words(noise)
     return FitResult(
         kind="diffuse",
         method="likelihood",
@@ -118,7 +118,7 @@ def fit_diffuse(
         gains=fitted_gains(world.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
-        write_noise=options.write_noise and quality.describes,
+        write_noise=options.write_noise,
         registration=world.registration,
         in_file=world.in_file,
         first=whole,
@@ -228,9 +228,11 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
     said += joined_regions(values)
     said += words(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
     said += held_r_d(found)
-    noise = measure_noise(samples, mean_levels(samples, found, threads=options.threads))
+    noise = measure_noise(
+        samples, mean_levels(samples, found, threads=options.threads), describes=quality.describes
+    )
     if options.write_noise:
-        said += noise_words(noise, describes=quality.describes)
+        said += noise_words(noise)
     panels = (coarse_points(light, found.sigma) for light in world.scene.lights)
     said += [text for text in panels if text is not None]
     dark = fitted_dark(world.scene, found) if options.dark else None
@@ -244,7 +246,7 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
         gains=fitted_gains(world.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
-        write_noise=options.write_noise and quality.describes,
+        write_noise=options.write_noise,
         registration=world.registration,
         in_file=world.in_file,
         correlation=found.correlation(LOG_R_S, LOG_SIGMA),

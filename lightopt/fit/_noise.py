@@ -60,7 +60,7 @@ class MeasuredNoise:
         return {**numbers, "hindrance": self.hindrance or None}
 
 
-def measure_noise(samples: Samples, mean: Float64) -> MeasuredNoise:
+def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) -> MeasuredNoise:
     """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer).
 
     Parameters
@@ -68,8 +68,14 @@ def measure_noise(samples: Samples, mean: Float64) -> MeasuredNoise:
     samples
         The observations.
     mean
-        Levels predicted by a model that describes them, shape (N,).
+        Predicted levels, shape (N,).
+    describes
+        Whether the model describes the images.
     """
+    if not describes:
+        return MeasuredNoise(
+            hindrance="the model does not describe these images, and its misfit is not the camera's"
+        )
     typical = image_noise(samples)
     # by the level that is predicted: that of a pixel itself would be chosen along with its noise
     clear = (mean > CLEAR_OF_ENDS * typical) & (
@@ -93,20 +99,8 @@ def measure_noise(samples: Samples, mean: Float64) -> MeasuredNoise:
     return _photon_transfer(at, variance, error, samples.sensor)
 
 
-def noise_words(noise: MeasuredNoise, *, describes: bool) -> tuple[str, ...]:
-    """What to say where the noise is not, or not wholly, written.
-
-    Parameters
-    ----------
-    noise
-        As measured.
-    describes
-        Whether the model describes the images.
-    """
-    if not describes:
-        return (
-            "the noise is not written: the model does not describe these images, and its misfit is not the camera's",
-        )
+def noise_words(noise: MeasuredNoise) -> tuple[str, ...]:
+    """What to say where the noise is not, or not wholly, written."""
     if noise.read_noise is None and noise.electrons is None:
         return (f"the noise is not written: {noise.hindrance}",)
     return (f"of the noise, only a part is written: {noise.hindrance}",) if noise.hindrance else ()

@@ -371,6 +371,8 @@ def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
     figures = json.loads((bench.out / "fit.json").read_text())
     assert figures["criterion"] == "least squares"
     assert figures["uncertainty_from"] == "4 lights and postures"
+    assert figures["noise"]["read_noise_levels"] is None
+    assert figures["noise"]["hindrance"].startswith("the model does not describe these images")
 
 
 @pytest.mark.slow
