@@ -28,6 +28,9 @@ ROUNDS = 12
 DARK_QUANTILE, DARK_NOISE = 0.05, 4.0
 """Black is no lighter than that share of an image's pixels, and so many times the noise of black."""
 
+LEVEL_CAP = 0.15
+"""A pixel that is off by this share of the camera's range or more counts as one that is off by it."""
+
 MOST_GAIN = 4.0
 """Lights that seem to be further from what the rig says, up or down, are not believed."""
 
@@ -150,11 +153,13 @@ def _sample(
 
 
 def _missed(sets: Sequence[tuple[int, Float64, Float64, Float64, Float64]], x: Float64) -> float:
-    # sum of squared residuals over all pixels alike, black and full ones as the camera clips them
-    return sum(
-        float(np.sum(np.square(np.minimum(level, top) - np.clip(x[light] * model + x[-1], bottom, top))))
-        for light, model, level, bottom, top in sets
-    )
+    # sum of squared residuals over all pixels, black and full ones as the camera clips them; up to a cap, so that a
+    # defect tells nothing of the lights
+    total = 0.0
+    for light, model, level, bottom, top in sets:
+        off = np.minimum(level, top) - np.clip(x[light] * model + x[-1], bottom, top)
+        total += float(np.sum(np.minimum(np.square(off), np.square(LEVEL_CAP * (top - bottom)))))
+    return total
 
 
 def _darkest(scene: Scene, o: Observation, index: NDArray[np.intp]) -> float:

@@ -5,6 +5,7 @@ It reads no replies, so it checks what the firmware understands.
 
 from __future__ import annotations
 
+import socket
 import time
 
 import pytest
@@ -14,6 +15,32 @@ from lightopt.hardware import SerialLink
 from lightopt.virtualbench import BenchProcess
 
 VSTLight = pytest.importorskip("VSTLight", reason="vstlight comes with the extra dev")
+
+
+class Unhurried:
+    """The client's socket, which waits for the replies before it is closed.
+
+    Closed with replies unread, a connection is reset, and what a busy firmware has not read by then is lost.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._connection, name)
+
+    def close(self) -> None:
+        self._connection.shutdown(socket.SHUT_WR)
+        self._connection.settimeout(10.0)
+        while self._connection.recv(4096):
+            pass
+        self._connection.close()
+
+
+def client_of(bench: BenchProcess):
+    client = VSTLight.NetworkController(4, "127.0.0.1", int(bench.ports["vlp"].rpartition(":")[2]))
+    client._NetworkController__sock = Unhurried(client._NetworkController__sock)
+    return client
 
 
 def reopened(bench: BenchProcess) -> SerialLink:
@@ -30,8 +57,7 @@ def test_an_independent_client_is_understood() -> None:
     # It leaves 5 ms between commands by its own clock, which a busy computer may deliver closer together.
     options = {"levels": {"1": 255, "4": 255}}
     with BenchProcess({"vlp": {"kind": "ccs", "options": options}}, tcp=True) as bench:
-        port = int(bench.ports["vlp"].rpartition(":")[2])
-        client = VSTLight.NetworkController(4, "127.0.0.1", port)
+        client = client_of(bench)
         client.set_intensity(2, 125)
         client.set_on(2)
         client.set_on(3)
@@ -55,7 +81,7 @@ def test_an_independent_client_is_understood() -> None:
 
 def test_destroy_darkens_all() -> None:
     with BenchProcess({"vlp": {"kind": "ccs", "options": {"levels": {"1": 255, "4": 9}}}}, tcp=True) as bench:
-        client = VSTLight.NetworkController(4, "127.0.0.1", int(bench.ports["vlp"].rpartition(":")[2]))
+        client = client_of(bench)
         client.set_on(4)
         client.set_intensity(4, 99)
         client.destroy()
