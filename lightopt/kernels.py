@@ -167,10 +167,11 @@ def _keep_on_disk(compiled: Any) -> None:
     compile_here = compiled.compile
 
     def compile_once(signature: Any) -> Any:
-        _load_array_functions()
         # numba's lock first: a thread that holds it may need the file of a kernel that this one calls
-        with global_compiler_lock, found.turn(signature):
-            return compile_here(signature)
+        with global_compiler_lock:
+            _load_array_functions()
+            with found.turn(signature):
+                return compile_here(signature)
 
     compiled.compile = compile_once
 
@@ -179,7 +180,7 @@ def _keep_on_disk(compiled: Any) -> None:
 def _load_array_functions() -> None:
     """Load numba's functions of arrays, but not SciPy's BLAS to see whether it is there: no kernel uses it.
 
-    Without BLAS, numba convolves by loops of its own; all else that needs BLAS still finds it.
+    Without BLAS, numba convolves by loops of its own; all else that needs BLAS still finds it. Under numba's lock.
     """
 
     def refuse() -> None:

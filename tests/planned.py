@@ -43,7 +43,7 @@ def prepared(bench):
 
 
 def made_once(tmp_path_factory: pytest.TempPathFactory, bench_type):
-    """The bench with its plan in `out`, which no test changes; one worker makes it, the others wait."""
+    """The bench with its plan in `out`; one worker makes it, the others wait. Tests may add folders to it."""
     shared = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         shared = shared.parent

@@ -20,9 +20,9 @@ __all__ = ["INVALID", "Document", "Problem", "YamlError", "parse"]
 MAX_NODES = 20_000
 MAX_DEPTH = 40
 
-_READ_DIFFERENTLY = re.compile(r"[\t!?]|[|>]\S*#")
-"""Tabs, tags, question marks, comments without a space before them: PyYAML's parser in C takes some of them that the
-one in Python refuses."""
+_READ_DIFFERENTLY = re.compile(r"[\t!?\ufeff]|[|>]\S*#")
+"""Tabs, tags, question marks, byte-order marks, comments without a space before them: PyYAML's parser in C takes some
+of them that the one in Python refuses."""
 
 
 class _Invalid:

@@ -40,7 +40,7 @@ class Jackknife:
     covariance
         Shape (k, k); that of parameters that nothing determines where there is but one group.
     of
-        Number of groups and what they are, such as "12 lights".
+        Number of groups and what they are, such as "12 lights"; of the pieces, too, where these tell as well.
     quantile
         Student's t of a two-sided 95 % interval for so many groups.
     refits
@@ -68,8 +68,9 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     label, of = next((one for one in (*by_light, by_piece) if _count(one[0]) >= LEAST_GROUPS), by_piece)
     covariance, count, of, refits = _scatter(criterion, x, free, label, of)
     if any(place >= FIRST_GAIN for place in free) and label is not by_piece[0]:
-        pieces, _, _, more = _scatter(criterion, x, free, *by_piece)
+        pieces, _, of_pieces, more = _scatter(criterion, x, free, *by_piece)
         refits += more
+        of = f"{of} and {of_pieces}"
         covariance = at_least(covariance, pieces)
     quantile = float(stdtrit(max(count - 1, 1), 0.975))
     return Jackknife(covariance=covariance, of=of, quantile=quantile, refits=refits)

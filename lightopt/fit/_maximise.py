@@ -192,7 +192,7 @@ def _newton_step(gradient: Float64, curvature: Float64, moving: Bool, damping: f
                 if moving[n]:
                     matrix[k, n] = curvature[k, n]
             matrix[k, k] += damping * max(curvature[k, k], 1e-9)
-    # Gaussian elimination; the matrix is positive definite, so that no rows have to change places
+    # Gaussian elimination; the damped matrix is positive definite, so that no rows have to change places
     for k in range(size):
         if not moving[k]:
             continue

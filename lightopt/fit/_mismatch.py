@@ -28,6 +28,8 @@ Float64 = NDArray[np.float64]
 
 LEAST_SHIFT_PX = 0.5
 LEAST_EXPLAINED = 0.5
+LEAST_MISSED = 0.1
+"""Residuals beyond the noise count from this share of its variance on."""
 """A part is said to be displaced when moving it by half a pixel or more takes away half of the squared residual beyond
 the noise: a wrong reflectance is not blamed on the place."""
 
@@ -115,12 +117,12 @@ def refuse_other_images(
     if quality.describes and not quality.poor:
         return world.registration is not None
     if world.registration is None:
-        shift = find_displacement(world, samples, quality, threads=threads)
+        shift, excluded = find_displacement(world, samples, quality, threads=threads)
         if shift is not None:
             raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
     own = _agreement(samples, found, threads)
     if not own.foreign:
-        return True
+        return world.registration is not None or excluded
     hint = (
         _what_fits_better(samples, quality.floor**2, threads)
         or "check that rig, part, placement and postures are those of the images"
@@ -134,53 +136,61 @@ def refuse_other_images(
 
 def find_displacement(
     world: World, samples: Samples, quality: Quality, *, threads: int | None = None
-) -> Displacement | None:
+) -> tuple[Displacement | None, bool]:
     """Where else the part may lie; None where that explains too little of the residual, or nothing for certain.
+
+    And whether no other place explains it, which nobody knows where the search did not converge.
 
     Where no place explains the images of all postures, those of the first are looked at alone: a camera or a stage that
     is off moves the part in each posture another way. Parameters as for :func:`refuse_other_images`.
     """
-    found = _displacement(world.scene, world.observations, samples, quality, threads)
+    found, excluded = _displacement(world.scene, world.observations, samples, quality, threads)
     postures = list(dict.fromkeys(o.posture for o in world.observations))
     if found is not None or len(postures) < 2:
-        return found
+        return found, excluded
     mine = [o for o in world.observations if o.posture == postures[0]]
     alike = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
-    found = _displacement(world.scene, mine, samples.keep(alike), quality, threads)
-    return None if found is None else replace(found, posture=postures[0])
+    found, _ = _displacement(world.scene, mine, samples.keep(alike), quality, threads)
+    return None if found is None else replace(found, posture=postures[0]), excluded
 
 
 def _displacement(
     scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality, threads: int | None
-) -> Displacement | None:
-    # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
-    registration = find_part(
-        scene, _of_some_lights(observations), caster=cast_rays_at(scene), rough=True, threads=threads
-    )
+) -> tuple[Displacement | None, bool]:
+    # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one. And
+    # whether the place is excluded as a reason
+    try:
+        registration = find_part(
+            scene, _of_some_lights(observations), caster=cast_rays_at(scene), rough=True, threads=threads
+        )
+    except InputError:  # a trial: those few lights show nothing
+        return None, False
     frame, place = PoseFrame.of(scene), registration.placement
     pose = frame.pose(place)
     turn = float(pose[2])
     mm = math.hypot(pose[0], pose[1])
     pixels = mm / frame.pixel
     certain = np.abs(pose) > LEAST_CERTAIN * np.array(registration.pose_errors)
+    excluded = registration.converged
     if not certain.any() or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
-        return None
+        return None, excluded
     moved = place_part(scene, place)
     there = collect_samples(moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads)
     # the same fit at both places: what another reflectance explains is not blamed on the place
     here = thinned(samples, BUDGET)
-    before, after = (_missed(some, quality.floor**2, threads) for some in (here, there))
-    explains = _explained(before, after)
+    noise = quality.floor**2
+    before, after = (_missed(some, noise, threads) for some in (here, there))
+    explains = _explained(before, after, noise)
     if explains <= LEAST_EXPLAINED:
-        return None
-    return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=explains)
+        return None, excluded
+    return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=explains), False
 
 
 def _of_some_lights(observations: Sequence[Observation]) -> list[Observation]:
-    # evenly picked: a place is found, not measured
+    # picked at random, since rigs list rings of lights in turns: a place is found, not measured
     lights = list(dict.fromkeys(o.light for o in observations))
-    some = {lights[i * len(lights) // TRIAL_LIGHTS] for i in range(TRIAL_LIGHTS)}
-    return [o for o in observations if o.light in some]
+    some = np.random.default_rng(0).permutation(len(lights))[:TRIAL_LIGHTS]
+    return [o for o in observations if lights.index(o.light) in some]
 
 
 def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Float64, Float64]:
@@ -210,9 +220,10 @@ def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
     return np.maximum(np.array([capped, whole]) - noise, 0.0)
 
 
-def _explained(before: Float64, after: Float64) -> float:
-    # share of what was missed that is gone, by the measure that says more
-    return float(np.max(1.0 - after / np.maximum(before, 1e-12))) if before.all() else 0.0
+def _explained(before: Float64, after: Float64, noise: float) -> float:
+    # share of what was missed that is gone, by the measure that says more; one that is lost in the noise says nothing
+    worth = before > LEAST_MISSED * noise
+    return float(np.max(1.0 - after[worth] / before[worth], initial=0.0))
 
 
 def _agreement(samples: Samples, found: Estimate, threads: int | None) -> Agreement:
@@ -227,7 +238,7 @@ def _what_fits_better(samples: Samples, noise: float, threads: int | None) -> st
     few = thinned(samples, FLIP_BUDGET)
     own = _missed(few, noise, threads)
     gone = {
-        f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise, threads))
+        f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise, threads), noise)
         for name, (flip, remedy) in FLIPS.items()
     }
     swaps, share = _swaps(few, own, noise, threads)
@@ -254,7 +265,7 @@ def _swaps(
     lights = [light for light in samples.lights if light in seen]
     while 2 <= len(lights) <= MOST_LIGHTS:
         shares = {
-            pair: _explained(own, _missed(_exchanged(samples, [*swaps, pair]), noise, threads))
+            pair: _explained(own, _missed(_exchanged(samples, [*swaps, pair]), noise, threads), noise)
             for pair in itertools.combinations(lights, 2)
         }
         best = max(shares, key=lambda pair: shares[pair])

@@ -148,8 +148,8 @@ def words(
             said.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
         elif abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL and found.describes:
             said.append(
-                f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s between {low:,.0f} and "
-                f"{high:,.0f}): add {what}"
+                f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s between {low:.4g} and "
+                f"{high:.4g}): add {what}"
             )
         if quality.saturated == 0.0:
             said.append(

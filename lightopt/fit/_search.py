@@ -135,7 +135,7 @@ class _Squares:
 
 
 @dataclass(frozen=True)
-class _OverSigma:
+class _SigmaScan:
     # the range of ln σ looked at, with the samples and the starts that were used
     samples: Samples
     free: tuple[int, ...]
@@ -249,7 +249,7 @@ def _scan_sigma(
     held: Float64 | None,
     threads: int | None,
     progress: Callable[[float], None],
-) -> _OverSigma:
+) -> _SigmaScan:
     few = thinned(samples, _scan_budget(samples))
     free = _places(samples, freed)
     guess = first_guess(few)
@@ -267,7 +267,7 @@ def _scan_sigma(
     if log_r_s is not None:
         starts[0][LOG_R_S] = log_r_s
     squares = _least_squares(few, table, row, columns, starts, free[:-2], threads, progress)
-    return _OverSigma(few, tuple(free), row, starts, squares)
+    return _SigmaScan(few, tuple(free), row, starts, squares)
 
 
 def _least_squares(
@@ -370,7 +370,7 @@ def _by_least_squares(
 def _by_likelihood(
     samples: Samples,
     few: Samples,
-    scanned: _OverSigma,
+    scanned: _SigmaScan,
     threads: int | None,
     report: Progress,
 ) -> Estimate:

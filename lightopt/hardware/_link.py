@@ -6,6 +6,7 @@ lets a device that dribbles hold up the caller for ever.
 
 from __future__ import annotations
 
+import os
 import re
 import select
 import time
@@ -101,12 +102,11 @@ class SerialLink:
                 baudrate=baud,
                 rtscts=rtscts,
                 timeout=_SLICE_S,
-                write_timeout=self._write_s,
+                # pyserial's RFC 2217 knows no limit of a write, and refuses one
+                write_timeout=None if port.startswith("rfc2217:") else self._write_s,
                 exclusive=True,
             )
-            self._waits = _has_descriptor(self._serial)
-            if self._waits:
-                self._serial.write_timeout = 0
+            self._selectable = os.name == "posix" and _has_descriptor(self._serial)
         except (ValueError, *_LOST) as error:
             raise cannot_open(port, device, error) from None
         if log is not None:
@@ -303,7 +303,7 @@ class SerialLink:
     def _take(self, data: bytes) -> None:
         # pyserial calls a write late by the clock alone, even if every byte was taken at once: a computer that was busy
         # for a second would be a dead line. Late is what is not taken while we wait, which select asks at its end, too.
-        if not (self._waits and self._serial.is_open):
+        if not (self._selectable and self._serial.is_open):
             self._serial.write(data)
             return
         until = time.monotonic() + self._write_s
@@ -311,7 +311,11 @@ class SerialLink:
             _, free, _ = select.select([], [self._serial], [], max(until - time.monotonic(), 0.0))
             if not free:
                 raise serial.SerialTimeoutException
-            data = data[self._serial.write(data) :]
+            try:
+                data = data[os.write(self._serial.fileno(), data) :]
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    raise serial.SerialTimeoutException from None
 
     def _guarded(self, action: Callable[[], Value], sent: bytes) -> Value:
         try:
@@ -356,7 +360,7 @@ def _ended(got: bytearray, end: bytes | re.Pattern[bytes] | None) -> bool:
 
 
 def _has_descriptor(port: object) -> bool:
-    # whether select can wait for it: not for COM ports of Windows, where the system judges writes, nor for rfc2217
+    # whether select can wait for it: not for rfc2217
     try:
         port.fileno()  # pyright: ignore[reportAttributeAccessIssue]
     except (AttributeError, OSError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import errno
 import os
 import re
@@ -304,6 +305,63 @@ def test_write_that_the_line_holds_up() -> None:
         link.write(b"x" * 1_000_000)
     far.vanish()
     link.close()
+
+
+@needs_pty
+def test_a_line_that_refuses_what_it_seemed_to_take_is_late_and_not_tried_for_ever(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    far = Far("pty")
+    link = far.link()
+    monkeypatch.setattr(link, "_write_s", 0.1)
+
+    def refuse(_descriptor: int, _data: bytes) -> int:
+        raise BlockingIOError(errno.EAGAIN, "again")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "write", refuse)
+        begun = time.monotonic()
+        with pytest.raises(LinkLostError, match=r"does not take what is sent within 0.1 s"):
+            link.send(b"Q:")
+    assert time.monotonic() - begun < 2.0
+    far.vanish()
+    link.close()
+
+
+@pytest.mark.filterwarnings("ignore:set(Daemon|Name)")  # pyserial's
+def test_a_port_of_rfc_2217_opens() -> None:
+    """Of pyserial's own server; it knows no limit of a write."""
+    import serial
+    from serial.rfc2217 import PortManager
+
+    listener = socket.create_server(("127.0.0.1", 0))
+    device = serial.serial_for_url("loop://", timeout=0.05)
+    ended = threading.Event()
+
+    def serve() -> None:
+        connection, _ = listener.accept()
+        connection.settimeout(0.05)
+        sender = type("Sender", (), {"write": staticmethod(connection.sendall)})()
+        manager = PortManager(device, sender)
+        while not ended.is_set():
+            with contextlib.suppress(TimeoutError):
+                received = connection.recv(1024)
+                device.write(b"".join(manager.filter(received)))
+            waiting = device.read(device.in_waiting)
+            if waiting:
+                connection.sendall(b"".join(manager.escape(waiting)))
+        connection.close()
+
+    serving = threading.Thread(target=serve)
+    serving.start()
+    link = SerialLink(f"rfc2217://127.0.0.1:{listener.getsockname()[1]}", device="lights", baud=9600)
+    try:
+        assert link.query(b"hello\n", end=b"\n", deadline_s=5.0) == b"hello\n"
+    finally:
+        link.close()
+        ended.set()
+        serving.join()
+        listener.close()
 
 
 @needs_pty

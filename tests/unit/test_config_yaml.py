@@ -143,7 +143,8 @@ def test_both_parsers_of_pyyaml_read_the_same(bench, monkeypatch) -> None:
         some = list(text[start : start + draw.randrange(5, 60)])
         for _ in range(draw.randrange(1, 4)):
             some.insert(
-                draw.randrange(len(some) + 1), draw.choice("{}[]:,-?&*!|>'\"%@`# \t\n\\~<=ab1.\u00e9")
+                draw.randrange(len(some) + 1),
+                draw.choice("{}[]:,-?&*!|>'\"%@`# \t\n\\~<=ab1.\u00e9\ufeff\r\u0085\u2028"),
             )
         texts.append("".join(some))
 

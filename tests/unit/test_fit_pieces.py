@@ -26,6 +26,7 @@ from lightopt.fit import (
     thinned,
 )
 from lightopt.fit._likelihood import lagrange
+from lightopt.fit._mismatch import _explained
 from lightopt.fit._quality import words
 from lightopt.rendering import cast_rays_at
 from lightopt.sensor import expose, image_rng
@@ -206,5 +207,19 @@ def test_what_separates_r_s_from_sigma_depends_on_what_is_saturated(saturated, s
         free=(LOG_R_S, LOG_SIGMA), R_s=12_500.0, correlation=lambda *_: -0.99, describes=True
     )
     said = words(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)
-    assert f"(correlation -0.990, R_s between 12,281 and 13,141): {asked}" in said[0]
+    assert f"(correlation -0.990, R_s between 1.228e+04 and 1.314e+04): {asked}" in said[0]
     assert any("no pixel is saturated" in text for text in said) is (saturated == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "share"),
+    [
+        ((2.0, 65.0), (0.5, 13.0), 0.8),
+        # what is lost in the noise says nothing, neither that all is explained nor that nothing is
+        ((0.0, 65.0), (0.0, 0.0), 1.0),
+        ((0.001, 65.0), (0.0, 65.0), 0.0),
+        ((0.001, 0.001), (0.0, 0.0), 0.0),
+    ],
+)
+def test_what_another_place_explains_is_a_share_of_what_is_beyond_the_noise(before, after, share):
+    assert _explained(np.array(before), np.array(after), noise=1.0) == pytest.approx(share)

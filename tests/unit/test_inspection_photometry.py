@@ -38,6 +38,16 @@ def test_a_wider_lobe_than_the_models_is_no_dark_level(bench):
     assert dark < 4.0  # four times the noise of black
 
 
+@pytest.mark.parametrize(("gain", "level"), [(0.95, 255.0), (0.97, 255.0), (1.05, 0.0)])
+def test_a_defect_tells_nothing_of_the_lights(bench, gain, level):
+    """A twentieth of the part is as bright or as dark as can be: lamps that have aged are still told."""
+    y, x = np.mgrid[-40:40, -60:60]
+    predicted = (90.0 + x / 2.0 + 20.0 * np.sin(y / 9.0)).astype(np.float32)
+    light = gain * predicted
+    light[10:32, 10:32] = level
+    assert fitted(bench, light, predicted)[0] == pytest.approx(gain, abs=0.005)
+
+
 @pytest.mark.parametrize(("gain", "dark"), [(0.8, 0.0), (1.2, 2.0), (1.0, 3.0)])
 def test_gain_and_dark_of_the_models_own_lobe_are_found(bench, gain, dark):
     light = highlight(9.0) + 30.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,21 @@ def test_a_lock_is_within_the_ranges_of_every_direct_dependency(name, environmen
         assert requirement.specifier.contains(version, prereleases=True), (
             f"make lock: {requirement}, not {version}"
         )
+
+
+def test_a_lock_has_what_its_packages_need():
+    """They are installed without looking for that."""
+    names = {canonicalize_name(requirement.name) for requirement, _ in locked("dev")}
+    missing = set()
+    for name in names:
+        try:
+            needs = distribution(name).requires or []
+        except PackageNotFoundError:  # of another platform
+            continue
+        for need in map(Requirement, needs):
+            if need.marker is None or need.marker.evaluate({"extra": ""}):
+                missing |= {canonicalize_name(need.name)} - names
+    assert not missing
 
 
 def test_both_locks_have_the_same_versions():

@@ -4,6 +4,8 @@ import dataclasses
 import json
 import math
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -355,3 +357,17 @@ def test_transformed_moves_vertices_and_turns_normals():
             transformed(mesh, matrix, (0, 0, 0))
     with pytest.raises(InputError, match="translation"):
         transformed(mesh, np.eye(3), (0, 0, np.nan))
+
+
+def test_a_binary_stl_file_takes_no_trimesh(tmp_path):
+    """It takes longer to load than most commands have to compute."""
+    path = export(tmp_path, trimesh.creation.icosphere(subdivisions=1), "stl")
+    program = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from lightopt.mesh import load_mesh\n"
+        f"loaded = load_mesh(Path({str(path)!r}), unit_mm=1.0, normals='facet', crease_angle=0.5)\n"
+        "print(len(loaded.mesh.faces), 'trimesh' in sys.modules)\n"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert said.split() == ["80", "False"]
