@@ -116,13 +116,14 @@ def refuse_other_images(
     """
     if quality.describes and not quality.poor:
         return world.registration is not None
+    excluded = True
     if world.registration is None:
         shift, excluded = find_displacement(world, samples, quality, threads=threads)
         if shift is not None:
             raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
     own = _agreement(samples, found, threads)
     if not own.foreign:
-        return world.registration is not None or excluded
+        return excluded
     hint = (
         _what_fits_better(samples, quality.floor**2, threads)
         or "check that rig, part, placement and postures are those of the images"
