@@ -18,11 +18,10 @@ __all__ = ["LackOfFit", "find_dust", "measure_lack_of_fit"]
 
 Float64 = NDArray[np.float64]
 
-RINGS = 12
+RINGS = 3
 DIFFUSE_STEPS = 10
 """Pixels of one exposure are compared with those of a like geometry: rings per octave of the angle from the mirror
-direction, and steps of the diffuse light. In wider rings the misfit of a lobe changes too much: where it is greatest,
-beside the saturated pixels, it was taken for dust."""
+direction, and steps of the diffuse light."""
 
 LEAST_ALIKE = 20
 DUST_SPREADS, DUST_LEVELS = 8.0, 0.06
