@@ -28,10 +28,11 @@ Float64 = NDArray[np.float64]
 
 LEAST_SHIFT_PX = 0.5
 LEAST_EXPLAINED = 0.5
-LEAST_MISSED = 0.1
-"""Residuals beyond the noise count from this share of its variance on."""
 """A part is said to be displaced when moving it by half a pixel or more takes away half of the squared residual beyond
 the noise: a wrong reflectance is not blamed on the place."""
+
+LEAST_MISSED = 0.1
+"""Residuals beyond the noise count from this share of its variance on."""
 
 LEAST_CERTAIN = 3.0
 """And when the displacement is so many of its standard errors."""

@@ -50,14 +50,15 @@ def fit(bed, image_set, **options):
 
 def check(bed, image_set, **options):
     found, truth = fit(bed, image_set, joint=True, validate=False, **options)
-    # by 3.3 standard errors: of dozens of intervals of 95 %, some have to miss
-    wrong = {
-        value.name: (value.value, value.standard_error)
-        for value in found.values
-        if value.name in ("R_d", "R_s", "sigma_rad")
-        and abs(value.value - getattr(truth, value.name)) > 3.3 * value.standard_error
-    }
-    assert not wrong
+    values = {value.name: value for value in found.values}
+    wrong = [
+        values[name]
+        for name in ("R_d", "R_s", "sigma_rad")
+        if not values[name].interval[0] <= getattr(truth, name) <= values[name].interval[1]
+    ]
+    # of dozens of intervals of 95 %, one misses now and then, but not by much, nor do two of a fit
+    assert len(wrong) <= 1
+    assert all(abs(value.value - getattr(truth, value.name)) < 3.3 * value.standard_error for value in wrong)
     return found.quality
 
 

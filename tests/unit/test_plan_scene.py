@@ -8,6 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
+from planned import CATALOGUE
 
 from lightopt.config import load_part, load_rig
 from lightopt.errors import InputError
@@ -49,11 +50,6 @@ LIGHTS = """\
 lights:
   - {name: light1, distance_mm: 330, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [40, 60]}
   - {name: light2, distance_mm: 330, elevation_deg: 50, azimuth_deg: 225, elevation_range_deg: [30, 50]}
-"""
-CATALOGUE = """\
-defect_catalogue:
-  - {name: dent, kind: dent, size_mm: 0.6, slope_deg: 4}
-  - {name: stain, kind: stain, size_mm: 1.5, R_d_factor: 0.7}
 """
 POSTURES = (Posture(0.0, 0.0), Posture(-20.0, 90.0), Posture(25.0, 200.0), Posture(0.0, 130.0))
 
