@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from lightopt import build_scene
-from lightopt.mesh import TriangleMesh, load_mesh, transformed
-from lightopt.scene import PinholeCamera, Posture, Scene
+from lightopt.core.transforms import Posture
+from lightopt.geometry import TriangleMesh, load_mesh, transformed
+from lightopt.scene import PinholeCamera, Scene
 
 __all__ = ["CONFIGS", "FULL", "QUICK", "RIG", "TOY", "Size", "case_scene", "chrome", "resized", "spout_scene"]
 

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.reflectance import MIN_COS_VIEW, Reflectance
+from lightopt.optics import MIN_COS_VIEW, Reflectance
 from lightopt.scene import PinholeCamera, Scene, panel_grid, pixel_directions, screen_window
 
 __all__ = ["Backend", "camera_rays", "render_numpy"]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks._numpy_shading import camera_rays
-from lightopt.reflectance import MIN_COS_VIEW
+from lightopt.optics import MIN_COS_VIEW
 from lightopt.scene import Scene, panel_grid
 
 __all__ = ["MitsubaPeer"]

@@ -10,8 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.raycast import RayCaster
-from lightopt.reflectance import MIN_COS_VIEW, Reflectance
+from lightopt.geometry import RayCaster
+from lightopt.optics import MIN_COS_VIEW, Reflectance
 from lightopt.rendering import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
 

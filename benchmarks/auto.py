@@ -12,7 +12,7 @@ from benchmarks._case import Size, case_scene, chrome, resized, spout_scene
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from benchmarks.bare import THREADS
-from lightopt.raycast import RayCaster
+from lightopt.geometry import RayCaster
 from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture, trace_samples
 from lightopt.scene import Scene, screen_window
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks._case import Size, case_scene
 from benchmarks._report import Report, Table, ratio_text, ratios, rounds
-from lightopt.raycast import RayCaster
+from lightopt.geometry import RayCaster
 from lightopt.rendering import PostureImages, cast_rays_at, render_posture
 from lightopt.scene import Scene
 

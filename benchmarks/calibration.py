@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.inspection import FIRST, FULL, Size, prepare, replace_block
 from lightopt import load_part
-from lightopt.align import Observation, Placement, place_part
+from lightopt.estimate.registration import Observation, Placement, place_part
 from lightopt.inspection import (
     CalibratedPosture,
     Detector,
@@ -34,17 +34,19 @@ from lightopt.inspection import (
     deviations,
     find_regions,
     least_rate,
+    nominal_pixels,
     posture_view,
     predict,
     region_hits,
+    score_posture,
     sets_needed,
+    synthetic_image,
     threshold,
+    without_systematic,
 )
-from lightopt.inspection._scored import score_posture, synthetic_image
-from lightopt.inspection._systematic import nominal_pixels, without_systematic
+from lightopt.optics import expose, image_rng, saturated
 from lightopt.rendering import PostureImages, cast_rays_at, render_posture
 from lightopt.scene import Scene, build_scene
-from lightopt.sensor import expose, image_rng, saturated
 
 RATE = 0.1
 SMALL = replace(FULL, width=160, fine=False, across=(3, 8), widths=())

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.hardware import CameraSettings, open_camera
-from lightopt.virtualbench._gige import GigeCamera
+from lightopt.rig.devices import CameraSettings, open_camera
+from lightopt.rig.simulated import GigeCamera
 
 __all__ = ["main", "ratios"]
 

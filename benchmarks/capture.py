@@ -10,7 +10,9 @@ import yaml
 
 from benchmarks._case import CONFIGS, RIG, Size
 from benchmarks._report import Report, Table
-from lightopt.capture import (
+from lightopt.config import PartConfig, RigConfig, load_part, load_rig
+from lightopt.core.transforms import Posture
+from lightopt.rig.capture import (
     CaptureOptions,
     Devices,
     Plan,
@@ -20,9 +22,7 @@ from lightopt.capture import (
     start_bench,
     wiring_of,
 )
-from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.transforms import Posture
-from lightopt.virtualbench import BenchProcess
+from lightopt.rig.simulated import BenchProcess
 
 __all__ = ["TARGET", "run"]
 

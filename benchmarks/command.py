@@ -15,7 +15,7 @@ import yaml
 from benchmarks._case import CONFIGS, RIG, Size, case_scene
 from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from benchmarks.bare import THREADS
-from lightopt.mesh import TriangleMesh
+from lightopt.geometry import TriangleMesh
 
 __all__ = ["HELP_TARGET", "measure", "run"]
 

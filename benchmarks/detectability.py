@@ -14,7 +14,7 @@ from benchmarks.bare import THREADS
 from benchmarks.search import PLAIN_COMBINATIONS, REFINED, SCALES, THRESHOLDS, Scale, peak_bytes
 from lightopt import build_scene, load_rig
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
-from lightopt.optimize import (
+from lightopt.design import (
     Contrast,
     Detectability,
     Inspection,

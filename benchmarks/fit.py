@@ -13,7 +13,7 @@ from benchmarks.bare import THREADS
 from benchmarks.command import write_rig
 from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
-from lightopt.fit import FitOptions, fit_specular
+from lightopt.estimate.reflectance import FitOptions, fit_specular
 from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
 from lightopt.scene import build_scene

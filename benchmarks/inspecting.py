@@ -15,12 +15,13 @@ from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from benchmarks.bare import THREADS
 from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.threads import in_threads
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import Inspection, InspectOptions, Predictions, inspect_set, judge
-from lightopt.raycast import RayCaster
-from lightopt.rendering import RenderOptions, cast_rays_at, in_threads, render_image_set, trace_samples
+from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, trace_samples
 from lightopt.scene import Scene, screen_window, view_from_part
-from lightopt.transforms import Posture
 
 __all__ = ["TARGET", "run"]
 

@@ -24,12 +24,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt import load_part, load_rig
-from lightopt.align import Placement, place_part
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import ImageSet, read_exr, read_image_set
 from lightopt.inspection import (
     FUSIONS,
     SCALES_PX,
+    TEMPLATES,
     Deviations,
     PostureView,
     SyntheticImage,
@@ -50,10 +52,8 @@ from lightopt.inspection import (
     threshold,
     trust_weights,
 )
-from lightopt.inspection._template import TEMPLATES
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 from lightopt.scene import _build
-from lightopt.transforms import Posture
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"

@@ -30,9 +30,10 @@ from numpy.typing import NDArray
 
 from benchmarks.inspection import FALSE_ALARMS, FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
-from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench, wiring_of
 from lightopt.config import PartConfig, RigConfig
 from lightopt.defects import BUILT_IN_CATALOGUE, PlacedDefect, radial_place, surface_coordinates
+from lightopt.design import Contrast, Visibility, flags_of, luminance_matrix, unroll
+from lightopt.design import Inspection as LookedFor
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     SCALES_PX,
@@ -47,12 +48,19 @@ from lightopt.inspection import (
     separate_pieces,
     threshold,
 )
-from lightopt.optimize import Contrast, Visibility, flags_of, luminance_matrix, unroll
-from lightopt.optimize import Inspection as LookedFor
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
-from lightopt.report._chart import ChartPanel, draw_chart
+from lightopt.report import ChartPanel, draw_chart
+from lightopt.rig.capture import (
+    CaptureOptions,
+    Devices,
+    Plan,
+    capture,
+    connect_devices,
+    start_bench,
+    wiring_of,
+)
+from lightopt.rig.simulated import BenchTruth
 from lightopt.scene import place_defects
-from lightopt.virtualbench import BenchTruth
 
 __all__ = ["Tally", "interval", "main", "plot", "table"]
 

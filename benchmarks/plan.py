@@ -13,10 +13,12 @@ from benchmarks._report import Report, Table
 from benchmarks.bare import THREADS
 from benchmarks.search import peak_bytes
 from lightopt import build_scene, load_part, load_rig
-from lightopt.optimize import Contrast, Inspection, find_candidates, unroll
-from lightopt.plan import (
+from lightopt.core.transforms import Posture
+from lightopt.design import (
     DRAWN_PATCHES,
     Choice,
+    Contrast,
+    Inspection,
     PairAssessment,
     Setup,
     Survey,
@@ -25,11 +27,13 @@ from lightopt.plan import (
     choose_postures,
     counts_of_images,
     drawn_patches,
+    find_candidates,
     place_lights,
     trust_of,
+    unroll,
 )
 from lightopt.rendering import build_patches, cast_rays_at
-from lightopt.scene import Posture, build_catalogue
+from lightopt.scene import build_catalogue
 
 __all__ = ["run"]
 

@@ -17,7 +17,7 @@ from benchmarks._case import CONFIGS, RIG, Size
 from benchmarks._report import Report, Table, ratios, rounds
 from benchmarks.bare import THREADS
 from lightopt import build_scene, load_rig
-from lightopt.optimize import (
+from lightopt.design import (
     OBJECTIVES,
     LuminanceMatrix,
     Objective,
@@ -26,7 +26,7 @@ from lightopt.optimize import (
     luminance_matrix,
     search,
 )
-from lightopt.raycast import RayCaster
+from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import PanelLight, Scene
 

@@ -17,8 +17,8 @@ from PIL import Image
 
 from lightopt import build_scene, render
 from lightopt.images import read_exr, read_image_set
+from lightopt.optics import expose, saturated_region
 from lightopt.report import contact_sheet, frames_drawing, rig_drawing
-from lightopt.sensor import expose, saturated_region
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

@@ -18,9 +18,9 @@ from forked_benches import ForkingProcess
 from hypothesis import settings
 
 from lightopt.cli._main import run
-from lightopt.mesh import _load
-from lightopt.mesh._step import read_step
-from lightopt.rendering import available_processors
+from lightopt.core.threads import available_processors
+from lightopt.geometry import _load
+from lightopt.geometry._step import read_step
 
 # a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly ten times as many
 settings.register_profile("developer", deadline=None, max_examples=30)
@@ -187,7 +187,7 @@ def forked_benches() -> Generator[None]:
         yield
         return
     process, patch = ForkingProcess(), pytest.MonkeyPatch()
-    patch.setattr("lightopt.virtualbench._process.start_process", process.start)
+    patch.setattr("lightopt.rig.simulated._process.start_process", process.start)
     yield
     patch.undo()
     process.close()

@@ -1,6 +1,6 @@
 """Benches forked from a process that has imported all that they need, which saves each the two seconds of importing it.
 
-The process of a bench is otherwise what `lightopt.virtualbench` starts: a session, pipes and a temporary file of its
+The process of a bench is otherwise what `lightopt.rig.simulated` starts: a session, pipes and a temporary file of its
 own. How it is started from nothing is tested in tests/hardware/test_bench_process.py, which does not use this.
 
 As a script, this file is that process: it takes requests from the socket whose number is its argument.
@@ -62,7 +62,7 @@ class ForkingProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, spec: str, errors: BinaryIO) -> ForkedProcess:
-        """Start a bench, as `lightopt.virtualbench._process.start_process` does."""
+        """Start a bench, as `lightopt.rig.simulated._process.start_process` does."""
         if self._requests is None:
             self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             command = [sys.executable, __file__, str(theirs.fileno())]
@@ -110,8 +110,8 @@ def _serve(requests: socket.socket) -> None:
     import trimesh
 
     import lightopt.rendering
-    import lightopt.virtualbench._host
-    import lightopt.virtualbench._optics
+    import lightopt.rig.simulated._host
+    import lightopt.rig.simulated._optics
 
     _ = embreex, trimesh, lightopt
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
@@ -157,7 +157,7 @@ def _become_bench(request: dict, stdin: int, stdout: int, stderr: int) -> None:
     sys.argv[:] = ["bench", request["spec"]]
     code = 0
     try:
-        runpy.run_module("lightopt.virtualbench", run_name="__main__", alter_sys=True)
+        runpy.run_module("lightopt.rig.simulated", run_name="__main__", alter_sys=True)
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 1 if end.code else 0
     except BaseException:  # noqa: BLE001  (as an interpreter does)

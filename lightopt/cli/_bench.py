@@ -10,14 +10,13 @@ from lightopt.cli._capture import SerialLog
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, RigFile, parse_exposure
 from lightopt.cli._terminal import say, say_warning, show_table
-from lightopt.errors import HardwareError, InputError, LightoptError
+from lightopt.core.errors import HardwareError, InputError, LightoptError
 
 if TYPE_CHECKING:
-    from lightopt.capture import Devices
     from lightopt.config import CameraDeviceConfig, RigConfig
-    from lightopt.hardware import CameraHere
+    from lightopt.rig.capture import Devices
+    from lightopt.rig.devices import CameraHere
 
-__all__ = ["bench"]
 
 bench = typer.Typer(
     help="Try the devices of a rig one by one: ask, light, home, move, take a frame.",
@@ -29,7 +28,7 @@ bench = typer.Typer(
 @bench.command()
 def status(rig: RigFile, serial_log: SerialLog = None) -> None:
     """Ask every device how it is; nothing is switched or moved."""
-    from lightopt.capture import device_rows
+    from lightopt.rig.capture import device_rows
 
     silent: dict[str, LightoptError] = {}
     loaded, devices = _open(rig, serial_log, touch_lights=False, silent=silent)
@@ -54,7 +53,7 @@ def light(
     serial_log: SerialLog = None,
 ) -> None:
     """Light one panel until Enter is pressed, or for some seconds; longer than its max_on_s is refused."""
-    from lightopt.capture import burn, check_burning, check_level, wiring_of
+    from lightopt.rig.capture import burn, check_burning, check_level, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
         raise InputError(
@@ -86,8 +85,8 @@ def off(rig: RigFile, serial_log: SerialLog = None) -> None:
 
     Of the file only the controllers have to be readable: what else is wrong with it is said afterwards.
     """
-    from lightopt.capture import switch_off
     from lightopt.config import load_lights
+    from lightopt.rig.capture import switch_off
 
     lights = load_lights(rig)
     try:
@@ -129,8 +128,8 @@ def move(
     serial_log: SerialLog = None,
 ) -> None:
     """Move the stage and verify where it stands. The virtual bench is always homed first: it was just switched on."""
-    from lightopt.capture import check_angles
-    from lightopt.transforms import Posture
+    from lightopt.core.transforms import Posture
+    from lightopt.rig.capture import check_angles
 
     if elevation is None and rotation is None:
         raise InputError("expected --elevation, --rotation or both")
@@ -169,7 +168,7 @@ def snap(
     force: Force = False,
 ) -> None:
     """Take one frame where the stage stands."""
-    from lightopt.capture import (
+    from lightopt.rig.capture import (
         check_burning,
         check_exposure,
         check_level,
@@ -177,7 +176,7 @@ def snap(
         snap_s,
         wiring_of,
     )
-    from lightopt.capture import snap as take
+    from lightopt.rig.capture import snap as take
 
     relative = parse_exposure(exposure)
     loaded, loaded_part = load_inputs(rig, part)
@@ -202,7 +201,7 @@ def list_devices(
     ] = None,
 ) -> None:
     """List the serial ports of this computer and the cameras that answer; no port is opened or written to."""
-    from lightopt.hardware import serial_ports
+    from lightopt.rig.devices import serial_ports
 
     ports = serial_ports()
     if ports:
@@ -216,8 +215,8 @@ def list_devices(
     if rig is None:
         _show_cameras(None)
         return
-    from lightopt.capture import wiring_of
-    from lightopt.hardware import port_problem
+    from lightopt.rig.capture import wiring_of
+    from lightopt.rig.devices import port_problem
 
     loaded, _ = load_inputs(rig, None)
     hardware = wiring_of(loaded).hardware
@@ -249,7 +248,7 @@ def list_devices(
 
 def _show_cameras(producer: Path | None) -> list[CameraHere]:
     """List the cameras that answer, and say what could not be asked."""
-    from lightopt.hardware import cameras_here
+    from lightopt.rig.devices import cameras_here
 
     cameras, problems = cameras_here(producer)
     say("")
@@ -285,7 +284,7 @@ def _open(
     touch_lights: bool = True,
     silent: dict[str, LightoptError] | None = None,
 ) -> tuple[RigConfig, Devices]:
-    from lightopt.capture import connect_devices, wiring_of
+    from lightopt.rig.capture import connect_devices, wiring_of
 
     loaded, _ = load_inputs(rig, None)
     wiring = wiring_of(loaded)

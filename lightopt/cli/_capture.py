@@ -19,12 +19,11 @@ from lightopt.cli._options import (
 )
 from lightopt.cli._sheets import add_sheets
 from lightopt.cli._terminal import say, say_error, say_warning, show_share, show_table
-from lightopt.errors import InputError, Interrupted, counted
+from lightopt.core.errors import InputError, Interrupted, counted
 
 if TYPE_CHECKING:
-    from lightopt.capture import Captured, Plan
+    from lightopt.rig.capture import Captured, Plan
 
-__all__ = ["SerialLog", "capture"]
 
 SerialLog = Annotated[
     Path | None,
@@ -82,8 +81,8 @@ def capture(
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
 
-    from lightopt.capture import CaptureOptions, check_devices, check_folder, make_plan
-    from lightopt.capture import capture as run
+    from lightopt.rig.capture import CaptureOptions, check_devices, check_folder, make_plan
+    from lightopt.rig.capture import capture as run
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None

@@ -8,9 +8,7 @@ import typer
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, Quiet, RigFile
 from lightopt.cli._terminal import say
-from lightopt.errors import CheckFailed, InputError, counted
-
-__all__ = ["check"]
+from lightopt.core.errors import CheckFailed, InputError, counted
 
 
 def check(
@@ -55,8 +53,8 @@ def check(
         say(f"{rig_drawing(build_scene(loaded_rig, loaded_part), drawing, overwrite=force)}")
     if json_file is not None:
         from lightopt.config import input_hashes
+        from lightopt.core.provenance import provenance
         from lightopt.images import write_text_atomic
-        from lightopt.provenance import provenance
 
         found = {**report.as_dict(), "provenance": provenance(input_hashes(loaded_rig, loaded_part), {})}
         text = json.dumps(found, indent=2, ensure_ascii=False) + "\n"

@@ -7,12 +7,10 @@ import typer
 
 from lightopt.cli._options import Force, make_folder
 from lightopt.cli._terminal import say, show_table
-from lightopt.errors import CheckFailed, InputError, counted
+from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
-    from lightopt.compare import FileComparison, SetComparison, Thresholds
-
-__all__ = ["compare"]
+    from lightopt.images.comparison import FileComparison, SetComparison, Thresholds
 
 
 def compare(
@@ -66,8 +64,8 @@ def compare(
     """
     import json
 
-    from lightopt.compare import Thresholds, compare_files, compare_sets, comparison_provenance
     from lightopt.images import write_text_atomic
+    from lightopt.images.comparison import Thresholds, compare_files, compare_sets, comparison_provenance
 
     sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
     if sets and diff is not None:
@@ -93,13 +91,13 @@ def compare(
 
 
 def _files(result: FileComparison | SetComparison) -> tuple[FileComparison, ...]:
-    from lightopt.compare import SetComparison
+    from lightopt.images.comparison import SetComparison
 
     return result.files if isinstance(result, SetComparison) else (result,)
 
 
 def _show(result: FileComparison | SetComparison) -> None:
-    from lightopt.compare import SetComparison
+    from lightopt.images.comparison import SetComparison
 
     rows: list[list[str]] = []
     for file in _files(result):
@@ -125,7 +123,7 @@ def _show(result: FileComparison | SetComparison) -> None:
 
 
 def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thresholds, force: bool) -> None:
-    from lightopt.compare import SetComparison, difference_picture
+    from lightopt.images.comparison import SetComparison, difference_picture
 
     drawn = 0
     for file in _files(result):

@@ -9,9 +9,7 @@ import typer
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, PartFile, Quiet, RigFile, make_folder
 from lightopt.cli._terminal import say
-from lightopt.errors import counted
-
-__all__ = ["defects"]
+from lightopt.core.errors import counted
 
 
 def defects(
@@ -41,7 +39,7 @@ def defects(
 
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """
-    from lightopt.scatter import defects_text, scatter_defects, scatter_provenance, write_defects
+    from lightopt.inspection import defects_text, scatter_defects, scatter_provenance, write_defects
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None

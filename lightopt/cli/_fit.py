@@ -10,10 +10,10 @@ import typer
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, make_folder, parse_points
 from lightopt.cli._terminal import say, say_warning, show_share, show_table
-from lightopt.errors import CheckFailed, InputError
+from lightopt.core.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
-    from lightopt.fit import (
+    from lightopt.estimate.reflectance import (
         FitFolder,
         FitOptions,
         FitResult,
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         PaperOptions,
     )
 
-__all__ = ["fit_diffuse", "fit_specular"]
 
 Images = Annotated[
     Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
@@ -88,7 +87,7 @@ def fit_diffuse(
 
     Example: lightopt fit-diffuse rig.yaml part.yaml captured/ -o fitted
     """
-    from lightopt.fit import PaperOptions
+    from lightopt.estimate.reflectance import PaperOptions
 
     paper = PaperOptions(lambda_d=lambda_d, R_d_start=start, away=math.radians(away))
     _run(
@@ -153,7 +152,7 @@ def fit_specular(
 
     Example: lightopt fit-specular rig.yaml part.yaml captured/ -o fitted --joint
     """
-    from lightopt.fit import PaperOptions
+    from lightopt.estimate.reflectance import PaperOptions
 
     paper = PaperOptions(
         lambda_s1=lambda_s1,
@@ -203,7 +202,7 @@ def _run(
     write_noise: bool,
     allow_unconverged: bool,
 ) -> None:
-    from lightopt import fit
+    from lightopt.estimate.reflectance import FitFolder, fit_diffuse, fit_provenance, fit_specular
     from lightopt.images import read_image_set
 
     options = _options(kind, method, free, points, pixels, paper, threads, joint, validate, write_noise)
@@ -212,17 +211,17 @@ def _run(
     image_set = read_image_set(images)
     asked: dict[str, Any] = {**vars(options), "kind": kind, "paper": paper.as_dict()}
     del asked["threads"]
-    made_from = fit.fit_provenance(loaded_rig, loaded_part, image_set, asked)
-    folder = fit.FitFolder(out, made_from, force=force)
+    made_from = fit_provenance(loaded_rig, loaded_part, image_set, asked)
+    folder = FitFolder(out, made_from, force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:
         if kind == "diffuse":
-            result = fit.fit_diffuse(loaded_rig, loaded_part, image_set, options=options, progress=progress)
+            result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, progress=progress)
         else:
             keep = _keep_pictures(
                 folder, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
             )
-            result = fit.fit_specular(
+            result = fit_specular(
                 loaded_rig, loaded_part, image_set, options=options, progress=progress, keep=keep
             )
     from lightopt.report import fit_chart
@@ -254,7 +253,7 @@ def _options(
     write_noise: bool,
 ) -> FitOptions:
     from lightopt.config import points_problem
-    from lightopt.fit import OPTION_NAMES, FitOptions, PaperOptions
+    from lightopt.estimate.reflectance import OPTION_NAMES, FitOptions, PaperOptions
 
     problems: list[str] = []
     if method not in METHODS:
@@ -319,7 +318,7 @@ def _keep_pictures(folder: FitFolder, bit_depth: int, saturation: float | None) 
 
 
 def _show(result: FitResult) -> None:
-    from lightopt.fit import interval_words
+    from lightopt.estimate.reflectance import interval_words
 
     rows = []
     for value in result.values:

@@ -7,9 +7,7 @@ import typer
 
 from lightopt.cli._options import Force, make_folder
 from lightopt.cli._terminal import say
-from lightopt.errors import InputError
-
-__all__ = ["init"]
+from lightopt.core.errors import InputError
 
 
 def init(

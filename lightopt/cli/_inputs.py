@@ -3,12 +3,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
-
-__all__ = ["load_inputs"]
 
 
 def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]:

@@ -10,14 +10,13 @@ from lightopt.cli._inspect_sets import Wanted, inspect_batch, inspect_one
 from lightopt.cli._inspect_tables import show_calibration
 from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, Threads, make_folder
 from lightopt.cli._terminal import say, show_share
-from lightopt.errors import CheckFailed, InputError, counted
+from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
     from lightopt.images import ImageSet
     from lightopt.inspection import Detector, Fusion, InspectOptions
 
-__all__ = ["inspect"]
 
 DEFAULT_FALSE_ALARMS = 0.05
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from lightopt.cli._inspect_tables import show_inspection, show_truth
 from lightopt.cli._options import make_folder
 from lightopt.cli._terminal import say, say_error, say_warning, show_share
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
         TruthSource,
     )
     from lightopt.report import BatchRow
-
-__all__ = ["Wanted", "inspect_batch", "inspect_one"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from lightopt.cli._terminal import say, show_table
-from lightopt.errors import percent
+from lightopt.core.errors import percent
 
 if TYPE_CHECKING:
     from lightopt.inspection import Calibration, Inspection, Verdict
-
-__all__ = ["show_calibration", "show_inspection", "show_truth"]
 
 
 def show_calibration(calibration: Calibration, rate: float) -> None:

@@ -26,10 +26,8 @@ from lightopt.cli._render import render
 from lightopt.cli._schema import schema
 from lightopt.cli._terminal import say_error, version_wanted
 from lightopt.cli._unexpected import DEBUG, DEFECT, debugging, report_unexpected, system_refused
-from lightopt.errors import LightoptError, error_text
-from lightopt.interrupts import interrupt
-
-__all__ = ["app", "run", "take_ctrl_c"]
+from lightopt.core.errors import LightoptError, error_text
+from lightopt.core.interrupts import interrupt
 
 WRONG_INPUT = 2
 

@@ -25,13 +25,10 @@ from lightopt.cli._options import (
 from lightopt.cli._plan_options import plan_options
 from lightopt.cli._plan_tables import show_plan
 from lightopt.cli._terminal import say, say_warning, show_progress, show_table, show_time_left
-from lightopt.errors import CheckFailed, InputError
+from lightopt.core.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
-    from lightopt.optimize import Optimum
-    from lightopt.plan import TargetUnreached
-
-__all__ = ["optimize"]
+    from lightopt.design import Optimum, TargetUnreached
 
 
 def optimize(
@@ -177,8 +174,7 @@ def optimize(
         tolerance_target=tolerance_target,
     )
 
-    from lightopt.optimize import DEFAULT_CONTRAST, DEFAULT_LIMIT, OptimizeOptions
-    from lightopt.plan import TargetUnreached, plan
+    from lightopt.design import DEFAULT_CONTRAST, DEFAULT_LIMIT, OptimizeOptions, TargetUnreached, plan
     from lightopt.rendering import DEFAULT_PATCH_BUDGET
     from lightopt.report import optimum_report, with_legend
 
@@ -242,7 +238,7 @@ def _parse_shade(text: str) -> float:
 
 def _show_reach(error: TargetUnreached) -> None:
     # where a target is out of reach: what so many postures show
-    from lightopt.optimize import share_text
+    from lightopt.design import share_text
 
     rows = [
         (

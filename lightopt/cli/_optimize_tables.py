@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lightopt.cli._terminal import say, show_table, together
-from lightopt.errors import counted
+from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.optimize import Answer, BlindReport, Objective, Optimum, SetResult
-    from lightopt.overlap import Overlap
-
-__all__ = ["show_blind_spots", "show_optimum", "show_overlaps"]
+    from lightopt.design import Answer, BlindReport, Objective, Optimum, SetResult
+    from lightopt.images import Overlap
 
 
 def show_optimum(found: Optimum) -> None:
@@ -54,7 +52,7 @@ def _show_best(found: Optimum) -> None:
 
 def _explain(objectives: Sequence[Objective]) -> None:
     """What the columns of the table are, and what the shares of scores are shares of, a line for each surface."""
-    from lightopt.optimize import LEFT_OUT_MEANING, near_meaning
+    from lightopt.design import LEFT_OUT_MEANING, near_meaning
 
     named: dict[str, list[str]] = {}
     for objective in objectives:
@@ -68,7 +66,7 @@ def _explain(objectives: Sequence[Objective]) -> None:
 
 
 def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
-    from lightopt.optimize import (
+    from lightopt.design import (
         angles_of,
         gap_text,
         left_out_text,
@@ -93,7 +91,7 @@ def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
 
 
 def _show_defects(found: Optimum) -> None:
-    from lightopt.optimize import share_text
+    from lightopt.design import share_text
 
     for result in found.results:
         for answer in result.answers:
@@ -121,7 +119,7 @@ def _show_defects(found: Optimum) -> None:
 
 def show_blind_spots(blind: BlindReport) -> None:
     """What the chosen lights show of the defects, over all postures and in each, and why the rest stays invisible."""
-    from lightopt.optimize import BLIND_LIGHTS, BLIND_SHARES_OF, blind_text, share_text
+    from lightopt.design import BLIND_LIGHTS, BLIND_SHARES_OF, blind_text, share_text
 
     parts = blind.parts() if len(blind.postures) > 1 else blind.parts()[:1]
     codes = sorted({code for _, *both in parts for spots in both for code in spots.by_reason()})

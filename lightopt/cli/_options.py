@@ -9,30 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
-    from lightopt.transforms import Posture
+    from lightopt.core.transforms import Posture
 
-__all__ = [
-    "Force",
-    "Lights",
-    "NoShadows",
-    "Out",
-    "PartFile",
-    "Patches",
-    "Points",
-    "Postures",
-    "Quiet",
-    "RigFile",
-    "Sheet",
-    "Threads",
-    "make_folder",
-    "parse_exposure",
-    "parse_points",
-    "parse_posture",
-    "parse_share",
-]
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
 PartFile = Annotated[
@@ -82,7 +63,7 @@ def make_folder(folder: Path) -> None:
 
 def parse_posture(text: str) -> Posture:
     """Read ``θ,φ`` in degrees."""
-    from lightopt.transforms import Posture
+    from lightopt.core.transforms import Posture
 
     parts = text.split(",")
     try:

@@ -9,8 +9,6 @@ from lightopt.cli._optimize_tables import show_overlaps
 from lightopt.cli._options import Force, Quiet
 from lightopt.cli._terminal import say
 
-__all__ = ["overlap"]
-
 
 def overlap(
     images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Image set: its folder or manifest.json.")],
@@ -28,8 +26,7 @@ def overlap(
 
     Example: lightopt overlap captured/ -o overlaps
     """
-    from lightopt.images import read_image_set
-    from lightopt.overlap import find_overlaps, write_overlaps
+    from lightopt.images import find_overlaps, read_image_set, write_overlaps
 
     image_set = read_image_set(images)
     found = find_overlaps(image_set)

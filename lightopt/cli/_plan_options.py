@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lightopt.cli._options import parse_exposure, parse_share
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
-    from lightopt.plan import PlanOptions
-
-__all__ = ["plan_options"]
+    from lightopt.design import PlanOptions
 
 
 def plan_options(
@@ -60,7 +58,7 @@ def plan_options(
         )
     )
 
-    from lightopt.plan import (
+    from lightopt.design import (
         DEFAULT_EXPOSURE_GAIN,
         DEFAULT_OUTSIDE_PX,
         DEFAULT_POSTURE_STEP,

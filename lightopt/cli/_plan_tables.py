@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightopt.cli._terminal import say, show_table, together
-from lightopt.errors import counted
+from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.plan import Brackets, ChosenPostures, PlanResult, TrustOf, Way
-
-__all__ = ["show_plan"]
+    from lightopt.design import Brackets, ChosenPostures, PlanResult, TrustOf, Way
 
 
 def show_plan(result: PlanResult, folder: Path) -> None:
@@ -34,7 +32,7 @@ def show_plan(result: PlanResult, folder: Path) -> None:
 
 
 def _show_postures(chosen: ChosenPostures) -> None:
-    from lightopt.plan import SHARES_OF
+    from lightopt.design import SHARES_OF
 
     cover, text = chosen.choice.cover, _text_of(chosen.grain)
     total = max(1, cover.total)
@@ -141,7 +139,7 @@ def _show_proof(chosen: ChosenPostures) -> None:
         )
     if not choice.turns:
         return
-    from lightopt.optimize import patches_text
+    from lightopt.design import patches_text
 
     tried = "every combination" if choice.exact else "one light moved at a time"
     where = patches_text(chosen.drawn, chosen.patches, on_all=choice.on_all)
@@ -160,7 +158,7 @@ def _show_proof(chosen: ChosenPostures) -> None:
 
 def _text_of(grain: float) -> Callable[[float], str]:
     # shares to the digits that their patches support
-    from lightopt.optimize import share_text
+    from lightopt.design import share_text
 
     return partial(share_text, grain=grain)
 

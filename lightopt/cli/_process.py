@@ -12,8 +12,6 @@ from typing import Any, TextIO
 
 from lightopt.cli._unexpected import DEFECT, report_unexpected
 
-__all__ = ["INTERRUPTED", "run_process"]
-
 INTERRUPTED = 130
 
 _GONE = {errno.EPIPE, errno.ECONNRESET, *((errno.EINVAL,) if sys.platform == "win32" else ())}

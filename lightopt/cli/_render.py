@@ -24,9 +24,7 @@ from lightopt.cli._options import (
 )
 from lightopt.cli._sheets import add_sheets
 from lightopt.cli._terminal import say, say_warning, show_progress
-from lightopt.errors import counted
-
-__all__ = ["render"]
+from lightopt.core.errors import counted
 
 
 def render(

@@ -8,8 +8,6 @@ import typer
 
 from lightopt.cli._terminal import say
 
-__all__ = ["schema"]
-
 
 class _Kind(str, Enum):
     rig = "rig"

@@ -5,8 +5,6 @@ from pathlib import Path
 
 from lightopt.cli._terminal import say
 
-__all__ = ["add_sheets"]
-
 
 def add_sheets(folder: Path, *, exposures: Sequence[float], title: str, force: bool, quiet: bool) -> None:
     """Add a contact sheet per exposure to an image set, and say where they are."""

@@ -10,20 +10,8 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from lightopt.core.transforms import Posture
     from lightopt.rendering import Report
-    from lightopt.transforms import Posture
-
-__all__ = [
-    "say",
-    "say_error",
-    "say_warning",
-    "show_progress",
-    "show_share",
-    "show_table",
-    "show_time_left",
-    "together",
-    "version_wanted",
-]
 
 
 def say(text: str) -> None:

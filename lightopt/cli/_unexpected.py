@@ -1,6 +1,6 @@
 """Exceptions that nobody foresaw: one line for the person at the machine, the traceback in a file.
 
-Of the standard library and lightopt.errors only, because the import of anything else may be what failed.
+Of the standard library and lightopt.core.errors only, because the import of anything else may be what failed.
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ import tempfile
 import traceback
 from pathlib import Path
 
-from lightopt.errors import error_text
-
-__all__ = ["DEBUG", "DEFECT", "debugging", "report_unexpected", "system_refused"]
+from lightopt.core.errors import error_text
 
 DEFECT = 70
 """Exit status of a defect of the program; EX_SOFTWARE of BSD's sysexits."""

@@ -8,8 +8,6 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from lightopt.config._fields import Azimuth, Elevation, Frozen, Length, Positive, absent, complaint, expecting
 
-__all__ = ["CameraConfig", "DistortionConfig", "SensorConfig"]
-
 _Distortion = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False), expecting("a number")]
 _Pixels = Annotated[int, Field(ge=1, le=65535)]
 

@@ -12,8 +12,6 @@ from lightopt.config._fields import Complaint, Coordinates, Frozen, Text, absent
 from lightopt.config._posture import PostureConfig
 from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, DefectKind, DefectShape, depth_of_slope, slope_of_depth
 
-__all__ = ["CatalogueEntryConfig", "DefectConfig", "PixelPlaceConfig", "same_names"]
-
 _Extent = Annotated[float, Field(ge=1e-3, le=1e3, allow_inf_nan=False)]
 _Size = Annotated[
     _Extent | Annotated[tuple[_Extent, _Extent], Field(strict=False)],

@@ -15,8 +15,6 @@ import yaml
 from lightopt.config._scalars import NotFiniteError, plain_scalar
 from lightopt.config._source import Keys
 
-__all__ = ["INVALID", "Document", "Problem", "YamlError", "parse"]
-
 MAX_NODES = 20_000
 MAX_DEPTH = 40
 

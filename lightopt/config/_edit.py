@@ -9,9 +9,7 @@ import yaml
 
 from lightopt.config._document import YamlError, parse
 from lightopt.config._source import Keys, dotted
-from lightopt.errors import InputError
-
-__all__ = ["with_list", "with_values"]
+from lightopt.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -22,28 +22,6 @@ from lightopt.config._points import MOST_POINTS, points_problem
 if TYPE_CHECKING:
     from typing_extensions import LiteralString
 
-__all__ = [
-    "Azimuth",
-    "AzimuthRange",
-    "Coefficient",
-    "Coordinates",
-    "Elevation",
-    "ElevationRange",
-    "FileName",
-    "Frozen",
-    "Length",
-    "Number",
-    "Points",
-    "Positive",
-    "Size",
-    "Text",
-    "Tilt",
-    "TiltRange",
-    "absent",
-    "complaint",
-    "expecting",
-    "with_complaints",
-]
 
 Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
 

@@ -10,17 +10,6 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 from lightopt.config._fields import FileName, Frozen, Positive, Text, absent, complaint, expecting
 from lightopt.config._template import Command, End, Pattern, needs_level, wrong_pair
 
-__all__ = [
-    "AxisConfig",
-    "CameraDeviceConfig",
-    "ChannelConfig",
-    "ControllerConfig",
-    "HardwareConfig",
-    "StageDeviceConfig",
-    "TemplateConfig",
-    "TimingConfig",
-]
-
 _Channel = Annotated[int, Field(ge=1, le=64), expecting("a channel number as on the device, from 1 to 64")]
 _Level = Annotated[int, Field(ge=1, le=65535), expecting("a whole intensity of the controller, from 1")]
 _Seconds = Annotated[float, Field(ge=0, le=600, allow_inf_nan=False), expecting("seconds, from 0 to 600")]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
-from lightopt.provenance import file_sha256
-
-__all__ = ["input_hashes"]
+from lightopt.core.provenance import file_sha256
 
 
 def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str, str]]:

@@ -8,8 +8,6 @@ from pydantic import Field
 
 from lightopt.config._fields import Frozen, expecting
 
-__all__ = ["InspectionConfig"]
-
 _Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False), expecting("a number from 0 to 1")]
 
 

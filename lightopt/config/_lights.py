@@ -23,8 +23,6 @@ from lightopt.config._fields import (
     expecting,
 )
 
-__all__ = ["LightConfig", "LightSourceConfig", "auto_sums", "same_names"]
-
 _Normalisation = Annotated[Literal["mean", "sum"], expecting("mean or sum")]
 _Falloff = Annotated[Literal["none", "inverse_square"], expecting("none or inverse_square")]
 _Exponent = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False), expecting("a number from 0 to 1000")]

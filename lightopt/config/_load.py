@@ -14,9 +14,7 @@ from lightopt.config._messages import describe, model_problems
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
 from lightopt.config._source import Source, dotted
-from lightopt.errors import InputError
-
-__all__ = ["load_part", "load_rig", "read_text"]
+from lightopt.core.errors import InputError
 
 MAX_BYTES = 1_000_000
 _KINDS = {"lightopt-rig": "a rig", "lightopt-part": "a part", "lightopt-images": "an image set"}
@@ -39,7 +37,7 @@ def load_rig(path: Path | str) -> RigConfig:
 
     Raises
     ------
-    lightopt.errors.InputError
+    lightopt.core.errors.InputError
         With one message per thing that is wrong, sorted by line.
     """
     return _load(Path(path), RigConfig, "lightopt-rig/1")
@@ -61,7 +59,7 @@ def load_part(path: Path | str) -> PartConfig:
 
     Raises
     ------
-    lightopt.errors.InputError
+    lightopt.core.errors.InputError
         With one message per thing that is wrong, sorted by line.
     """
     return _load(Path(path), PartConfig, "lightopt-part/1")

@@ -14,9 +14,7 @@ from lightopt.config._document import YamlError, parse
 from lightopt.config._hardware import CameraDeviceConfig, ChannelConfig, ControllerConfig, HardwareConfig
 from lightopt.config._load import load_rig, read_text
 from lightopt.config._rig import RigConfig
-from lightopt.errors import InputError
-
-__all__ = ["LightsOnly", "load_lights"]
+from lightopt.core.errors import InputError
 
 Entry = TypeVar("Entry", bound=BaseModel)
 
@@ -62,7 +60,7 @@ def load_lights(path: Path | str) -> LightsOnly:
 
     Raises
     ------
-    lightopt.errors.InputError
+    lightopt.core.errors.InputError
         With all that is wrong, when the file cannot be read, or has no section of which a controller can be read.
     """
     path = Path(path)

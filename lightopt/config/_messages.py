@@ -14,8 +14,6 @@ from lightopt.config._document import INVALID, Document, Problem
 from lightopt.config._scalars import is_number
 from lightopt.config._source import Keys
 
-__all__ = ["KNOWN_ERRORS", "describe", "model_problems"]
-
 KNOWN_ERRORS = frozenset(
     {"absent", "complaint", "expected", "extra_forbidden", "missing", "model_type", "too_long", "too_short"}
     | {"tuple_type"}

@@ -27,9 +27,7 @@ from lightopt.config._fields import (
 from lightopt.config._inspection import InspectionConfig
 from lightopt.config._posture import PostureConfig
 from lightopt.config._source import Source
-from lightopt.units import step_units_mm, unit_name
-
-__all__ = ["MeshConfig", "PartConfig", "PlacementConfig", "ReflectanceConfig"]
+from lightopt.core.units import step_units_mm, unit_name
 
 _UNITLESS = (".stl", ".ply", ".obj")
 _STEP = (".step", ".stp")

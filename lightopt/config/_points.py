@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["MOST_POINTS", "points_problem"]
-
 MOST_POINTS = 65_536
 
 

@@ -6,8 +6,6 @@ from pydantic import Field
 
 from lightopt.config._fields import Azimuth, Frozen, Tilt
 
-__all__ = ["PostureConfig"]
-
 
 class PostureConfig(Frozen):
     """One posture of the stage."""

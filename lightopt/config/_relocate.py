@@ -13,8 +13,6 @@ from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
 from lightopt.config._source import Keys
 
-__all__ = ["copied_text"]
-
 _SCHEMA = re.compile(r"^(#\s*yaml-language-server:.*\$schema=)(\S+)", re.MULTILINE)
 
 

@@ -22,8 +22,6 @@ from lightopt.config._lights import LightConfig, LightSourceConfig, auto_sums, s
 from lightopt.config._source import Source
 from lightopt.config._wiring import misfits
 
-__all__ = ["RigConfig", "StageConfig"]
-
 
 class StageConfig(Frozen):
     """The stage that turns the part: a rotary axis (about Z) carried by a tilt cradle (about X)."""

@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 import re
 
-__all__ = ["NotFiniteError", "is_number", "plain_scalar"]
-
 _NULL = frozenset({"", "~", "null", "Null", "NULL"})
 _TRUE = frozenset({"true", "True", "TRUE"})
 _FALSE = frozenset({"false", "False", "FALSE"})

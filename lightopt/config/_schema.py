@@ -7,8 +7,6 @@ from typing import Any, Literal
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
 
-__all__ = ["json_schema"]
-
 
 def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
     """JSON schema (draft 2020-12) of rig or part files, generated from the models.

@@ -10,8 +10,6 @@ from pydantic import AfterValidator, StringConstraints
 
 from lightopt.config._fields import complaint, expecting
 
-__all__ = ["Command", "End", "Pattern", "needs_level", "wrong_pair"]
-
 FIELDS = ("channel", "channel0", "letter", "level")
 _WIDTH = re.compile(r"(0?[1-9]\d?)?d?")
 

@@ -11,8 +11,6 @@ from lightopt.config._camera import CameraConfig
 from lightopt.config._fields import Complaint, complaint
 from lightopt.config._hardware import CameraDeviceConfig
 
-__all__ = ["misfits"]
-
 VIRTUAL = "virtual"
 _REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {VIRTUAL}
 _CHANNELS = 4

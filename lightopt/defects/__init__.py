@@ -5,19 +5,11 @@ move nothing: neither points nor silhouettes nor shadows.
 """
 
 from lightopt.defects._catalogue import BUILT_IN_CATALOGUE, CatalogueEntry
-from lightopt.defects._mark import Marks, mark_surface
-from lightopt.defects._pixel import PIXEL_RATIOS, grid_shares, pixel_shares
-from lightopt.defects._placed import (
-    LEAST_NORMAL_COSINE,
-    STEEPEST_DEPARTURE,
-    PlacedDefect,
-    surface_coordinates,
-    tangent_direction,
-    tangent_references,
-)
-from lightopt.defects._profile import height, height_gradient, radial_place
+from lightopt.defects._mark import mark_surface
+from lightopt.defects._pixel import PIXEL_RATIOS, pixel_shares
+from lightopt.defects._placed import PlacedDefect, surface_coordinates, tangent_direction, tangent_references
+from lightopt.defects._profile import radial_place
 from lightopt.defects._shape import (
-    DEFECT_KINDS,
     MAX_SLOPE,
     SHAPE_KINDS,
     DefectKind,
@@ -28,21 +20,14 @@ from lightopt.defects._shape import (
 
 __all__ = [
     "BUILT_IN_CATALOGUE",
-    "DEFECT_KINDS",
-    "LEAST_NORMAL_COSINE",
     "MAX_SLOPE",
     "PIXEL_RATIOS",
     "SHAPE_KINDS",
-    "STEEPEST_DEPARTURE",
     "CatalogueEntry",
     "DefectKind",
     "DefectShape",
-    "Marks",
     "PlacedDefect",
     "depth_of_slope",
-    "grid_shares",
-    "height",
-    "height_gradient",
     "mark_surface",
     "pixel_shares",
     "radial_place",

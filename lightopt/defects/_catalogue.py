@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from lightopt.defects._shape import DefectShape
 
-__all__ = ["BUILT_IN_CATALOGUE", "CatalogueEntry"]
-
 
 @dataclass(frozen=True)
 class CatalogueEntry:

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from lightopt.defects._placed import PlacedDefect, surface_coordinates
 from lightopt.defects._profile import height_gradient, radial_place
 
-__all__ = ["Marks", "mark_surface"]
-
 Float64 = NDArray[np.float64]
 
 

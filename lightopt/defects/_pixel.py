@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 from lightopt.defects._profile import height_gradient, radial_place
 from lightopt.defects._shape import SHAPE_KINDS, DefectShape
 
-__all__ = ["PIXEL_RATIOS", "grid_shares", "pixel_shares"]
-
 Float64 = NDArray[np.float64]
 
 PER_OCTAVE = 4

@@ -10,15 +10,6 @@ from numpy.typing import NDArray
 
 from lightopt.defects._shape import DefectShape
 
-__all__ = [
-    "LEAST_NORMAL_COSINE",
-    "STEEPEST_DEPARTURE",
-    "PlacedDefect",
-    "surface_coordinates",
-    "tangent_direction",
-    "tangent_references",
-]
-
 Float64 = NDArray[np.float64]
 
 LEAST_NORMAL_COSINE = 0.5

@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 
 from lightopt.defects._shape import BLEND, BLISTER_TOP, SHAPE_KINDS, DefectShape, depth_of_slope
 
-__all__ = ["height", "height_gradient", "radial_place"]
-
 Float64 = NDArray[np.float64]
 
 

@@ -6,18 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-__all__ = [
-    "BLEND",
-    "BLISTER_TOP",
-    "DEFECT_KINDS",
-    "MAX_SLOPE",
-    "SHAPE_KINDS",
-    "DefectKind",
-    "DefectShape",
-    "depth_of_slope",
-    "slope_of_depth",
-]
-
 DefectKind = Literal["scratch", "dent", "bump", "pit", "blister", "stain", "haze"]
 
 SHAPE_KINDS: Final = ("scratch", "dent", "bump", "pit", "blister")

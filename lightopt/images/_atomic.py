@@ -12,15 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
-from lightopt.provenance import file_sha256
-
-__all__ = [
-    "write_atomically",
-    "write_bytes_atomic",
-    "write_npz_atomic",
-    "write_text_atomic",
-]
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import file_sha256
 
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 

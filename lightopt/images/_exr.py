@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 from lightopt.images._atomic import write_atomically
 from lightopt.images._oiio import (
     METADATA_KEY,
@@ -23,7 +23,6 @@ from lightopt.images._oiio import (
 if TYPE_CHECKING:
     import OpenImageIO
 
-__all__ = ["read_exr", "read_exr_metadata", "write_exr"]
 
 Channel = NDArray[np.float32]
 

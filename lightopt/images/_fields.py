@@ -10,8 +10,6 @@ from typing import Any
 
 from lightopt.images._names import inside_problem
 
-__all__ = ["Fields"]
-
 
 class Fields:
     """A JSON object whose keys are read with a type; collects what is wrong."""

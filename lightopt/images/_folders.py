@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightopt.errors import InputError
-
-__all__ = ["make_folder"]
+from lightopt.core.errors import InputError
 
 
 def make_folder(folder: Path) -> None:

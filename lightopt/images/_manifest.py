@@ -8,19 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from lightopt.transforms import Posture
-
-__all__ = [
-    "CAME_BACK_KEY",
-    "ENDED_DARK_KEY",
-    "EVENTS_KEY",
-    "FORMAT",
-    "MANIFEST_NAME",
-    "GeometryEntry",
-    "ImageEntry",
-    "Manifest",
-    "SourceFile",
-]
+from lightopt.core.transforms import Posture
 
 FORMAT = "lightopt-images/1"
 MANIFEST_NAME = "manifest.json"
@@ -145,7 +133,7 @@ class Manifest:
     rig, part
         The files that the images came from.
     provenance
-        What the images depend on, in the layout of :mod:`lightopt.provenance`; empty in sets of others.
+        What the images depend on, in the layout of :mod:`lightopt.core.provenance`; empty in sets of others.
     images, geometry
         The entries, in the order of writing.
     patches

@@ -8,20 +8,9 @@ from pathlib import PurePosixPath, PureWindowsPath
 
 import numpy as np
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
 from lightopt.images._manifest import MANIFEST_NAME
-from lightopt.transforms import Posture
-
-__all__ = [
-    "Names",
-    "dark_name",
-    "exr_name",
-    "geometry_name",
-    "inside_problem",
-    "png_name",
-    "posture_folder",
-    "sheet_name",
-]
 
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
     import OpenImageIO
 
-__all__ = ["METADATA_KEY", "metadata_json", "open_input", "openimageio", "read_metadata", "write_rows"]
 
 METADATA_KEY = "lightopt:json"
 """The attribute that carries all metadata: the only kind that both EXR and PNG keep."""

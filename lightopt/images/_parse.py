@@ -6,13 +6,11 @@ import json
 from pathlib import Path
 from typing import NoReturn
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
 from lightopt.images._fields import Fields
 from lightopt.images._manifest import FORMAT, GeometryEntry, ImageEntry, Manifest, SourceFile
 from lightopt.images._names import inside_problem
-from lightopt.transforms import Posture
-
-__all__ = ["parse_manifest", "read_manifest"]
 
 _KINDS = ("simulated", "captured")
 _IMAGE_KEYS = (

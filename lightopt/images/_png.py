@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 from lightopt.images._atomic import write_atomically
 from lightopt.images._oiio import (
     METADATA_KEY,
@@ -19,8 +19,6 @@ from lightopt.images._oiio import (
     read_metadata,
     write_rows,
 )
-
-__all__ = ["read_png", "read_png_metadata", "write_png"]
 
 Levels = NDArray[np.uint8] | NDArray[np.uint16]
 

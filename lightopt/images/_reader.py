@@ -10,14 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.images._exr import read_exr
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
 from lightopt.images._parse import read_manifest
 from lightopt.images._png import read_png
-from lightopt.provenance import file_sha256, files_sha256
-
-__all__ = ["ImageSet", "LoadedImage", "read_image_set"]
 
 
 @dataclass(frozen=True)

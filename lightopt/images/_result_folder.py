@@ -8,12 +8,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import differences
 from lightopt.images._atomic import write_text_atomic
 from lightopt.images._folders import make_folder
-from lightopt.provenance import differences
-
-__all__ = ["ResultFolder"]
 
 
 class ResultFolder:
@@ -24,7 +22,7 @@ class ResultFolder:
     folder
         Made with the first file where it does not exist.
     made_from
-        From :func:`lightopt.provenance.provenance`: kept under ``provenance`` of the JSON file.
+        From :func:`lightopt.core.provenance.provenance`: kept under ``provenance`` of the JSON file.
     name
         Of the JSON file.
     format

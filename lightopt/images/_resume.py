@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import differences
 from lightopt.images._manifest import CAME_BACK_KEY, ENDED_DARK_KEY, EVENTS_KEY, MANIFEST_NAME, Manifest
 from lightopt.images._parse import read_manifest
-from lightopt.provenance import differences
-
-__all__ = ["remove_file", "remove_image_set", "remove_set", "resumable_manifest"]
 
 _CONTENT_KEYS = (
     "images",

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import file_sha256
+from lightopt.core.transforms import Posture
 from lightopt.images._atomic import write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._exr import write_exr
 from lightopt.images._folders import make_folder
@@ -19,10 +21,6 @@ from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, 
 from lightopt.images._names import ImageKey, Names, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
 from lightopt.images._resume import remove_file, remove_set, resumable_manifest
-from lightopt.provenance import file_sha256
-from lightopt.transforms import Posture
-
-__all__ = ["ImageSetWriter"]
 
 _PATCHES_NAME = "patches.npz"
 

@@ -1,44 +1,14 @@
 """Inspecting a part: its images fused into one without highlights, its defects found, measured and judged."""
 
+from lightopt.inspection._aligned_set import LaidSet
 from lightopt.inspection._calibrate import calibrate, calibrate_laid, refuse_too_few
-from lightopt.inspection._calibration import CALIBRATION_NAME, CalibratedPosture, Calibration
+from lightopt.inspection._calibration import CalibratedPosture, Calibration
 from lightopt.inspection._calibration_file import CalibrationFolder, read_calibration
-from lightopt.inspection._coverage import Coverage, measure_coverage
+from lightopt.inspection._coverage import Coverage
+from lightopt.inspection._defect_merging import KIND_COLOURS, FoundDefect, Kind
+from lightopt.inspection._detection_score import SCALES_PX, score_deviations, threshold
 from lightopt.inspection._deviation import Deviations, deviations
-from lightopt.inspection._fusion import FUSIONS, Fusion
-from lightopt.inspection._grey import GreyPicture, grey_picture
-from lightopt.inspection._inspect import inspect_set
-from lightopt.inspection._inspection import InspectedPosture, Inspection
-from lightopt.inspection._laid_set import LaidSet, lay_set
-from lightopt.inspection._made_for import made_for
-from lightopt.inspection._measure import measure_regions
-from lightopt.inspection._options import DETECTORS, Detector, InspectOptions
-from lightopt.inspection._photometry import Photometry
-from lightopt.inspection._pieces import separate_pieces
-from lightopt.inspection._pod import DetectionCurve, fit_detection
-from lightopt.inspection._poisson import PoissonGrid, poisson_grid
-from lightopt.inspection._predict import Prediction, predict
-from lightopt.inspection._predictions import Predictions
-from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, sets_needed
-from lightopt.inspection._regions import find_regions
-from lightopt.inspection._register import good_part, lay_over
-from lightopt.inspection._score import SCALES_PX, rank_probability, score_deviations, threshold
-from lightopt.inspection._shares import CONTRASTS, Reached
-from lightopt.inspection._sightings import KIND_COLOURS, FoundDefect, Kind, Sighting, gather
-from lightopt.inspection._slopes import Slopes, node_steps, prediction_slopes, shifted
-from lightopt.inspection._surface import (
-    TOLD_CONTRAST,
-    TOLD_DISC,
-    SurfaceCoverage,
-    SurfaceMap,
-    map_surface,
-    surface_coverage,
-)
-from lightopt.inspection._synthetic import SyntheticImage, fuse_images
-from lightopt.inspection._template import score_templates, templates
-from lightopt.inspection._trust import trust_weights
-from lightopt.inspection._truth import (
-    KnownDefect,
+from lightopt.inspection._evaluation import (
     TrueSet,
     area_under_roc,
     compare_with_truth,
@@ -46,12 +16,8 @@ from lightopt.inspection._truth import (
     region_hits,
     summarise,
 )
-from lightopt.inspection._truth_source import TruthSource, truth_source
-from lightopt.inspection._verdict import Verdict, judge
-from lightopt.inspection._view import PostureView, posture_view
-from lightopt.inspection._write import (
-    BATCH_NAME,
-    DEFECTS_NAME,
+from lightopt.inspection._false_alarm_rates import least_rate, sets_needed
+from lightopt.inspection._files import (
     REPORT_NAME,
     TRUTH_NAME,
     BatchFolder,
@@ -59,18 +25,38 @@ from lightopt.inspection._write import (
     inspection_provenance,
     truth_text,
 )
+from lightopt.inspection._fusion import FUSIONS, Fusion
+from lightopt.inspection._grey import GreyPicture, grey_picture
+from lightopt.inspection._ground_truth import TruthSource, truth_source
+from lightopt.inspection._inspect import inspect_set
+from lightopt.inspection._options import Detector, InspectOptions
+from lightopt.inspection._part_registration import good_part, lay_over
+from lightopt.inspection._pixel_weights import trust_weights
+from lightopt.inspection._poisson import poisson_grid
+from lightopt.inspection._posture_view import PostureView, posture_view
+from lightopt.inspection._predict import predict
+from lightopt.inspection._prediction_cache import Predictions
+from lightopt.inspection._probability_of_detection import fit_detection
+from lightopt.inspection._random_defect_files import defects_text, scatter_provenance, write_defects
+from lightopt.inspection._random_defects import scatter_defects
+from lightopt.inspection._region_splitting import separate_pieces
+from lightopt.inspection._regions import find_regions
+from lightopt.inspection._results import InspectedPosture, Inspection
+from lightopt.inspection._surface import TOLD_CONTRAST, TOLD_DISC, SurfaceCoverage
+from lightopt.inspection._surface_classes import CONTRASTS
+from lightopt.inspection._synthetic import SyntheticImage, fuse_images
+from lightopt.inspection._systematic import nominal_pixels, without_systematic
+from lightopt.inspection._template import TEMPLATES, score_templates
+from lightopt.inspection._template_scores import score_posture, synthetic_image
+from lightopt.inspection._verdict import Verdict, judge
 
 __all__ = [
-    "BATCH_NAME",
-    "CALIBRATION_NAME",
-    "CONFIDENCE",
     "CONTRASTS",
-    "DEFECTS_NAME",
-    "DETECTORS",
     "FUSIONS",
     "KIND_COLOURS",
     "REPORT_NAME",
     "SCALES_PX",
+    "TEMPLATES",
     "TOLD_CONTRAST",
     "TOLD_DISC",
     "TRUTH_NAME",
@@ -79,7 +65,6 @@ __all__ = [
     "Calibration",
     "CalibrationFolder",
     "Coverage",
-    "DetectionCurve",
     "Detector",
     "Deviations",
     "FoundDefect",
@@ -90,18 +75,10 @@ __all__ = [
     "Inspection",
     "InspectionFolder",
     "Kind",
-    "KnownDefect",
     "LaidSet",
-    "Photometry",
-    "PoissonGrid",
     "PostureView",
-    "Prediction",
     "Predictions",
-    "Reached",
-    "Sighting",
-    "Slopes",
     "SurfaceCoverage",
-    "SurfaceMap",
     "SyntheticImage",
     "TrueSet",
     "TruthSource",
@@ -111,43 +88,38 @@ __all__ = [
     "calibrate_laid",
     "compare_with_truth",
     "defect_size",
+    "defects_text",
     "deviations",
     "find_regions",
     "fit_detection",
     "fuse_images",
-    "gather",
     "good_part",
     "grey_picture",
-    "held_threshold",
     "inspect_set",
     "inspection_provenance",
     "judge",
     "lay_over",
-    "lay_set",
     "least_rate",
-    "made_for",
-    "map_surface",
-    "measure_coverage",
-    "measure_regions",
-    "node_steps",
+    "nominal_pixels",
     "poisson_grid",
     "posture_view",
     "predict",
-    "prediction_slopes",
-    "rank_probability",
     "read_calibration",
     "refuse_too_few",
     "region_hits",
+    "scatter_defects",
+    "scatter_provenance",
     "score_deviations",
+    "score_posture",
     "score_templates",
     "separate_pieces",
     "sets_needed",
-    "shifted",
     "summarise",
-    "surface_coverage",
-    "templates",
+    "synthetic_image",
     "threshold",
     "trust_weights",
     "truth_source",
     "truth_text",
+    "without_systematic",
+    "write_defects",
 ]

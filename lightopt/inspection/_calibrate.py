@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
 from lightopt.images import ImageSet, posture_folder
+from lightopt.inspection._acquisition import Shots
+from lightopt.inspection._aligned_set import LaidSet, lay_set
 from lightopt.inspection._calibration import CalibratedPosture, Calibration
+from lightopt.inspection._calibration_fingerprint import made_for
+from lightopt.inspection._detection_score import score_deviations
 from lightopt.inspection._deviation import deviations
-from lightopt.inspection._laid_set import LaidSet, lay_set
-from lightopt.inspection._made_for import made_for
+from lightopt.inspection._false_alarm_rates import least_rate, too_few
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._predictions import Predictions
-from lightopt.inspection._rates import least_rate, too_few
-from lightopt.inspection._register import Progress
-from lightopt.inspection._score import score_deviations
-from lightopt.inspection._scored import score_posture, synthetic_image
-from lightopt.inspection._shots import Shots
+from lightopt.inspection._part_registration import Progress
+from lightopt.inspection._prediction_cache import Predictions
 from lightopt.inspection._systematic import (
     Residuals,
     Systematic,
@@ -31,9 +31,7 @@ from lightopt.inspection._systematic import (
     nominal_pixels,
     without_systematic,
 )
-from lightopt.transforms import Posture
-
-__all__ = ["calibrate", "calibrate_laid", "refuse_too_few"]
+from lightopt.inspection._template_scores import score_posture, synthetic_image
 
 
 @dataclass

@@ -9,16 +9,14 @@ from typing import Any, Final
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError
-from lightopt.inspection._made_for import made_for
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import computed_by, differences
+from lightopt.core.transforms import Posture
+from lightopt.inspection._acquisition import Shots, shots_text
+from lightopt.inspection._calibration_fingerprint import made_for
+from lightopt.inspection._false_alarm_rates import CONFIDENCE, held_threshold, least_rate, too_few
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._rates import CONFIDENCE, held_threshold, least_rate, too_few
-from lightopt.inspection._shots import Shots, shots_text
 from lightopt.inspection._systematic import Systematic
-from lightopt.provenance import computed_by, differences
-from lightopt.transforms import Posture
-
-__all__ = ["CALIBRATION_NAME", "CalibratedPosture", "Calibration"]
 
 CALIBRATION_NAME: Final = "calibration.json"
 LEAST: Final = 3.0
@@ -75,7 +73,7 @@ class Calibration:
     made_for
         From :func:`made_for`.
     computed_by
-        From :func:`lightopt.provenance.computed_by`: scores of other code are other scores.
+        From :func:`lightopt.core.provenance.computed_by`: scores of other code are other scores.
     name
         File name, and its hash: for the provenance of what is inspected with it.
     sha256

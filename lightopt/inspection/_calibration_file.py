@@ -10,14 +10,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import computed_by, file_sha256
+from lightopt.core.transforms import Posture
 from lightopt.images import ResultFolder, posture_folder, read_exr, write_exr
 from lightopt.inspection._calibration import CALIBRATION_NAME, CalibratedPosture, Calibration
 from lightopt.inspection._systematic import Systematic
-from lightopt.provenance import computed_by, file_sha256
-from lightopt.transforms import Posture
-
-__all__ = ["CalibrationFolder", "read_calibration"]
 
 FORMAT: Final = "lightopt-calibration/1"
 

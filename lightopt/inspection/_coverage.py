@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from lightopt.inspection._detection_score import disc_gain
 from lightopt.inspection._deviation import Deviations
-from lightopt.inspection._score import disc_gain
-from lightopt.inspection._shares import TOLD_SIZE_PX, Reached, Shares, class_areas
-from lightopt.inspection._view import PostureView
-
-__all__ = ["Coverage", "least_contrast", "measure_coverage"]
+from lightopt.inspection._posture_view import PostureView
+from lightopt.inspection._surface_classes import TOLD_SIZE_PX, Reached, Shares, class_areas
 
 Float32 = NDArray[np.float32]
 

@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from lightopt.core.threads import in_threads
 from lightopt.inspection._coverage import Coverage, measure_coverage
 from lightopt.inspection._deviation import Deviations
 from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
-from lightopt.inspection._view import PostureView
-from lightopt.rendering import in_threads
-
-__all__ = ["coverage_in_blocks"]
+from lightopt.inspection._posture_view import PostureView
 
 
 def coverage_in_blocks(

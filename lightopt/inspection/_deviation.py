@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import in_threads
 from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
-from lightopt.inspection._view import PostureView
-from lightopt.kernels import kernel
-from lightopt.rendering import in_threads
-
-__all__ = ["Deviations", "deviations"]
+from lightopt.inspection._posture_view import PostureView
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Observation
+from lightopt.core.kernels import kernel
+from lightopt.estimate.registration import Observation
 from lightopt.inspection._photometry import Photometry
-from lightopt.kernels import kernel
 from lightopt.scene import Scene
-
-__all__ = ["merge_exposures"]
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]

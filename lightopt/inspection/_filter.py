@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-
-__all__ = ["BLOCK_ROWS", "TILE_COLUMNS", "filter_tile", "gaussian_taps", "row_blocks"]
+from lightopt.core.kernels import kernel
 
 Float32 = NDArray[np.float32]
 

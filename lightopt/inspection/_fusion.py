@@ -12,11 +12,9 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import in_threads
 from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
-from lightopt.kernels import kernel
-from lightopt.rendering import in_threads
-
-__all__ = ["FUSIONS", "Edges", "Fusion", "fuse_gradients"]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -8,11 +8,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.threads import in_threads
 from lightopt.inspection._fusion import Edges, Fusion, fuse_gradients
-from lightopt.inspection._trust import LIT
-from lightopt.rendering import in_threads
-
-__all__ = ["FusedGradients", "Gradients", "Rule", "fuse_beside"]
+from lightopt.inspection._pixel_weights import LIT
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

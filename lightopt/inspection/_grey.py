@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GreyPicture", "grey_picture"]
-
 DARK, LIFTED, LEAST_POWER = 0.1, 0.25, 0.2
 """Where the middle level of the part is less than this share of white, levels are raised to the power that takes it to
 the second share, but to no less than the third."""

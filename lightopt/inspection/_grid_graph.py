@@ -12,20 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-
-__all__ = [
-    "add_coarse",
-    "advance",
-    "coarser",
-    "divergence",
-    "laplacian",
-    "product",
-    "reciprocal_sums",
-    "relax",
-    "residual",
-    "turn",
-]
+from lightopt.core.kernels import kernel
 
 Float64 = NDArray[np.float64]
 Grid = NDArray[Any]

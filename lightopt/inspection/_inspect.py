@@ -5,29 +5,27 @@ from __future__ import annotations
 from functools import cache, partial
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import InputError, counted
+from lightopt.core.errors import InputError, counted
 from lightopt.images import ImageSet
+from lightopt.inspection._aligned_set import LaidSet, lay_set
 from lightopt.inspection._calibration import CalibratedPosture, Calibration
 from lightopt.inspection._coverage_blocks import coverage_in_blocks
+from lightopt.inspection._defect_merging import gather
+from lightopt.inspection._detection_score import SCALES_PX, threshold
 from lightopt.inspection._deviation import deviations
-from lightopt.inspection._inspection import InspectedPosture, Inspection
-from lightopt.inspection._laid_set import LaidSet, lay_set
 from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._pieces import separate_pieces
-from lightopt.inspection._predictions import Predictions
+from lightopt.inspection._part_registration import Progress
+from lightopt.inspection._posture_view import PostureView
+from lightopt.inspection._prediction_cache import Predictions
+from lightopt.inspection._region_splitting import separate_pieces
 from lightopt.inspection._regions import find_regions
-from lightopt.inspection._register import Progress
-from lightopt.inspection._score import SCALES_PX, threshold
-from lightopt.inspection._scored import score_posture, synthetic_image
-from lightopt.inspection._sightings import gather
+from lightopt.inspection._results import InspectedPosture, Inspection
 from lightopt.inspection._surface import surface_coverage
 from lightopt.inspection._systematic import nominal_pixels, without_systematic
-from lightopt.inspection._view import PostureView
-from lightopt.inspection._words import inspection_words
+from lightopt.inspection._template_scores import score_posture, synthetic_image
+from lightopt.inspection._texts import inspection_words
 from lightopt.scene import part_postures
-
-__all__ = ["inspect_set"]
 
 MOST_REGIONS = 1000
 """A posture with more regions than this is not a part with so many defects: its model does not describe it."""

@@ -9,15 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Placement
+from lightopt.core.errors import InputError
 from lightopt.defects import PlacedDefect, mark_surface
-from lightopt.errors import InputError
+from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet
-from lightopt.inspection._inspection import InspectedPosture, Inspection
 from lightopt.inspection._measure import to_file
+from lightopt.inspection._results import InspectedPosture, Inspection
 from lightopt.scene import defect_facts
-
-__all__ = ["TrueLabels", "true_labels"]
 
 Int32 = NDArray[np.int32]
 

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightopt.align import Placement
+from lightopt.core.transforms import Posture, rotation_z
+from lightopt.estimate.registration import Placement
+from lightopt.inspection._defect_merging import Kind, Sighting
 from lightopt.inspection._deviation import Deviations
-from lightopt.inspection._pieces import SHOWN_Z, core_pixels, sums_in
-from lightopt.inspection._sightings import Kind, Sighting
-from lightopt.inspection._view import PostureView
+from lightopt.inspection._posture_view import PostureView
+from lightopt.inspection._region_splitting import SHOWN_Z, core_pixels, sums_in
 from lightopt.scene import Scene, view_from_part
-from lightopt.transforms import Posture, rotation_z
-
-__all__ = ["measure_regions", "to_file"]
 
 Float64 = NDArray[np.float64]
 
@@ -78,7 +76,7 @@ def measure_regions(
     Parameters
     ----------
     labels, count
-        From :func:`lightopt.inspection._pieces.separate_pieces`.
+        From :func:`lightopt.inspection._region_splitting.separate_pieces`.
     score
         Shape (H, W).
     view, found

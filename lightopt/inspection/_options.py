@@ -7,8 +7,6 @@ from typing import Any, Final, Literal
 
 from lightopt.inspection._fusion import FUSIONS, Fusion
 
-__all__ = ["DETECTORS", "Detector", "InspectOptions"]
-
 Detector = Literal["residual", "template"]
 DETECTORS: Final = ("residual", "template")
 

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import DARK_SPREAD, GAIN_SPREAD, Observation
-from lightopt.kernels import kernel
-from lightopt.rendering import in_threads
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import in_threads
+from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, Observation
 from lightopt.scene import Scene
-
-__all__ = ["Photometry", "fit_photometry", "some_pixels"]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightopt.errors import LightoptError
+from lightopt.core.errors import LightoptError
 from lightopt.inspection._grid_graph import (
     add_coarse,
     advance,
@@ -29,8 +29,6 @@ from lightopt.inspection._grid_graph import (
     residual,
     turn,
 )
-
-__all__ = ["PoissonGrid", "poisson_grid"]
 
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]

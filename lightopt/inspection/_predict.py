@@ -9,7 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.raycast import RayCaster
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
 from lightopt.rendering import (
     GRAZING_COSINE,
     Geometry,
@@ -19,9 +20,6 @@ from lightopt.rendering import (
     trace_pixels,
 )
 from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
-from lightopt.transforms import Posture
-
-__all__ = ["Prediction", "predict"]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightopt.kernels import kernel
-
-__all__ = ["find_regions", "pixels_of"]
+from lightopt.core.kernels import kernel
 
 Float32 = NDArray[np.float32]
 

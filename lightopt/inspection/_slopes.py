@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.align import Placement, view_of_placed
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import in_threads
+from lightopt.core.transforms import Posture, rotation_z
+from lightopt.estimate.registration import Placement, view_of_placed
+from lightopt.geometry import RayCaster
 from lightopt.inspection._filter import BLOCK_ROWS, row_blocks
 from lightopt.inspection._predict import Prediction
-from lightopt.kernels import kernel
-from lightopt.raycast import RayCaster
-from lightopt.rendering import in_threads, render_posture
+from lightopt.rendering import render_posture
 from lightopt.scene import Scene, pixel_footprint
-from lightopt.transforms import Posture, rotation_z
-
-__all__ = ["NODE_PX", "Slopes", "move", "node_steps", "prediction_slopes", "shifted"]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

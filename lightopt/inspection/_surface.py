@@ -9,15 +9,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster, face_areas
 from lightopt.inspection._coverage import Coverage
-from lightopt.inspection._shares import TOLD_SIZE_PX, Reached, Shares, class_areas
-from lightopt.mesh import face_areas
-from lightopt.raycast import RayCaster
+from lightopt.inspection._surface_classes import TOLD_SIZE_PX, Reached, Shares, class_areas
 from lightopt.rendering import build_patches, patch_positions
 from lightopt.scene import Scene
-from lightopt.transforms import Posture
-
-__all__ = ["TOLD_CONTRAST", "TOLD_DISC", "SurfaceCoverage", "SurfaceMap", "map_surface", "surface_coverage"]
 
 TOLD_CONTRAST: Final = 0.2
 TOLD_DISC: Final = f"a disc of {TOLD_SIZE_PX:g} px that changes the light by {100.0 * TOLD_CONTRAST:g} %"

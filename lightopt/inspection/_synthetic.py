@@ -9,13 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.threads import in_threads
 from lightopt.inspection._fusion import Fusion
 from lightopt.inspection._gradients import FusedGradients, Rule, fuse_beside
+from lightopt.inspection._neighbourhood import smoothed, typical_size
 from lightopt.inspection._poisson import mask_window, poisson_grid
-from lightopt.inspection._surroundings import smoothed, typical_size
-from lightopt.rendering import in_threads
-
-__all__ = ["PROBES", "SyntheticImage", "fuse_images"]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightopt.align import Placement
+from lightopt.core.transforms import rotation_z
+from lightopt.estimate.registration import Placement
+from lightopt.inspection._detection_score import SCALES_PX, smoothed_deviations
 from lightopt.inspection._deviation import Deviations
-from lightopt.inspection._score import SCALES_PX, smoothed_deviations
-from lightopt.inspection._view import PostureView
+from lightopt.inspection._posture_view import PostureView
 from lightopt.scene import Scene, project, view_from_part
-from lightopt.transforms import rotation_z
-
-__all__ = ["Residuals", "Systematic", "SystematicSums", "nominal_pixels", "without_systematic"]
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]

@@ -10,8 +10,6 @@ from scipy import fft, ndimage, special
 
 from lightopt.inspection._synthetic import SyntheticImage
 
-__all__ = ["TEMPLATES", "score_templates", "templates"]
-
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 

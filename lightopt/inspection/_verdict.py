@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lightopt.config import InspectionConfig
-from lightopt.errors import counted
-from lightopt.inspection._inspection import Inspection
+from lightopt.core.errors import counted
+from lightopt.inspection._results import Inspection
 from lightopt.inspection._surface import TOLD_CONTRAST
-
-__all__ = ["Verdict", "judge"]
 
 
 @dataclass(frozen=True)

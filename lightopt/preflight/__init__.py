@@ -1,6 +1,8 @@
 """What there is to know about a rig and a part before anything is rendered: findings with numbers and advice."""
 
 from lightopt.preflight._check import check_rig, check_scene
-from lightopt.preflight._report import Finding, Level, Report
 
-__all__ = ["Finding", "Level", "Report", "check_rig", "check_scene"]
+__all__ = [
+    "check_rig",
+    "check_scene",
+]

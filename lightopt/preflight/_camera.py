@@ -8,8 +8,6 @@ from lightopt.preflight._report import Finding, Level
 from lightopt.preflight._subject import RigSubject
 from lightopt.scene import pixel_footprint, view_size
 
-__all__ = ["check_field_of_view", "check_lens", "check_resolution", "check_sensor"]
-
 LOST_RANGE = 0.25
 """A black level or a saturation level that costs more than this share of the full scale is worth a warning."""
 

@@ -18,8 +18,6 @@ from lightopt.preflight._subject import RigSubject, SceneSubject, rig_subject, s
 from lightopt.preflight._surface import check_back_faces, check_mesh
 from lightopt.scene import build_scene
 
-__all__ = ["check_rig", "check_scene"]
-
 RIG_CHECKS: tuple[Callable[[RigSubject], Iterable[Finding]], ...] = (
     check_lens,
     check_resolution,

@@ -8,12 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import Patches, TriangleMesh, estimate_patch_count, face_areas, face_normals, refine
+from lightopt.geometry import Patches, TriangleMesh, estimate_patch_count, face_areas, face_normals, refine
 from lightopt.preflight._report import Finding, Level, percent
 from lightopt.preflight._subject import SceneSubject
 from lightopt.rendering import visible_points
-
-__all__ = ["check_unseen_surface", "facing"]
 
 BUDGET = 200_000
 """Patches that are looked at; a mesh with more triangles is taken as it is."""

@@ -22,11 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import TriangleMesh, face_normals, mesh_edges
+from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
 from lightopt.preflight._report import Finding
 from lightopt.preflight._subject import SceneSubject
-
-__all__ = ["NormalErrors", "check_facets", "facet_angles", "interpolation_errors"]
 
 Float64 = NDArray[np.float64]
 

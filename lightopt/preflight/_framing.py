@@ -9,8 +9,6 @@ from lightopt.preflight._subject import SceneSubject
 from lightopt.rendering import too_few_pixels
 from lightopt.scene import Framing, frame_part
 
-__all__ = ["check_below_table", "check_depth", "check_part_in_view", "check_pixels"]
-
 SIDES = ("left", "top", "right", "bottom")
 TABLE_TOLERANCE_MM = 1e-3
 

@@ -12,8 +12,6 @@ from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import RigSubject
 from lightopt.scene import PanelLight, build_lights, image_area, panel_corners, rectangles_meet
 
-__all__ = ["check_below_horizon", "check_collisions", "check_lights_in_view"]
-
 STEP_DEG = 5.0
 """A light's ranges are tried at least this finely where the camera's view is concerned."""
 

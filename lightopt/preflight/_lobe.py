@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from lightopt.optics import Sensor
 from lightopt.preflight._report import Finding
 from lightopt.preflight._subject import SceneSubject
 from lightopt.rendering import highlight_level
 from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
-from lightopt.sensor import Sensor
-
-__all__ = ["check_levels", "check_points"]
 
 NEGLIGIBLE_ERROR = 0.015
 

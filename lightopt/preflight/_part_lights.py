@@ -12,8 +12,6 @@ from lightopt.preflight._subject import SceneSubject
 from lightopt.rendering import panels_in_part
 from lightopt.scene import segments_blocked
 
-__all__ = ["check_hidden_part", "check_lights_in_part"]
-
 
 def check_hidden_part(subject: SceneSubject) -> Iterator[Finding]:
     """How much of the part's image a panel hides, standing between camera and part."""

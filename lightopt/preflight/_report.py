@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal
 
-__all__ = ["Finding", "Level", "Report", "percent"]
-
 Level = Literal["ok", "note", "warning", "error"]
 """From best to worst: as it should be; good to know; will probably disappoint; cannot be so."""
 

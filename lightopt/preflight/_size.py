@@ -8,8 +8,6 @@ from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
 from lightopt.scene import guess_unit, is_absurd, view_size
 
-__all__ = ["check_size"]
-
 
 def check_size(subject: SceneSubject) -> Iterator[Finding]:
     """Size of the part, and what other units of its file would make of it."""

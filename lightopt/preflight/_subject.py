@@ -8,21 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.raycast import Hits, RayCaster
+from lightopt.core.transforms import Posture
+from lightopt.geometry import Hits, RayCaster
 from lightopt.rendering import SurfacePoints, cast_rays_at, trace_samples
 from lightopt.scene import (
     PanelLight,
     PartView,
     PinholeCamera,
-    Posture,
     Scene,
     build_camera,
     build_lights,
     screen_window,
     view_from_part,
 )
-
-__all__ = ["Look", "RigSubject", "SceneSubject", "rig_subject", "scene_subject"]
 
 SAMPLES = 60_000
 """Camera rays per posture at most: counts of pixels are estimates from these."""

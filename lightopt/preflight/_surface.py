@@ -6,12 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lightopt.errors import counted
-from lightopt.mesh import merge_rows, mesh_edges
+from lightopt.core.errors import counted
+from lightopt.geometry import merge_rows, mesh_edges
 from lightopt.preflight._report import Finding, percent
 from lightopt.preflight._subject import SceneSubject
-
-__all__ = ["check_back_faces", "check_mesh"]
 
 SILHOUETTE_SHARE = 1e-4
 """Share of the part's pixels that may see back faces without a warning: rays that graze the silhouette of a closed mesh

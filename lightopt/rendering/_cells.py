@@ -36,20 +36,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
+from lightopt.core.kernels import kernel
 from lightopt.rendering._lobe import out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._panel import PanelNumbers
-
-__all__ = [
-    "BELOW",
-    "BLOCKED",
-    "MOST_BISECTIONS",
-    "SIDE_SHARE",
-    "VISIBLE",
-    "add_crossed_cells",
-    "add_visible_cells",
-    "places_beside_chords",
-]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]

@@ -13,33 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-from lightopt.raycast import RayCaster
-from lightopt.reflectance import Reflectance
-from lightopt.rendering._lobe import (
-    gauss_legendre_table,
-    out_of_reach,
-    rectangle_diffuse,
-    rectangle_specular,
-)
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import end_if_stopped
+from lightopt.geometry import RayCaster
+from lightopt.optics import Reflectance
+from lightopt.rendering._lobe import gauss_legendre_table, out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._panel import PanelNumbers, panel_numbers
 from lightopt.rendering._penumbra import PenumbraLight, shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._threads import end_if_stopped
 from lightopt.scene import PanelLight
-
-__all__ = [
-    "ConvergedPanel",
-    "PanelSight",
-    "converged_panel",
-    "panel_probes",
-    "probe_targets",
-    "shade_again",
-    "shade_converged",
-    "shade_seeing",
-    "verdict_of_probes",
-]
 
 Float64 = NDArray[np.float64]
 

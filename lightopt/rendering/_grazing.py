@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["GRAZING_COSINE", "GRAZING_DEG"]
-
 GRAZING_DEG = 80.0
 """Surface that is seen at more than this angle to its normal is left out of every score and share [°].
 

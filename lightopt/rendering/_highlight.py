@@ -10,8 +10,6 @@ from lightopt.rendering._converged import converged_panel, shade_converged
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight, Scene
 
-__all__ = ["highlight_level"]
-
 
 def highlight_level(scene: Scene, light: PanelLight) -> float:
     """Specular level at exposure 1 of a surface at the origin that mirrors a panel's centre [grey level].

@@ -13,23 +13,15 @@ from numpy.typing import NDArray
 
 from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load_rig, points_problem
-from lightopt.errors import InputError, counted
+from lightopt.core.errors import InputError, counted
+from lightopt.core.provenance import provenance
+from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
-from lightopt.provenance import provenance
-from lightopt.rendering._hopeless import refuse_hopeless
-from lightopt.rendering._images import (
-    Geometry,
-    LightImage,
-    PostureImages,
-    cast_rays_at,
-    render_posture,
-)
+from lightopt.optics import expose, image_rng
+from lightopt.rendering._images import Geometry, LightImage, PostureImages, cast_rays_at, render_posture
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
+from lightopt.rendering._scene_checks import refuse_hopeless
 from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
-from lightopt.sensor import expose, image_rng
-from lightopt.transforms import Posture
-
-__all__ = ["RenderOptions", "RenderedSet", "Report", "render_image_set"]
 
 Report = Callable[[Posture, float, int], None]
 """Called with the posture at work, its share done (0 to 1) and the number of its rays cast so far."""

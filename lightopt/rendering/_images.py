@@ -9,26 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import Patches, TriangleMesh
-from lightopt.raycast import Hits, RayCaster
+from lightopt.core.threads import available_processors, run_all
+from lightopt.core.transforms import Posture
+from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
 from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_seeing
-from lightopt.rendering._disturbed import DisturbedSamples, disturbed_samples
+from lightopt.rendering._defect_shading import DisturbedSamples, disturbed_samples
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
-from lightopt.rendering._threads import available_processors, run_all
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
-from lightopt.transforms import Posture
-
-__all__ = [
-    "Geometry",
-    "LightImage",
-    "PostureImages",
-    "Progress",
-    "cast_rays_at",
-    "render",
-    "render_posture",
-    "trace_posture",
-]
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-from lightopt.raycast import RayCaster
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import in_threads
+from lightopt.geometry import RayCaster
 from lightopt.rendering._converged import converged_panel
 from lightopt.rendering._lobe import (
     gauss_legendre_table,
@@ -24,10 +25,7 @@ from lightopt.rendering._lobe import (
 )
 from lightopt.rendering._panel import PanelNumbers, panel_numbers, terms_at
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._threads import in_threads
 from lightopt.scene import PanelLight, panel_grid
-
-__all__ = ["LightLayer", "light_layer"]
 
 Float64 = NDArray[np.float64]
 

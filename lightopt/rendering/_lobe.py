@@ -14,17 +14,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
+from lightopt.core.kernels import kernel
 from lightopt.rendering._panel import PanelNumbers, point_terms, terms_at
-
-__all__ = [
-    "MAX_NODES",
-    "gauss_legendre_table",
-    "mirror_point",
-    "out_of_reach",
-    "rectangle_diffuse",
-    "rectangle_specular",
-]
 
 Float64 = NDArray[np.float64]
 

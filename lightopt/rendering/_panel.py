@@ -8,11 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-from lightopt.reflectance import MAX_LOBE_EXPONENT, lambert, torrance_sparrow
+from lightopt.core.kernels import kernel
+from lightopt.optics import MAX_LOBE_EXPONENT, lambert, torrance_sparrow
 from lightopt.scene import PanelLight
-
-__all__ = ["PanelNumbers", "panel_numbers", "point_terms", "terms_at"]
 
 
 class PanelNumbers(NamedTuple):

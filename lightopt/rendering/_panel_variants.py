@@ -13,17 +13,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-from lightopt.raycast import RayCaster
-from lightopt.reflectance import MIN_COS_VIEW
+from lightopt.core.kernels import kernel
+from lightopt.geometry import RayCaster
+from lightopt.optics import MIN_COS_VIEW
 from lightopt.rendering._converged import ConvergedPanel
 from lightopt.rendering._lobe import rectangle_diffuse, rectangle_specular
 from lightopt.rendering._panel import PanelNumbers, panel_numbers
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import panel_grid
-
-__all__ = ["panel_variants"]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]

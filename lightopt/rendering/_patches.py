@@ -10,25 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import Patches, TriangleMesh, estimate_patch_count, face_normals, refine
-from lightopt.raycast import RayCaster
+from lightopt.core.transforms import Posture
+from lightopt.geometry import Patches, RayCaster, TriangleMesh, estimate_patch_count, face_normals, refine
 from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._images import trace_posture
 from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
-from lightopt.transforms import Posture
-
-__all__ = [
-    "DEFAULT_PATCH_BUDGET",
-    "PatchPixels",
-    "PatchTable",
-    "build_patches",
-    "grain_of",
-    "patch_pixels",
-    "patch_positions",
-    "patches_for_edge",
-    "sight_of",
-    "visible_points",
-]
 
 Float64 = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-from lightopt.raycast import RayCaster
+from lightopt.core.kernels import kernel
+from lightopt.geometry import RayCaster
 from lightopt.rendering._cells import (
     BELOW,
     BLOCKED,
@@ -28,8 +28,6 @@ from lightopt.rendering._cells import (
 )
 from lightopt.rendering._panel import PanelNumbers
 from lightopt.rendering._surface import SurfacePoints
-
-__all__ = ["PenumbraLight", "shade_penumbra"]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]

@@ -8,15 +8,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.raycast import RayCaster
+from lightopt.core.threads import in_threads
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
 from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints, trace_samples
-from lightopt.rendering._threads import in_threads
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
-from lightopt.transforms import Posture
-
-__all__ = ["LEFT_OUT", "UNLIT", "WHOLE", "PosturePixels", "panel_verdict", "trace_pixels"]
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]

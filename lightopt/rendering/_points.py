@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-from lightopt.raycast import RayCaster
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import end_if_stopped
+from lightopt.geometry import RayCaster
 from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._threads import end_if_stopped
 from lightopt.scene import PanelLight, panel_grid
-
-__all__ = ["facing_pairs", "shade_points"]
 
 Float64 = NDArray[np.float64]
 

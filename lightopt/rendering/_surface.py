@@ -7,12 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-from lightopt.mesh import TriangleMesh
-from lightopt.raycast import Hits, RayCaster, resolve_hits
+from lightopt.core.kernels import kernel
+from lightopt.geometry import Hits, RayCaster, TriangleMesh, resolve_hits
 from lightopt.scene import PinholeCamera, pixel_directions
-
-__all__ = ["SurfacePoints", "interpolate_surface", "trace_hits", "trace_samples"]
 
 Float64 = NDArray[np.float64]
 

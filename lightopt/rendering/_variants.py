@@ -1,8 +1,9 @@
 """A surface tried as several others at once: with its normal leaning, or another reflectance, in the same shadows.
 
 What a defect would make of each point: it stays where it is, sees what it would see and is in the shadows that it
-would be in; only normal, R_d, R_s and σ are others, as in :mod:`lightopt.rendering._disturbed`. Rays are cast once for
-all variants: towards every light that the facet faces, since a leaning wall may face one that the surface does not.
+would be in; only normal, R_d, R_s and σ are others, as in :mod:`lightopt.rendering._defect_shading`. Rays are cast
+once for all variants: towards every light that the facet faces, since a leaning wall may face one that the surface
+does not.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.kernels import kernel
-from lightopt.raycast import RayCaster
-from lightopt.reflectance import MIN_COS_VIEW, Reflectance, half_vector_angle_squared
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import end_if_stopped
+from lightopt.geometry import RayCaster
+from lightopt.optics import MIN_COS_VIEW, Reflectance, half_vector_angle_squared
 from lightopt.rendering._converged import (
     ConvergedPanel,
     panel_probes,
@@ -27,10 +29,7 @@ from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
 from lightopt.rendering._panel_variants import panel_variants
 from lightopt.rendering._points import PAIRS_AT_ONCE, facing_pairs
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._threads import end_if_stopped
 from lightopt.scene import PanelLight, panel_grid
-
-__all__ = ["SurfaceVariants", "VariantLevels", "shade_variants", "surface_variants"]
 
 Float64 = NDArray[np.float64]
 

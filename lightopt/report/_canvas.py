@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 from lightopt.images import write_bytes_atomic
-
-__all__ = ["FINE", "Canvas", "Points", "check_png_path", "png_bytes", "write_picture"]
 
 FINE = 3
 """Resolution of what is drawn, relative to the finished picture."""

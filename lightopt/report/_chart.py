@@ -15,8 +15,6 @@ from PIL import Image
 from lightopt.report._canvas import Canvas, check_png_path, write_picture
 from lightopt.report._typeface import Typeface
 
-__all__ = ["ChartLine", "ChartPanel", "chart_image", "draw_chart"]
-
 INK, SOFT, FAINT, LINE, MARK = "#1c1f24", "#5c636e", "#e3e6ea", "#1f5fbf", "#c2410c"
 SHADE = "#c2410c33"
 WIDTH, PANEL_HEIGHT = 900, 300

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from PIL import Image, ImageDraw
 
-from lightopt.errors import InputError, counted
+from lightopt.core.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
 from lightopt.report._canvas import check_png_path, write_picture
 from lightopt.report._sheet_layout import (
@@ -27,8 +27,6 @@ from lightopt.report._sheet_layout import (
 )
 from lightopt.report._thumbnail import SATURATED_COLOUR, Thumbnail, shade_of_saturation, thumbnail
 from lightopt.report._typeface import Typeface
-
-__all__ = ["add_contact_sheets", "contact_sheet", "entry_thumbnail", "saturation_text"]
 
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
 RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)

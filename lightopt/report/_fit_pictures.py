@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lightopt.fit import FitResult, PaperDiffuse, PaperSpecular
+from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
 from lightopt.report._canvas import write_picture
 from lightopt.report._chart import ChartPanel, draw_chart
 from lightopt.report._typeface import Typeface
-
-__all__ = ["fit_chart", "residual_picture"]
 
 RESIDUAL_SCALE = 0.08
 """Difference of the full colours, as a share of the sensor's full scale: 20 of 255 levels."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.transforms import azimuth_tangent, elevation_tangent, posture_rotation
 from lightopt.report._canvas import Canvas
 from lightopt.report._frames_pen import E_PHI, E_THETA, PHI_J, THETA_J, fit_pen, named_arrow
 from lightopt.report._labels import Box, Label
@@ -12,9 +13,6 @@ from lightopt.report._rig_elements import AXIS_COLOURS, CAMERA, INK, PHI, SOFT, 
 from lightopt.report._rig_shapes import camera_shape, square
 from lightopt.report._view import ORIGIN, X, Y, Z, arc, fit_view
 from lightopt.scene import pixel_directions, place_camera, project
-from lightopt.transforms import azimuth_tangent, elevation_tangent, posture_rotation
-
-__all__ = ["draw_camera", "draw_pixels", "draw_posture"]
 
 Float64 = NDArray[np.float64]
 

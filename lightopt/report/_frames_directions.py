@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
 from lightopt.report._canvas import Canvas
 from lightopt.report._frames_pen import E_PHI, E_THETA, fit_pen, named_arrow
 from lightopt.report._labels import Box, Label
@@ -11,9 +12,6 @@ from lightopt.report._rig_elements import INK, LIGHT, PHI, SOFT, THETA
 from lightopt.report._rig_shapes import foot_direction, panel_corners, square
 from lightopt.report._view import ORIGIN, X, Y, Z, arc
 from lightopt.scene import panel_grid, place_light
-from lightopt.transforms import azimuth_tangent, direction, elevation_tangent
-
-__all__ = ["draw_direction", "draw_light", "draw_zenith"]
 
 
 def draw_direction(canvas: Canvas, box: Box) -> list[Label]:

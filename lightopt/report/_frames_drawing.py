@@ -12,8 +12,6 @@ from lightopt.report._labels import Box, Label, ink_of, paint_labels, place_labe
 from lightopt.report._rig_elements import INK, SOFT
 from lightopt.report._typeface import Typeface
 
-__all__ = ["frames_drawing"]
-
 COLUMNS = 3
 PANEL = (590, 560)
 MARGIN, HEAD, FOOT = 26, 56, 92
@@ -23,7 +21,7 @@ MARGIN, HEAD, FOOT = 26, 56, 92
 def frames_drawing(path: str | Path) -> Path:
     """Draw the conventions: directions, elevation beyond the zenith, panels, camera with roll, pixels, postures.
 
-    Every arrow comes from :mod:`lightopt.transforms` and :mod:`lightopt.scene`: the drawing shows what the program
+    Every arrow comes from :mod:`lightopt.core.transforms` and :mod:`lightopt.scene`: the drawing shows what the program
     does.
 
     Parameters

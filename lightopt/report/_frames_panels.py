@@ -11,8 +11,6 @@ from lightopt.report._frames_directions import draw_direction, draw_light, draw_
 from lightopt.report._frames_pen import E_PHI, E_THETA, PHI_J, THETA_J
 from lightopt.report._labels import Box, Label
 
-__all__ = ["FramePanel", "frame_panels"]
-
 
 @dataclass(frozen=True)
 class FramePanel:

@@ -11,8 +11,6 @@ from lightopt.report._rig_elements import Pen
 from lightopt.report._typeface import sub
 from lightopt.report._view import fit_view
 
-__all__ = ["E_PHI", "E_THETA", "PHI_J", "THETA_J", "fit_pen", "named_arrow"]
-
 Float64 = NDArray[np.float64]
 
 E_THETA, E_PHI = sub("e", "θ"), sub("e", "φ")

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lightopt.errors import counted, percent
+from lightopt.core.errors import counted, percent
 from lightopt.inspection import TOLD_CONTRAST, TOLD_DISC, Verdict
 from lightopt.report._page import Answer, Page, Section, Table
 from lightopt.report._page_html import page_html
 from lightopt.report._truth_blocks import truth_blocks
-
-__all__ = ["BatchRow", "batch_report"]
 
 NOT_INSPECTED = "not inspected"
 

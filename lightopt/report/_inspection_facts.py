@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from lightopt.config import InspectionConfig
-from lightopt.errors import counted, percent
+from lightopt.core.errors import counted, percent
 from lightopt.inspection import Inspection, Verdict
 from lightopt.report._inspection_tables import placement_told
 from lightopt.report._page import Facts
-
-__all__ = ["inspection_facts"]
 
 
 def inspection_facts(result: Inspection, verdict: Verdict, provenance: Mapping[str, Any]) -> Facts:

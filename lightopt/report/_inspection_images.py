@@ -11,8 +11,6 @@ from lightopt.report._inspection_pictures import enlarged, overlay_image
 from lightopt.report._page import Block, Gallery, Picture
 from lightopt.report._thumbnail import shrunk
 
-__all__ = ["image_blocks"]
-
 OVERLAY_PX, SMALL_PX = 1600, 480
 """No side of a picture in the report is longer."""
 

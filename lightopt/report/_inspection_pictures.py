@@ -14,8 +14,6 @@ from lightopt.inspection import KIND_COLOURS, FoundDefect, GreyPicture, Inspecte
 from lightopt.report._canvas import write_picture
 from lightopt.report._typeface import Typeface
 
-__all__ = ["defect_overlay", "enlarged", "overlay_image"]
-
 BOX_MARGIN_PX = 3
 LABEL_SIZE, LABEL_GAP_PX = 15, 3
 LABEL_SHARE, LINE_SHARE = 1 / 43, 1 / 800

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.errors import counted, percent
+from lightopt.core.errors import counted, percent
 from lightopt.inspection import TOLD_DISC, Inspection, Verdict
 from lightopt.report._inspection_facts import inspection_facts
 from lightopt.report._inspection_images import image_blocks
@@ -14,8 +14,6 @@ from lightopt.report._inspection_tables import dark_told, defect_table, surface_
 from lightopt.report._page import Answer, Note, Page, Section, Warnings
 from lightopt.report._page_html import page_html
 from lightopt.report._truth_blocks import truth_blocks
-
-__all__ = ["inspection_page", "inspection_report"]
 
 
 def inspection_report(

@@ -13,8 +13,6 @@ from lightopt.inspection import KIND_COLOURS, FoundDefect, Inspection, Kind
 from lightopt.report._page import SurfaceView
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
 
-__all__ = ["marked_part"]
-
 Float64 = NDArray[np.float64]
 
 PART_COLOUR = "#c9ced6"

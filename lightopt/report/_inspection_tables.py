@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from lightopt.align import Placement
-from lightopt.errors import percent
+from lightopt.core.errors import percent
+from lightopt.estimate.registration import Placement
 from lightopt.inspection import CONTRASTS, Coverage, Inspection, SurfaceCoverage, Verdict
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Table
-
-__all__ = ["dark_told", "defect_table", "placement_told", "surface_table", "surface_told"]
 
 
 def defect_table(result: Inspection, verdict: Verdict) -> Table:

@@ -12,8 +12,6 @@ from PIL import Image, ImageDraw
 
 from lightopt.report._typeface import Typeface
 
-__all__ = ["Box", "Label", "PlacedLabel", "ink_of", "paint_labels", "place_labels"]
-
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom [px]."""
 

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from lightopt.errors import percent
-from lightopt.optimize import LegendRow
+from lightopt.core.errors import percent
+from lightopt.design import LegendRow
 from lightopt.report._typeface import Typeface
-
-__all__ = ["with_legend"]
 
 SMALLEST, LARGEST = 13, 26
 """Sizes of the text [px]; in between a fiftieth of the picture's width."""

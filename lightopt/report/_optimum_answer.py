@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.errors import counted
-from lightopt.optimize import (
+from lightopt.core.errors import counted
+from lightopt.core.transforms import Posture
+from lightopt.design import (
     LEFT_OUT_MEANING,
     Detectability,
     Draft,
@@ -24,15 +25,10 @@ from lightopt.optimize import (
     shown_text,
     ties_text,
 )
-from lightopt.optimize import (
-    Answer as Best,
-)
+from lightopt.design import Answer as Best
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Answer, Block, Note, Table, Warnings
 from lightopt.report._sheet_layout import degrees
-from lightopt.transforms import Posture
-
-__all__ = ["answer_blocks", "postures_text", "scores_table"]
 
 
 def answer_blocks(draft: Draft) -> list[Block]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightopt.optimize import (
+from lightopt.design import (
     BLIND_CLASSES,
     BLIND_LIGHTS,
     Blind,
@@ -17,8 +17,6 @@ from lightopt.optimize import (
     share_text,
 )
 from lightopt.report._surface import SurfaceClass, SurfaceLayer
-
-__all__ = ["blind_layers"]
 
 # matplotlib's cividis (Nuñez, Anderton and Renslow, 2018) in equal steps: the brighter the more is seen
 SHARES = (

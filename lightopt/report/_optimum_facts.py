@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.errors import counted
-from lightopt.optimize import DIRECTIONS, Draft, unroll
+from lightopt.core.errors import counted
+from lightopt.design import DIRECTIONS, Draft, unroll
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Block, Facts, Table
 from lightopt.scene import PanelLight, build_catalogue
-
-__all__ = ["fact_blocks"]
 
 
 def fact_blocks(draft: Draft) -> list[Block]:

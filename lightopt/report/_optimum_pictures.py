@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from lightopt.design import Curve, Detectability, Draft, SetResult, share_of_whole
 from lightopt.images import ImageSet, read_image_set, read_png
-from lightopt.optimize import Curve, Detectability, Draft, SetResult, share_of_whole
 from lightopt.report._canvas import png_bytes
 from lightopt.report._chart import ChartLine, ChartPanel, chart_image
 from lightopt.report._contact_sheet import entry_thumbnail, saturation_text
@@ -19,8 +19,6 @@ from lightopt.report._rig_drawing import rig_image
 from lightopt.report._sheet_layout import degrees, light_position
 from lightopt.report._thumbnail import shrunk
 from lightopt.scene import PanelLight
-
-__all__ = ["curve_blocks", "drawing_blocks", "image_blocks"]
 
 SIDE = 300
 """Longest side of an image in the report [px]."""

@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from lightopt.errors import counted, percent
-from lightopt.optimize import BLIND_LIGHTS, Draft, share_text
+from lightopt.core.errors import counted, percent
+from lightopt.core.transforms import Posture
+from lightopt.design import BLIND_LIGHTS, Draft, share_text
 from lightopt.report._page import Block, Facts, Note, Table
-from lightopt.transforms import Posture
-
-__all__ = ["blind_tables", "defect_blocks", "exposure_blocks", "posture_blocks", "trust_blocks"]
 
 
 def defect_blocks(draft: Draft) -> list[Block]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lightopt.optimize import Draft
+from lightopt.design import Draft
 from lightopt.report._optimum_answer import answer_blocks, scores_table
 from lightopt.report._optimum_facts import fact_blocks
 from lightopt.report._optimum_pictures import curve_blocks, drawing_blocks, image_blocks
@@ -17,11 +17,9 @@ from lightopt.report._optimum_surface import surface_blocks
 from lightopt.report._page import Page, Section
 from lightopt.report._page_html import page_html
 
-__all__ = ["optimum_page", "optimum_report"]
-
 
 def optimum_report(draft: Draft) -> str:
-    """The report of an optimisation as HTML; for :func:`lightopt.optimize.optimize`."""
+    """The report of an optimisation as HTML; for :func:`lightopt.design.optimize`."""
     return page_html(optimum_page(draft))
 
 

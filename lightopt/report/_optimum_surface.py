@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.optimize import Draft, Levels, Thresholds, area_text, area_units, share_text
+from lightopt.core.transforms import Posture
+from lightopt.design import Draft, Levels, Thresholds, area_text, area_units, share_text
 from lightopt.rendering import GRAZING_DEG, grain_of
 from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
-from lightopt.transforms import Posture
-
-__all__ = ["SHOWN", "Shown", "shown_by_images", "surface_blocks"]
 
 LEAST_USABLE, MOST_SATURATED = 2, 1
 """Images that must show a patch usably, and may show it saturated: the paper's section 5.1, as the objective

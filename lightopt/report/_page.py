@@ -7,20 +7,6 @@ from dataclasses import dataclass
 
 from lightopt.report._surface import ColouredSurface
 
-__all__ = [
-    "Answer",
-    "Block",
-    "Facts",
-    "Gallery",
-    "Note",
-    "Page",
-    "Picture",
-    "Section",
-    "SurfaceView",
-    "Table",
-    "Warnings",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:

@@ -30,8 +30,6 @@ from lightopt.report._surface import SurfaceLayer, simplified
 from lightopt.report._surface_data import surface_data, surface_head
 from lightopt.report._surface_still import surface_still
 
-__all__ = ["page_html"]
-
 POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 """The browser itself then refuses every request."""
 

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.raycast import RayCaster
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
 from lightopt.report._canvas import FINE
 from lightopt.report._view import ParallelView
 from lightopt.scene import PinholeCamera, Scene
-from lightopt.transforms import Posture
-
-__all__ = ["PartPicture", "draw_part"]
 
 Float64 = NDArray[np.float64]
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lightopt.raycast import RayCaster
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
 from lightopt.rendering import cast_rays_at
 from lightopt.report._canvas import Canvas, check_png_path, write_picture
 from lightopt.report._labels import ink_of, paint_labels, place_labels
@@ -30,9 +31,6 @@ from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, paint_side, side_h
 from lightopt.report._typeface import Typeface
 from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene
-from lightopt.transforms import Posture
-
-__all__ = ["rig_drawing", "rig_image"]
 
 Float64 = NDArray[np.float64]
 

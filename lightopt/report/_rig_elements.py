@@ -16,20 +16,6 @@ from lightopt.report._typeface import sub
 from lightopt.report._view import ORIGIN, ParallelView, X, Y, Z, arc
 from lightopt.scene import PanelLight, PinholeCamera, panel_grid
 
-__all__ = [
-    "AXIS_COLOURS",
-    "CAMERA",
-    "INK",
-    "LIGHT",
-    "PHI",
-    "SOFT",
-    "STAGE",
-    "THETA",
-    "Pen",
-    "degrees",
-    "number",
-]
-
 Float64 = NDArray[np.float64]
 
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#dfe3e8"

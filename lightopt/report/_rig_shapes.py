@@ -8,21 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.transforms import Posture, rigid_transform
 from lightopt.scene import PanelLight, PinholeCamera, Scene, pixel_directions
-from lightopt.transforms import Posture, rigid_transform
-
-__all__ = [
-    "CameraShape",
-    "camera_shape",
-    "foot_direction",
-    "nice_step",
-    "panel_corners",
-    "part_box",
-    "rig_size",
-    "round_up",
-    "square",
-    "table_grid",
-]
 
 Float64 = NDArray[np.float64]
 

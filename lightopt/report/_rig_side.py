@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw
 
-from lightopt.raycast import RayCaster
+from lightopt.core.transforms import Posture, posture_rotation
+from lightopt.geometry import RayCaster
 from lightopt.report._canvas import Canvas
 from lightopt.report._labels import Box, Label
 from lightopt.report._part_picture import draw_part
@@ -16,9 +17,6 @@ from lightopt.report._rig_shapes import part_box, round_up, square
 from lightopt.report._typeface import Typeface, sub
 from lightopt.report._view import X, Y, Z, arc, fit_view
 from lightopt.scene import Scene, pixel_footprint
-from lightopt.transforms import Posture, posture_rotation
-
-__all__ = ["SIDE_WIDTH", "Stage", "draw_stage", "paint_side", "side_height"]
 
 SIDE_WIDTH, EDGE = 500, 30
 STAGE_HEIGHT = 400

@@ -4,24 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet
 from lightopt.report._thumbnail import Thumbnail
 from lightopt.report._typeface import Typeface, sub
-from lightopt.transforms import Posture
-
-__all__ = [
-    "GAP",
-    "MARGIN",
-    "SheetLayout",
-    "SheetTable",
-    "SheetType",
-    "degrees",
-    "lay_out",
-    "light_position",
-    "row_head",
-    "sheet_table",
-    "thumbnail_limit",
-]
 
 MARGIN, GAP = 36, 18
 LARGEST, SMALLEST = 420, 240

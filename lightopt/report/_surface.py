@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 from lightopt.scene import PinholeCamera
-
-__all__ = ["MOST_TRIANGLES", "ColouredSurface", "SurfaceClass", "SurfaceLayer", "first_view", "simplified"]
 
 Float64 = NDArray[np.float64]
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from lightopt.report._surface import ColouredSurface
 from lightopt.report._surface_still import eye_distance
 
-__all__ = ["surface_data", "surface_head"]
-
 _STEPS = 32767
 
 

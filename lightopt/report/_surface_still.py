@@ -8,11 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
-from lightopt.mesh import TriangleMesh, face_normals
-from lightopt.raycast import RayCaster
+from lightopt.geometry import RayCaster, TriangleMesh, face_normals
 from lightopt.report._surface import ColouredSurface
-
-__all__ = ["eye_distance", "surface_still"]
 
 FIELD_OF_VIEW = math.radians(30.0)
 """From the lower to the upper edge; viewer.js has the same."""

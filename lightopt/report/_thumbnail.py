@@ -8,15 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "SATURATED_COLOUR",
-    "Thumbnail",
-    "shade_of_saturation",
-    "shrunk",
-    "thumbnail",
-    "thumbnail_size",
-]
-
 SATURATED_COLOUR = (225, 29, 42)
 """Of a cell all of whose pixels are saturated."""
 

@@ -11,8 +11,6 @@ from lightopt.report._canvas import png_bytes
 from lightopt.report._chart import ChartLine, ChartPanel, chart_image
 from lightopt.report._page import Block, Facts, Note, Picture, Table
 
-__all__ = ["truth_blocks"]
-
 # Okabe and Ito (2008), as on the other charts
 LINE_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00", "#0072b2", "#56b4e9", "#5c636e")
 POINTS = 60

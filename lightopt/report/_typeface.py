@@ -8,9 +8,7 @@ from typing import Literal
 
 from PIL import Image, ImageDraw, ImageFont
 
-from lightopt.errors import InputError
-
-__all__ = ["SUB_END", "SUB_START", "Typeface", "sub"]
+from lightopt.core.errors import InputError
 
 SUB_START = "\x0e"
 SUB_END = "\x0f"

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.transforms import azimuth_tangent, direction, elevation_tangent
-
-__all__ = ["ORIGIN", "ParallelView", "X", "Y", "Z", "arc", "fit_view"]
+from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
 
 Float64 = NDArray[np.float64]
 

@@ -12,22 +12,14 @@ from lightopt.scene._build import (
     part_postures,
     unit_hint,
 )
-from lightopt.scene._camera import (
-    Distortion,
-    PinholeCamera,
-    pixel_directions,
-    pixel_footprint,
-    place_camera,
-    project,
-)
-from lightopt.scene._defects import SNAP_MM, build_catalogue, defect_facts, place_defects
+from lightopt.scene._camera import PinholeCamera, pixel_directions, pixel_footprint, place_camera, project
+from lightopt.scene._defects import build_catalogue, defect_facts, place_defects
 from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
-from lightopt.scene._part_size import UnitGuess, guess_unit, is_absurd, view_size
+from lightopt.scene._part_size import guess_unit, is_absurd, view_size
 from lightopt.scene._rectangles import image_area, panel_corners, rectangles_meet, segments_blocked
 from lightopt.scene._sampling import (
     COARSE_SHARE,
-    PointSpacing,
     coarse_points,
     coarse_warnings,
     like_panels,
@@ -36,22 +28,16 @@ from lightopt.scene._sampling import (
 )
 from lightopt.scene._scene import PartView, Placement, Scene, move_part, view_from_part
 from lightopt.scene._travel import VIRTUAL_DEG_PER_S, pace_text, travel_order, travel_s
-from lightopt.transforms import Posture
 
 __all__ = [
     "COARSE_SHARE",
-    "SNAP_MM",
     "VIRTUAL_DEG_PER_S",
-    "Distortion",
     "Framing",
     "PanelLight",
     "PartView",
     "PinholeCamera",
     "Placement",
-    "PointSpacing",
-    "Posture",
     "Scene",
-    "UnitGuess",
     "build_camera",
     "build_catalogue",
     "build_lights",

@@ -19,20 +19,17 @@ from lightopt.config import (
     load_rig,
     points_problem,
 )
-from lightopt.errors import InputError
-from lightopt.mesh import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.reflectance import Reflectance
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture, rotation_x, rotation_y, rotation_z
+from lightopt.core.units import MM_PER_UNIT
+from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
+from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import Distortion, PinholeCamera, pixel_directions, pixel_footprint, place_camera
 from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._framing import frame_part
 from lightopt.scene._light import PanelLight, place_light
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
-from lightopt.sensor import Sensor
-from lightopt.transforms import Posture, rotation_x, rotation_y, rotation_z
-from lightopt.units import MM_PER_UNIT
-
-__all__ = ["build_camera", "build_lights", "build_scene", "chord_tolerance", "part_postures", "unit_hint"]
 
 CHORD_TOLERANCE_MM = 0.01
 CHORD_TOLERANCE_FOOTPRINTS = 0.2

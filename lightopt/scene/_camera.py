@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.transforms import azimuth_tangent, direction, elevation_tangent
-
-__all__ = ["Distortion", "PinholeCamera", "pixel_directions", "pixel_footprint", "place_camera", "project"]
+from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
 
 Float64 = NDArray[np.float64]
 

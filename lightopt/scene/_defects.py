@@ -12,15 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import DefectConfig, PartConfig, PixelPlaceConfig, RigConfig
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, PlacedDefect, tangent_direction
-from lightopt.errors import InputError
-from lightopt.mesh import SurfaceFinder, SurfacePlace, surface_place
-from lightopt.raycast import RayCaster, resolve_hits
+from lightopt.geometry import RayCaster, SurfaceFinder, SurfacePlace, resolve_hits, surface_place
 from lightopt.scene._camera import pixel_directions
 from lightopt.scene._scene import Placement, Scene, view_from_part
-from lightopt.transforms import Posture
-
-__all__ = ["SNAP_MM", "SNAP_SHARE", "build_catalogue", "defect_facts", "outside_stage_range", "place_defects"]
 
 Float64 = NDArray[np.float64]
 

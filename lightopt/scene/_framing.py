@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.mesh import TriangleMesh
+from lightopt.geometry import TriangleMesh
 from lightopt.scene._camera import PinholeCamera, pixel_footprint, project
-
-__all__ = ["Framing", "frame_part", "screen_window"]
 
 Float64 = NDArray[np.float64]
 

@@ -7,9 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.transforms import azimuth_tangent, direction, elevation_tangent
-
-__all__ = ["PanelLight", "panel_grid", "place_light"]
+from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
 
 Float64 = NDArray[np.float64]
 

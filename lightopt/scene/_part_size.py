@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.config import PartConfig
+from lightopt.core.units import MM_PER_UNIT
 from lightopt.scene._camera import PinholeCamera, pixel_directions
-from lightopt.units import MM_PER_UNIT
-
-__all__ = ["UnitGuess", "guess_unit", "is_absurd", "likely_units", "view_size"]
 
 ABSURD = (1.0 / 15.0, 2.5)
 """A part whose longest side is not between these shares of the view's shorter side is suspected of a wrong unit."""

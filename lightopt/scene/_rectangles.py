@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from lightopt.scene._camera import PinholeCamera, pixel_directions, project
 from lightopt.scene._light import PanelLight
 
-__all__ = ["image_area", "panel_corners", "rectangles_meet", "segments_blocked"]
-
 Float64 = NDArray[np.float64]
 
 _NEAR_MM = 1e-3

@@ -11,16 +11,6 @@ from numpy.typing import NDArray
 
 from lightopt.scene._light import PanelLight
 
-__all__ = [
-    "COARSE_SHARE",
-    "PointSpacing",
-    "coarse_points",
-    "coarse_warnings",
-    "like_panels",
-    "point_spacing",
-    "points_advice",
-]
-
 Float64 = NDArray[np.float64]
 
 COARSE_SHARE = 0.1

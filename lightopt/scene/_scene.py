@@ -5,15 +5,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
-from lightopt.mesh import TriangleMesh, transformed
-from lightopt.reflectance import Reflectance
+from lightopt.geometry import TriangleMesh, transformed
+from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import PinholeCamera
 from lightopt.scene._light import PanelLight
-from lightopt.sensor import Sensor
-from lightopt.transforms import Posture
-
-__all__ = ["PartView", "Placement", "Scene", "move_part", "view_from_part"]
 
 Float64 = NDArray[np.float64]
 

@@ -6,9 +6,7 @@ from collections.abc import Callable, Sequence
 from itertools import permutations
 
 from lightopt.config import RigConfig, StageDeviceConfig
-from lightopt.transforms import Posture
-
-__all__ = ["VIRTUAL_DEG_PER_S", "pace_text", "travel_order", "travel_s"]
+from lightopt.core.transforms import Posture
 
 VIRTUAL_DEG_PER_S = 90.0
 """Speed of both axes of the virtual bench's stage, which stands in for one that the rig's file does not name [°/s]."""

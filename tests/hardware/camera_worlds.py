@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from lightopt.errors import InputError
-from lightopt.hardware import check_camera_driver
+from lightopt.core.errors import InputError
+from lightopt.rig.devices import check_camera_driver
 
 __all__ = ["needs", "viky"]
 

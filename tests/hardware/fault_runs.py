@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from fault_cases import Case
 
-from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
 from lightopt.config import load_part, load_rig
-from lightopt.errors import HardwareError
+from lightopt.core.errors import HardwareError
 from lightopt.images import ImageEntry, ImageSet, read_exr, read_image_set, read_png
-from lightopt.virtualbench import BenchProcess
+from lightopt.rig.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
+from lightopt.rig.simulated import BenchProcess
 
 __all__ = ["OPTIONS", "Outcome", "Steps", "alike", "differences", "kill_sometime", "suffer", "undisturbed"]
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from fault_cases import BEDS, Case, driver_cases, line_cases, make_rig, other_cases, pulled_cases
 from fault_runs import Outcome, differences, kill_sometime, suffer, undisturbed
 
-from lightopt.errors import LightoptError
+from lightopt.core.errors import LightoptError
 from lightopt.images import read_image_set
 
 __all__ = ["Row", "main", "rows_of", "table"]

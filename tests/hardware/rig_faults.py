@@ -26,11 +26,11 @@ from unittest import mock
 from fault_cases import make_rig
 from fault_runs import OPTIONS, Steps, differences
 
-from lightopt.capture import Devices, Plan, capture, connect_devices, start_bench
 from lightopt.config import load_part, load_rig
-from lightopt.errors import HardwareError, InputError, LightoptError
+from lightopt.core.errors import HardwareError, InputError, LightoptError
 from lightopt.images import read_image_set
-from lightopt.virtualbench import BenchProcess, BenchTruth
+from lightopt.rig.capture import Devices, Plan, capture, connect_devices, start_bench
+from lightopt.rig.simulated import BenchProcess, BenchTruth
 
 __all__ = ["RigCase", "Seen", "gige_rig", "main", "rig_cases", "table", "undergo"]
 

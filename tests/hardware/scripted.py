@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from lightopt.hardware import SerialLink
+from lightopt.rig.devices._link import SerialLink
 
 Dialogue = Sequence[tuple[bytes, bytes | None]]
 

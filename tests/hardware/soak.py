@@ -19,11 +19,11 @@ from pathlib import Path
 from fault_runs import alike
 from rig_faults import gige_rig
 
-from lightopt.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.errors import HardwareError
-from lightopt.transforms import Posture
-from lightopt.virtualbench import BenchProcess
+from lightopt.core.errors import HardwareError
+from lightopt.core.transforms import Posture
+from lightopt.rig.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
+from lightopt.rig.simulated import BenchProcess
 
 __all__ = ["Soaked", "main", "soak"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from lightopt.hardware import Axis, open_stage
-from lightopt.hardware._moves import Clock, MovingStage
-from lightopt.virtualbench import BenchProcess
+from lightopt.rig.devices import Axis, open_stage
+from lightopt.rig.devices._stage import Clock, MovingStage
+from lightopt.rig.simulated import BenchProcess
 
 KINDS = ("shot", "gsc", "grbl", "zaber")
 TILT = (-45.0, 45.0)

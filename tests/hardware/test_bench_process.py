@@ -15,9 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import LightSettings, LinkLostError, ReplyError, SerialLink, light_drivers
-from lightopt.virtualbench import BenchProcess, _process
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices import LightSettings, light_drivers
+from lightopt.rig.devices._errors import LinkLostError, ReplyError
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.simulated import BenchProcess, _process
 
 START = _process.start_process
 CCS = {"kind": "ccs", "options": {"levels": {"1": 255}}}
@@ -98,7 +100,7 @@ def test_requests_that_are_none() -> None:
 def test_control_socket_wants_its_token() -> None:
     """Other users of the computer reach the loopback too."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "lightopt.virtualbench", json.dumps({"devices": {"a": CCS}})],
+        [sys.executable, "-m", "lightopt.rig.simulated", json.dumps({"devices": {"a": CCS}})],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
@@ -140,7 +142,7 @@ def test_closing_ends_the_process_and_removes_its_ports() -> None:
 def test_the_bench_dies_with_whoever_started_it() -> None:
     """No orphan, even after kill -9."""
     program = (
-        "import sys, time\nfrom lightopt.virtualbench import BenchProcess\n"
+        "import sys, time\nfrom lightopt.rig.simulated import BenchProcess\n"
         f"bench = BenchProcess({{'a': {CCS!r}}})\nprint(bench.pid, flush=True)\ntime.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as parent:
@@ -163,7 +165,7 @@ def test_ctrl_c_is_for_the_client() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_ctrl_c_of_a_bench_started_by_hand() -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "lightopt.virtualbench", json.dumps({"devices": {"a": CCS}})],
+        [sys.executable, "-m", "lightopt.rig.simulated", json.dumps({"devices": {"a": CCS}})],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -180,7 +182,7 @@ def test_ctrl_c_of_a_bench_started_by_hand() -> None:
 def test_usage() -> None:
     for arguments, words in (([], "usage: "), (["{"], "double quotes"), (["{}"], "lacks 'devices'")):
         ran = subprocess.run(
-            [sys.executable, "-m", "lightopt.virtualbench", *arguments],
+            [sys.executable, "-m", "lightopt.rig.simulated", *arguments],
             capture_output=True,
             text=True,
             check=False,
@@ -258,7 +260,7 @@ def test_a_folder_called_lightopt_where_the_bench_is_started(tmp_path: Path, mod
         (here / "lightopt" / "__init__.py").write_text(module, encoding="utf-8")
     program.parent.mkdir()
     program.write_text(
-        "from lightopt.virtualbench import BenchProcess\n"
+        "from lightopt.rig.simulated import BenchProcess\n"
         f"with BenchProcess({{'a': {CCS!r}}}) as bench:\n"
         "    print(bench.levels('a')[1] == 1)\n",
         encoding="utf-8",
@@ -269,7 +271,7 @@ def test_a_folder_called_lightopt_where_the_bench_is_started(tmp_path: Path, mod
 
 def test_a_bench_that_crashes_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     program = "import sys\ndef deep(): raise RuntimeError('no more wires')\ndeep()"
-    monkeypatch.setattr("lightopt.virtualbench._process._START", program)
+    monkeypatch.setattr("lightopt.rig.simulated._process._START", program)
     with pytest.raises(HardwareError) as raised:
         BenchProcess({"a": CCS})
     assert str(raised.value) == "virtual bench: did not start; it said: RuntimeError: no more wires"

@@ -7,10 +7,10 @@ import time
 
 import pytest
 
-from lightopt.capture._burning import BurnWatch
-from lightopt.errors import HardwareError
-from lightopt.hardware import LightSettings, LightsStillOnError, all_off, light_drivers, side_by_side
-from lightopt.virtualbench import BenchProcess
+from lightopt.core.errors import HardwareError
+from lightopt.rig.capture._watchdog import BurnWatch
+from lightopt.rig.devices import LightSettings, LightsStillOnError, all_off, light_drivers, side_by_side
+from lightopt.rig.simulated import BenchProcess
 
 LONGEST_S = 0.3
 

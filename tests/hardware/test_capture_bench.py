@@ -14,12 +14,20 @@ import pytest
 from fault_cases import Case, line_cases, make_rig, other_cases, pulled_cases
 from fault_runs import OPTIONS, differences, suffer, undisturbed
 
-from lightopt.capture import CaptureOptions, Plan, capture, connect_devices, make_plan, start_bench, wiring_of
 from lightopt.config import load_part, load_rig
-from lightopt.errors import HardwareError, InputError
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.transforms import Posture
 from lightopt.images import read_image_set, read_png
-from lightopt.transforms import Posture
-from lightopt.virtualbench import BenchProcess, BenchTruth
+from lightopt.rig.capture import (
+    CaptureOptions,
+    Plan,
+    capture,
+    connect_devices,
+    make_plan,
+    start_bench,
+    wiring_of,
+)
+from lightopt.rig.simulated import BenchProcess, BenchTruth
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and pseudo-terminals are those of POSIX")
 
@@ -104,7 +112,7 @@ def test_one_lost_reply_is_one_retry_and_the_manifest_says_at_which_image(bed, t
 
 def test_the_campaign_would_notice_a_light_left_on(bed, tmp_path, monkeypatch, patient):
     """The judge of the campaign judged: where nothing is switched off after an error, it must complain."""
-    from lightopt.capture import Devices
+    from lightopt.rig.capture import Devices
 
     folder, rigs, _ = bed
     monkeypatch.setattr(Devices, "all_off", lambda self: [])
@@ -308,7 +316,7 @@ def _children_of_the_dead(mark):
             text = (entry / "cmdline").read_bytes() if entry.name.isdigit() else b""
         except OSError:
             continue
-        if b"lightopt.virtualbench" in text and mark.encode() in text:
+        if b"lightopt.rig.simulated" in text and mark.encode() in text:
             found.append(entry.name)
     return found
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from fault_cases import make_rig
 
-from lightopt.capture import CaptureOptions, capture, connect_devices
 from lightopt.config import load_part, load_rig
-from lightopt.fit import FitOptions, fit_specular
+from lightopt.estimate.reflectance import FitOptions, fit_specular
 from lightopt.images import read_image_set
-from lightopt.virtualbench import BenchTruth
+from lightopt.rig.capture import CaptureOptions, capture, connect_devices
+from lightopt.rig.simulated import BenchTruth
 
 TRUE = "R_d: 62.0, R_s: 7000, sigma_rad: 0.08"
 GUESS = "R_d: 40, R_s: 12000, sigma_rad: 0.05"

@@ -13,10 +13,10 @@ from fault_runs import OPTIONS, alike, differences
 from rig_faults import RigCase, gige_rig, rig_cases, undergo
 from soak import soak
 
-from lightopt.capture import capture
 from lightopt.cli._main import run
 from lightopt.config import load_part, load_rig
 from lightopt.images import read_image_set
+from lightopt.rig.capture import capture
 
 
 @pytest.fixture(scope="module")

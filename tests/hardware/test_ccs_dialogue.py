@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted import scripted_link
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import LightSettings, RefusedError, ReplyError, light_drivers
-from lightopt.hardware._ccs import CcsController
-from lightopt.virtualbench._ccs import CcsFirmware
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices import LightSettings, light_drivers
+from lightopt.rig.devices._ccs import CcsController
+from lightopt.rig.devices._errors import RefusedError, ReplyError
+from lightopt.rig.simulated._ccs import CcsFirmware
 
 GOLDEN = {
     "intensity 255 of channel 1": b"@00F25582",

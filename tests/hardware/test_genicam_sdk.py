@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from lightopt.errors import HardwareError
-from lightopt.hardware import LinkLostError
-from lightopt.hardware._genicam import GenicamSdk
+from lightopt.core.errors import HardwareError
+from lightopt.rig.devices._errors import LinkLostError
+from lightopt.rig.devices._genicam import GenicamSdk
 
 
 class IoException(Exception):  # noqa: N818  (the library calls it so)

@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import LightController, LightSettings, LinkLostError, all_off, light_drivers
-from lightopt.virtualbench import BenchProcess
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices import LightController, LightSettings, all_off, light_drivers
+from lightopt.rig.devices._errors import LinkLostError
+from lightopt.rig.simulated import BenchProcess
 
 PTYS = sys.platform != "win32"
 TEMPLATE = {

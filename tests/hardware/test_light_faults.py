@@ -9,17 +9,11 @@ from typing import Any
 import pytest
 from test_light_conformance import TEMPLATE
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import (
-    LightController,
-    LightSettings,
-    LinkLostError,
-    ReplyError,
-    all_off,
-    light_drivers,
-)
-from lightopt.virtualbench import BenchProcess
-from lightopt.virtualbench._lamps import Lamps
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices import LightController, LightSettings, all_off, light_drivers
+from lightopt.rig.devices._errors import LinkLostError, ReplyError
+from lightopt.rig.simulated import BenchProcess
+from lightopt.rig.simulated._lamps import Lamps
 
 pytestmark = pytest.mark.slow
 

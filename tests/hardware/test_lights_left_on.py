@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from fault_cases import make_rig
 
-from lightopt.capture import connect_devices, switch_off, wiring_of
 from lightopt.config import RigConfig, load_lights, load_rig
-from lightopt.errors import HardwareError, InputError
-from lightopt.virtualbench import BenchProcess
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.capture import connect_devices, switch_off, wiring_of
+from lightopt.rig.simulated import BenchProcess
 
 LIT = {"kind": "ccs", "options": {"channels": 2, "levels": {"1": 200, "2": 90}}}
 HARDWARE = """\

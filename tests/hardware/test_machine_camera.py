@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import CameraHere, CameraSettings, Event, LinkLostError, frame_limit_s
-from lightopt.hardware._camera_settings import choose_camera
-from lightopt.hardware._frame_order import FrameOrder, RawFrame
-from lightopt.hardware._machine_camera import MachineCamera
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices import CameraHere, CameraSettings, Event, frame_limit_s
+from lightopt.rig.devices._camera_settings import choose_camera
+from lightopt.rig.devices._errors import LinkLostError
+from lightopt.rig.devices._frame_order import FrameOrder, RawFrame
+from lightopt.rig.devices._machine_camera import MachineCamera
 
 SETTINGS = CameraSettings(where="rig.yaml:7: camera", resolution_px=(4, 2), bit_depth=8)
 
@@ -131,7 +132,7 @@ class InjectedTime:
 @pytest.fixture(autouse=True)
 def injected_time(monkeypatch: pytest.MonkeyPatch) -> None:
     passes = InjectedTime()
-    monkeypatch.setattr("lightopt.hardware._machine_camera.time", passes)
+    monkeypatch.setattr("lightopt.rig.devices._machine_camera.time", passes)
     monkeypatch.setitem(globals(), "time", passes)
 
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware._pixels import PIXEL_FORMATS, choose_format, levels_of
-from lightopt.virtualbench._gige_formats import FORMATS, packed
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices._pixels import PIXEL_FORMATS, choose_format, levels_of
+from lightopt.rig.simulated._gige_formats import FORMATS, packed
 
 SIZES = st.tuples(st.integers(1, 9), st.integers(1, 5))
 

@@ -10,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted import scripted_link
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import LightSettings, RefusedError, ReplyError, light_drivers
-from lightopt.hardware._sa import SaController
-from lightopt.hardware._template import TemplateController
-from lightopt.virtualbench._example import example
-from lightopt.virtualbench._sa import SaFirmware
-from lightopt.virtualbench._template import TemplateFirmware
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices import LightSettings, light_drivers
+from lightopt.rig.devices._errors import RefusedError, ReplyError
+from lightopt.rig.devices._sa import SaController
+from lightopt.rig.devices._template import TemplateController
+from lightopt.rig.simulated._reply_patterns import example
+from lightopt.rig.simulated._sa import SaFirmware
+from lightopt.rig.simulated._template import TemplateFirmware
 
 READ_A = (b"SA#", b"a0000")
 

@@ -17,8 +17,10 @@ from pathlib import Path
 
 import pytest
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import LinkLostError, ReplyError, SerialLink, SerialLog, serial_ports
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices import SerialLog, serial_ports
+from lightopt.rig.devices._errors import LinkLostError, ReplyError
+from lightopt.rig.devices._link import SerialLink
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
 
@@ -256,7 +258,7 @@ def test_one_process_per_port() -> None:
     with pytest.raises(HardwareError, match=rf"laser: port {far.port} is in use by another program"):
         SerialLink(far.port, device="laser", baud=9600)
     program = (
-        "from lightopt.hardware import SerialLink\n"
+        "from lightopt.rig.devices import SerialLink\n"
         f"try: SerialLink({far.port!r}, device='x', baud=9600)\n"
         "except Exception as error: print(type(error).__name__, error)\n"
     )
@@ -523,10 +525,10 @@ def test_every_byte_is_logged(far: Far, tmp_path: Path) -> None:
 def test_log_survives_a_kill(tmp_path: Path) -> None:
     path = tmp_path / "serial.log"
     program = (
-        "import os\nfrom lightopt.hardware import SerialLog\n"
+        "import os\nfrom lightopt.rig.devices import SerialLog\n"
         f"log = SerialLog({str(path)!r})\nlog.write('COM1', 'out', b'SA#')\nos.kill(os.getpid(), 9)\n"
         if sys.platform != "win32"
-        else "import os\nfrom lightopt.hardware import SerialLog\n"
+        else "import os\nfrom lightopt.rig.devices import SerialLog\n"
         f"log = SerialLog({str(path)!r})\nlog.write('COM1', 'out', b'SA#')\nos._exit(9)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=False)

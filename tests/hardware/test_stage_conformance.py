@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import pytest
 from stage_worlds import AXES, DEVICE_AXES, HOMED, KINDS, STEP, Pool, open_kind
 
-from lightopt.errors import HardwareError, InputError
-from lightopt.hardware import Stage
-from lightopt.hardware._moves import Clock, MovingStage
-from lightopt.transforms import Posture
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.transforms import Posture
+from lightopt.rig.devices import Stage
+from lightopt.rig.devices._stage import Clock, MovingStage
 
 WIRES = ["tcp"] if os.name == "nt" else ["pty", "tcp"]
 

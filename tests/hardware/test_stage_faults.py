@@ -14,10 +14,11 @@ from contextlib import contextmanager
 import pytest
 from stage_worlds import AXES, DEVICE_AXES, KINDS, STEP, Pool, open_kind
 
-from lightopt.errors import HardwareError
-from lightopt.hardware import LinkLostError, open_stage
-from lightopt.hardware._moves import MovingStage
-from lightopt.transforms import Posture
+from lightopt.core.errors import HardwareError
+from lightopt.core.transforms import Posture
+from lightopt.rig.devices import open_stage
+from lightopt.rig.devices._errors import LinkLostError
+from lightopt.rig.devices._stage import MovingStage
 
 pytestmark = pytest.mark.slow
 
@@ -35,15 +36,15 @@ def pool() -> Iterator[Pool]:
 @pytest.fixture(autouse=True)
 def banner(monkeypatch: pytest.MonkeyPatch) -> None:
     """No one waits three seconds for a board that will not say its name."""
-    monkeypatch.setattr("lightopt.hardware._grbl._BANNER_S", 0.6)
+    monkeypatch.setattr("lightopt.rig.devices._grbl._BANNER_S", 0.6)
 
 
 @contextmanager
 def hurried() -> Iterator[None]:
     """No one waits three seconds for an axis that will not arrive; one that will has them: the machine may be busy."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lightopt.hardware._moves._MARGIN_S", 0.5)
-        patch.setattr("lightopt.hardware._moves._SETTLE_S", 0.15)
+        patch.setattr("lightopt.rig.devices._stage._MARGIN_S", 0.5)
+        patch.setattr("lightopt.rig.devices._stage._SETTLE_S", 0.15)
         yield
 
 

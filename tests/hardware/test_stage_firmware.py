@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from grbl_recordings import ALARMS, BANNER, LOCKED, MOTION
 
-from lightopt.virtualbench._catalogue import build
-from lightopt.virtualbench._grbl import GrblFirmware
-from lightopt.virtualbench._gsc import GscFirmware
-from lightopt.virtualbench._shot import ShotFirmware
-from lightopt.virtualbench._travel import Travel
-from lightopt.virtualbench._zaber import ZaberFirmware
+from lightopt.rig.simulated._catalogue import build
+from lightopt.rig.simulated._grbl import GrblFirmware
+from lightopt.rig.simulated._gsc import GscFirmware
+from lightopt.rig.simulated._shot import ShotFirmware
+from lightopt.rig.simulated._travel import Travel
+from lightopt.rig.simulated._zaber import ZaberFirmware
 
 
 def masked(report: bytes) -> bytes:

@@ -7,11 +7,11 @@ import time
 import pytest
 from scripted import ScriptedPort
 
-from lightopt.capture import CaptureOptions, connect_devices, make_plan, wiring_of
 from lightopt.config import AxisConfig, StageDeviceConfig, load_part, load_rig
-from lightopt.errors import HardwareError
-from lightopt.hardware import Port
-from lightopt.transforms import Posture
+from lightopt.core.errors import HardwareError
+from lightopt.core.transforms import Posture
+from lightopt.rig.capture import CaptureOptions, connect_devices, make_plan, wiring_of
+from lightopt.rig.devices._ports import Port
 
 HARDWARE = """\
 hardware:
@@ -52,7 +52,7 @@ def wired(tmp_path, monkeypatch):
 
         monkeypatch.setattr("serial.serial_for_url", open_url)
         there = tuple(Port(name, "") for name in ports)
-        monkeypatch.setattr("lightopt.hardware._ports.serial_ports", lambda: there)
+        monkeypatch.setattr("lightopt.rig.devices._ports.serial_ports", lambda: there)
         return load_rig(path), load_part(part), ports["COM9"]
 
     return wired
@@ -157,7 +157,7 @@ def test_a_capture_is_refused_before_anything_is_lit(wired, home):
 
 
 def test_one_that_says_that_it_is_not_homed_is_not_vouched_for(wired):
-    from lightopt.hardware._zaber_messages import frame
+    from lightopt.rig.devices._zaber_messages import frame
 
     said = b"@01 1 %02d OK IDLE WR 0\r\n"
     turn = 'rotation: {axis: "1", steps_per_deg: 20}\n    assume_referenced: true'

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stage_worlds import AXES, KINDS, firmware
 
-from lightopt.errors import HardwareError
-from lightopt.hardware import open_stage
-from lightopt.virtualbench._catalogue import build
+from lightopt.core.errors import HardwareError
+from lightopt.rig.devices import open_stage
+from lightopt.rig.simulated._catalogue import build
 
 SAID = (
     rb"\r\n|\n|Q:|G:|A:1+P5|M:W+P1-P1|H:W-+|L:E|?|!|~|\x18|$$|$H|$X|G1X-1F5|/1 1 |home|move abs 5|:2C"

@@ -10,9 +10,9 @@ import time
 
 import pytest
 
-from lightopt.errors import HardwareError
-from lightopt.hardware import SerialLink
-from lightopt.virtualbench import BenchProcess
+from lightopt.core.errors import HardwareError
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.simulated import BenchProcess
 
 VSTLight = pytest.importorskip("VSTLight", reason="vstlight comes with the extra dev")
 

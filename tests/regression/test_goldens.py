@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lightopt.core.provenance import file_sha256
 from lightopt.images import read_exr, read_image_set, write_exr
-from lightopt.provenance import file_sha256
 
 ROOT = Path(__file__).resolve().parents[2]
 LARGEST_BYTES = 2_000_000

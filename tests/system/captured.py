@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from lightopt import render
-from lightopt.align import Observation
-from lightopt.fit import Samples
+from lightopt.estimate.reflectance._samples import Samples
+from lightopt.estimate.registration import Observation
+from lightopt.optics import expose, image_rng
 from lightopt.rendering import PostureImages
 from lightopt.scene import Scene
-from lightopt.sensor import expose, image_rng
 
 PARTS = Path(__file__).parents[2] / "configs" / "parts"
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from touched import Touched
 
-from lightopt.optimize import Contrast, Visibility, flags_of
+from lightopt.design import Contrast, Visibility, flags_of
+from lightopt.optics import expose, image_rng
 from lightopt.scene import Scene
-from lightopt.sensor import expose, image_rng
 
 __all__ = ["counted", "off", "predicted"]
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from lightopt.align import Observation
-from lightopt.transforms import Posture
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Observation
 
 RADIUS = 20.0
 DISTANCE = 550.0

@@ -25,10 +25,11 @@ from touched import touched
 from truth import FINISHES, PARTS, RIG, SEED, SEEN_IN
 
 from lightopt import build_scene, load_part, load_rig
-from lightopt.config import CatalogueEntryConfig, PartConfig, RigConfig
+from lightopt.config import PartConfig, RigConfig
+from lightopt.config._defects import CatalogueEntryConfig
 from lightopt.defects import CatalogueEntry, DefectShape, PlacedDefect
-from lightopt.optimize import DIRECTIONS, Contrast, Inspection, flags_of, luminance_matrix, unroll
-from lightopt.raycast import RayCaster
+from lightopt.design import DIRECTIONS, Contrast, Inspection, flags_of, luminance_matrix, unroll
+from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at, trace_samples
 from lightopt.scene import Scene, pixel_footprint, project, view_from_part
 

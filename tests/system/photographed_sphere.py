@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightopt.align import Observation
+from lightopt.estimate.registration import Observation
 from lightopt.scene import Scene
 
 GRID = 6

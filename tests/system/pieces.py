@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.defects import Marks, PlacedDefect, mark_surface, surface_coordinates, tangent_references
-from lightopt.mesh import Patches
-from lightopt.optimize import DIRECTIONS
-from lightopt.raycast import RayCaster
+from lightopt.defects import PlacedDefect, mark_surface, surface_coordinates, tangent_references
+from lightopt.defects._mark import Marks
+from lightopt.design import DIRECTIONS
+from lightopt.geometry import Patches, RayCaster
 from lightopt.rendering import SurfacePoints, shade_points, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, pixel_footprint
 
@@ -183,7 +183,7 @@ def leans_of(scene: Scene, surface: SurfacePoints, marks: Marks) -> tuple[Float6
     cosine
         Of the angle between the normals without and with the defect, shape (k,).
     angle
-        To which the latter leans, as :attr:`lightopt.optimize.Trial.direction` counts [rad], shape (k,).
+        To which the latter leans, as :attr:`lightopt.design.Trial.direction` counts [rad], shape (k,).
     """
     normals = surface.normals[marks.index]
     axes = scene.placement.rotation

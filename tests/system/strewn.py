@@ -7,11 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lightopt.config import CatalogueEntryConfig, PartConfig, RigConfig
+from lightopt.config import PartConfig, RigConfig
+from lightopt.config._defects import CatalogueEntryConfig
+from lightopt.core.errors import InputError
 from lightopt.defects import PlacedDefect, tangent_direction
-from lightopt.errors import InputError
-from lightopt.mesh import SurfaceFinder
-from lightopt.scatter import scatter_defects
+from lightopt.geometry import SurfaceFinder
+from lightopt.inspection import scatter_defects
 from lightopt.scene import Scene
 
 __all__ = ["strew"]
@@ -34,7 +35,7 @@ def strew(
     rig, part, scene
         The scene's postures are those in which the defects must be seen.
     count, seed
-        As for :func:`lightopt.scatter.scatter_defects`.
+        As for :func:`lightopt.inspection.scatter_defects`.
     catalogue
         Instead of the part's.
     turns

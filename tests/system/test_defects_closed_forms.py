@@ -10,15 +10,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import lightopt.rendering._images as blocks
 import numpy as np
 import pytest
 import reference as ref
 from worlds import box, levels, merged, plane, scene_from_mesh, sphere
 
-import lightopt.rendering._images as blocks
 from lightopt import render
 from lightopt.defects import DefectShape, PlacedDefect, tangent_direction
-from lightopt.reflectance import Reflectance
+from lightopt.optics import Reflectance
 
 CAMERA = ref.Camera(width=120, height=90, pixel_um=10)  # 0.1 mm a pixel
 FOOTPRINT = 0.1

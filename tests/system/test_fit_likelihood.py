@@ -14,17 +14,13 @@ import pytest
 from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
-from lightopt.fit import (
-    LOG_R_S,
-    LOG_SIGMA,
-    Estimate,
-    appraise,
-    collect_samples,
-    estimate,
-    profile_interval,
-)
-from lightopt.fit._quality import poor_fit
-from lightopt.reflectance import Reflectance
+from lightopt.estimate.reflectance._estimate import Estimate
+from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA
+from lightopt.estimate.reflectance._profile_intervals import profile_interval
+from lightopt.estimate.reflectance._quality import appraise, poor_fit
+from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._search import estimate
+from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at
 
 TRUTH = Reflectance(R_d=45.0, R_s=12500.0, sigma=0.0475)

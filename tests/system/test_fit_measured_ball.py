@@ -15,11 +15,16 @@ import pytest
 from measured_ball import Ball, Surface, hemisphere
 
 from lightopt import build_scene
-from lightopt.align import _coarse, _refinement
-from lightopt.errors import InputError
-from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, appraise, collect_samples, estimate, profile_interval
-from lightopt.fit._mismatch import refuse_other_images
-from lightopt.fit._world import World
+from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._profile_intervals import profile_interval
+from lightopt.estimate.reflectance._quality import appraise
+from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.reflectance._setup import World
+from lightopt.estimate.reflectance._wrong_images import refuse_other_images
+from lightopt.estimate.registration import _coarse_search as _coarse
+from lightopt.estimate.registration import _refinement
 from lightopt.rendering import cast_rays_at
 
 SURFACES = {

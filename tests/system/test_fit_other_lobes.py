@@ -13,11 +13,13 @@ import pytest
 from captured import PART, PARTS, RIG, observe
 
 from lightopt import build_scene
-from lightopt.fit import appraise, collect_samples, estimate, leave_lights_out
-from lightopt.fit._quality import poor_fit
+from lightopt.estimate.reflectance._cross_validation import leave_lights_out
+from lightopt.estimate.reflectance._quality import appraise, poor_fit
+from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._search import estimate
+from lightopt.optics import expose, image_rng
 from lightopt.rendering import UNLIT, cast_rays_at, panel_verdict, trace_pixels
 from lightopt.scene import panel_grid
-from lightopt.sensor import expose, image_rng
 
 
 def heavy_tails(delta, width):

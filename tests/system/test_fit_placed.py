@@ -14,8 +14,11 @@ import pytest
 from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
-from lightopt.align import Placement, place_part, refine_placement
-from lightopt.fit import LOG_R_S, LOG_SIGMA, R_D, collect_samples, estimate
+from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.registration import Placement, place_part
+from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at
 
 

@@ -15,12 +15,13 @@ import pytest
 from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
-from lightopt.align import Placement, place_part
-from lightopt.errors import InputError
-from lightopt.fit import appraise, collect_samples, estimate
-from lightopt.fit._mismatch import refuse_other_images
-from lightopt.fit._quality import poor_fit
-from lightopt.fit._world import World
+from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._quality import appraise, poor_fit
+from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.reflectance._setup import World
+from lightopt.estimate.reflectance._wrong_images import refuse_other_images
+from lightopt.estimate.registration import Placement, place_part
 from lightopt.rendering import cast_rays_at
 
 pytestmark = pytest.mark.slow

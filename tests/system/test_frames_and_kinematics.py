@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from worlds import PARTS, box, levels, plane, scene_from_files, scene_from_mesh
 
 from lightopt import render
-from lightopt.mesh import TriangleMesh
-from lightopt.scene import Distortion, pixel_directions, place_camera, project
+from lightopt.geometry import TriangleMesh
+from lightopt.scene import pixel_directions, place_camera, project
+from lightopt.scene._camera import Distortion
 
 CAMERA = ref.Camera(width=80, height=60, pixel_um=80)  # 0.8 mm of the table per pixel
 LIGHT = ref.Light(k=1)

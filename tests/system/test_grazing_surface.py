@@ -12,21 +12,22 @@ import pytest
 import trimesh
 
 from lightopt.config import load_part, load_rig
-from lightopt.optimize import (
+from lightopt.core.transforms import Posture
+from lightopt.design import (
     OBJECTIVES,
     Contrast,
     Inspection,
+    Survey,
     Thresholds,
     area_units,
+    drawn_patches,
     find_candidates,
     luminance_matrix,
     search,
     unroll,
 )
-from lightopt.plan import Survey, drawn_patches
 from lightopt.rendering import GRAZING_DEG, build_patches, cast_rays_at
 from lightopt.scene import build_catalogue, build_scene
-from lightopt.transforms import Posture
 
 SAMPLES = Path(__file__).resolve().parents[2] / "configs"
 

@@ -11,6 +11,7 @@ import pytest
 from scipy import ndimage
 
 from lightopt import load_part, load_rig
+from lightopt.core.transforms import Posture
 from lightopt.images import read_exr, read_image_set
 from lightopt.inspection import (
     FUSIONS,
@@ -23,7 +24,6 @@ from lightopt.inspection import (
     trust_weights,
 )
 from lightopt.rendering import RenderOptions, render_image_set
-from lightopt.transforms import Posture
 
 FIRST = "elevation_deg: 0, rotation_deg: 0"
 FLAT = f"posture: {{{FIRST}}}"

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from lightopt.core.interrupts import interrupt
 from lightopt.images import read_image_set
-from lightopt.interrupts import interrupt
 
 # about a second of rendering, 8 images of 3 × 3 rays a pixel
 OPTIONS = (
@@ -208,7 +208,7 @@ def test_ctrl_c_at_every_write(cli, shared_bench, tmp_path, quick, snapshot, mon
 
 
 def test_ctrl_c_while_rays_are_cast(cli, shared_bench, tmp_path, quick, snapshot, monkeypatch):
-    from lightopt.raycast import RayCaster
+    from lightopt.geometry import RayCaster
 
     first_hit, calls = RayCaster.first_hit, 0
 
@@ -237,8 +237,8 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
     """A block of patches under such a panel takes many seconds of a processor; it ends within one piece of it."""
     from lightopt import build_scene
     from lightopt.defects import BUILT_IN_CATALOGUE
-    from lightopt.optimize import Contrast, Inspection, luminance_matrix, unroll
-    from lightopt.raycast import RayCaster
+    from lightopt.design import Contrast, Inspection, luminance_matrix, unroll
+    from lightopt.geometry import RayCaster
     from lightopt.rendering import build_patches
 
     scene = build_scene(shared_bench.rig, shared_bench.part)

@@ -12,10 +12,10 @@ from reference._search import all_combinations, coverage_value, paper_value
 from worlds import PAPER, PARTS, posed_corners, scene_from_files
 
 from lightopt.config import load_rig
-from lightopt.optimize import OBJECTIVES, Thresholds, area_units, find_candidates, luminance_matrix, search
-from lightopt.optimize._luminance import patch_points
+from lightopt.core.transforms import Posture
+from lightopt.design import OBJECTIVES, Thresholds, area_units, find_candidates, luminance_matrix, search
+from lightopt.design.responses._luminance import patch_points
 from lightopt.rendering import build_patches, cast_rays_at, render_posture
-from lightopt.transforms import Posture
 
 LIGHTS = [
     ref.Light(elevation=45.0, azimuth=20.0),

@@ -13,22 +13,10 @@ import reference as ref
 from test_optimize_luminance import LIGHTS, matrix_of, small_scene
 from worlds import PAPER, posed_corners
 
-from lightopt.defects import (
-    BUILT_IN_CATALOGUE,
-    PIXEL_RATIOS,
-    DefectShape,
-    pixel_shares,
-    tangent_direction,
-)
-from lightopt.optimize import (
-    Contrast,
-    Inspection,
-    find_candidates,
-    luminance_matrices,
-    luminance_matrix,
-    unroll,
-)
-from lightopt.optimize._luminance import patch_points
+from lightopt.defects import BUILT_IN_CATALOGUE, PIXEL_RATIOS, DefectShape, pixel_shares, tangent_direction
+from lightopt.design import Contrast, Inspection, find_candidates, luminance_matrix, unroll
+from lightopt.design.responses._luminance import luminance_matrices, patch_points
+from lightopt.optics import Sensor
 from lightopt.rendering import (
     build_patches,
     cast_rays_at,
@@ -39,7 +27,6 @@ from lightopt.rendering import (
 )
 from lightopt.rendering._converged import panel_probes, probe_targets
 from lightopt.scene import pixel_footprint, view_from_part
-from lightopt.sensor import Sensor
 
 TRIALS = unroll(BUILT_IN_CATALOGUE)
 SENSOR = Sensor(

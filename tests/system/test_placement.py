@@ -11,11 +11,12 @@ import trimesh
 from captured import captured, expose_all
 
 from lightopt import build_scene, render
-from lightopt.align import Placement, place_part, placement_in_file, refine_placement, register
-from lightopt.align._pixels import view_of_placed
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Placement, place_part, placement_in_file, register
+from lightopt.estimate.registration._pixels import view_of_placed
+from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, project, view_from_part
-from lightopt.transforms import Posture
 
 PIVOT = np.array([2.0, -3.0, 5.0])
 TRUTH = Placement(x=0.7, y=-0.5, turn=math.radians(0.6))

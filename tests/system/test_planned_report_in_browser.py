@@ -15,8 +15,9 @@ from PIL import Image
 from planned import made_once, prepared
 
 from lightopt.cli._main import run
-from lightopt.optimize import share_text
-from lightopt.report import Page, Table, page_html
+from lightopt.design import share_text
+from lightopt.report._page import Page, Table
+from lightopt.report._page_html import page_html
 
 
 @pytest.fixture(scope="module")

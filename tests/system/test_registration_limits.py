@@ -17,13 +17,15 @@ from captured import PART, RIG, captured
 from photographed_sphere import photograph_sphere
 
 from lightopt import build_scene
-from lightopt.align import Placement, place_part, register
-from lightopt.errors import InputError
-from lightopt.fit import appraise, collect_samples, estimate
-from lightopt.fit._mismatch import refuse_other_images
-from lightopt.fit._world import World
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.estimate.reflectance._quality import appraise
+from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.reflectance._setup import World
+from lightopt.estimate.reflectance._wrong_images import refuse_other_images
+from lightopt.estimate.registration import Placement, place_part, register
 from lightopt.rendering import cast_rays_at
-from lightopt.transforms import Posture
 
 AWAY = Placement(x=1.0, y=-0.6, turn=math.radians(1.0))
 FLAT = (Posture(0.0, 0.0),)

@@ -8,7 +8,7 @@ import reference as ref
 from worlds import PARTS, box, levels, merged, plane, scene_from_files, scene_from_mesh, sphere
 
 from lightopt import render
-from lightopt.mesh import TriangleMesh
+from lightopt.geometry import TriangleMesh
 
 MATTE = {"R_d": 100.0, "R_s": 0.0, "sigma": 0.05}
 

@@ -34,4 +34,4 @@ def test_a_commands_help_imports_no_more_than_typer_does(arguments):
 
 
 def test_the_test_would_notice():
-    assert "numpy" in loaded("import lightopt.sensor")
+    assert "numpy" in loaded("import lightopt.optics")

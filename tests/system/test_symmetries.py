@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import lightopt.rendering._images as blocks
 import numpy as np
 import pytest
 import reference as ref
 from worlds import PAPER, PARTS, bumps, levels, plane, scene_from_files, scene_from_mesh, sphere
 
-import lightopt.rendering._images as blocks
 from lightopt import render
-from lightopt.mesh import transformed
-from lightopt.transforms import rotation_z
+from lightopt.core.transforms import rotation_z
+from lightopt.geometry import transformed
 
 CAMERA = ref.Camera(width=120, height=90, pixel_um=50, elevation=70, azimuth=300, roll=20)
 LIGHTS = [

@@ -16,11 +16,12 @@ import trimesh
 from captured import PART, RIG, captured, observe
 
 from lightopt import build_scene
-from lightopt.align import Placement, PoseFrame, place_part, refine_placement
-from lightopt.align._refinement import choose_pixels
-from lightopt.align._revolution import hidden_turns
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Placement, PoseFrame, place_part
+from lightopt.estimate.registration._refinement import choose_pixels
+from lightopt.estimate.registration._registration import refine_placement
+from lightopt.estimate.registration._revolution import hidden_turns
 from lightopt.rendering import cast_rays_at
-from lightopt.transforms import Posture
 
 PROFILE = [[0, 0], [12, 0], [12, 4], [6, 8], [0, 9]]
 TILTED = Posture(elevation_deg=-25.0, rotation_deg=40.0)

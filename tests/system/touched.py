@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pieces import Piece, piece_of
 
+from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
-from lightopt.mesh import Patches
-from lightopt.raycast import RayCaster
+from lightopt.geometry import Patches, RayCaster
 from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
-from lightopt.transforms import Posture
 
 __all__ = ["Touched", "touched"]
 

@@ -32,8 +32,8 @@ from truth_walls import walls
 
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import counted
-from lightopt.optimize import Contrast
+from lightopt.core.errors import counted
+from lightopt.design import Contrast
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.report._chart import ChartPanel, draw_chart
 

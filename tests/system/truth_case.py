@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.optimize import Contrast, Inspection, LuminanceMatrix, Trial, luminance_matrix
-from lightopt.raycast import RayCaster
+from lightopt.design import Contrast, Inspection, LuminanceMatrix, Trial, luminance_matrix
+from lightopt.geometry import RayCaster
+from lightopt.optics import expose, image_rng
 from lightopt.rendering import PatchTable, SurfacePoints, trace_samples
 from lightopt.scene import Scene, view_from_part
-from lightopt.sensor import expose, image_rng
 
 __all__ = ["MEANS", "SEED", "SEEN_IN", "Case", "Point", "noisy_levels", "trace"]
 

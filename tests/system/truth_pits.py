@@ -14,9 +14,10 @@ from pieces import leans_of
 from strewn import strew
 from truth_case import MEANS, SEED, SEEN_IN, Case, Point, noisy_levels, trace
 
-from lightopt.config import CatalogueEntryConfig, PartConfig, RigConfig
+from lightopt.config import PartConfig, RigConfig
+from lightopt.config._defects import CatalogueEntryConfig
 from lightopt.defects import CatalogueEntry, PlacedDefect, mark_surface, radial_place, surface_coordinates
-from lightopt.optimize import flags_of, unroll
+from lightopt.design import flags_of, unroll
 from lightopt.rendering import render_posture
 
 __all__ = ["pits_of"]

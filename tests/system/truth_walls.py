@@ -14,7 +14,7 @@ from truth_case import MEANS, SEEN_IN, Case, Point, noisy_levels, trace
 
 from lightopt.config import PartConfig
 from lightopt.defects import tangent_references
-from lightopt.optimize import Trial, flags_of, unroll
+from lightopt.design import Trial, flags_of, unroll
 from lightopt.rendering import GRAZING_COSINE, SurfacePoints, shade_points
 from lightopt.scene import PanelLight, Scene, build_catalogue, view_from_part
 

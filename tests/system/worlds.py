@@ -9,10 +9,11 @@ import numpy as np
 import reference as ref
 
 from lightopt import build_scene, render
-from lightopt.mesh import TriangleMesh
-from lightopt.reflectance import Reflectance
-from lightopt.scene import Distortion, Posture, Scene, place_camera, place_light
-from lightopt.sensor import Sensor
+from lightopt.core.transforms import Posture
+from lightopt.geometry import TriangleMesh
+from lightopt.optics import Reflectance, Sensor
+from lightopt.scene import Scene, place_camera, place_light
+from lightopt.scene._camera import Distortion
 
 PARTS = Path(__file__).parents[2] / "configs" / "parts"
 PAPER = {"R_d": 45.0, "R_s": 12500.0, "sigma": 0.0475}

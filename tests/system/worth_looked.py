@@ -14,12 +14,11 @@ from touched import Touched, touched
 from truth import FINISHES, SEED
 
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
-from lightopt.optimize import Contrast, Inspection, Trial, unroll
-from lightopt.plan import Survey
+from lightopt.design import Contrast, Inspection, Survey, Trial, unroll
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import PanelLight, Scene, build_catalogue
-from lightopt.transforms import Posture
 
 __all__ = ["Looked", "Row", "finished", "look_at", "places_text"]
 

@@ -12,19 +12,13 @@ from worth_sets import DEFECTS, STEP
 
 from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig
-from lightopt.errors import counted as counted_text
-from lightopt.optimize import Candidates, find_candidates
-from lightopt.plan import (
-    DEFAULT_EXPOSURE_GAIN,
-    DRAWN_PATCHES,
-    Wanted,
-    choose_with_exposures,
-    drawn_patches,
-    posture_grid,
-    usable_postures,
-)
+from lightopt.core.errors import counted as counted_text
+from lightopt.core.transforms import Posture
+from lightopt.design import DEFAULT_EXPOSURE_GAIN, DRAWN_PATCHES, Wanted, drawn_patches, find_candidates
+from lightopt.design.candidates._candidates import Candidates
+from lightopt.design.exposures._joint_choice import choose_with_exposures
+from lightopt.design.postures._grid import posture_grid, usable_postures
 from lightopt.scene import PanelLight, build_lights
-from lightopt.transforms import Posture
 
 __all__ = ["plans"]
 

@@ -12,7 +12,7 @@ from worth_looked import Looked, Row, finished, look_at, places_text
 
 from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig
-from lightopt.optimize import (
+from lightopt.design import (
     OBJECTIVES,
     Detectability,
     Thresholds,

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from lightopt.capture import Devices, Plan
-from lightopt.errors import HardwareError
-from lightopt.hardware import Frame, Identity, StageState
-from lightopt.transforms import Posture
-from lightopt.virtualbench._optics import BenchOptics
-from lightopt.virtualbench._truth import BenchTruth
+from lightopt.core.errors import HardwareError
+from lightopt.core.transforms import Posture
+from lightopt.rig.capture import Devices, Plan
+from lightopt.rig.devices import Frame, Identity, StageState
+from lightopt.rig.simulated._deviations import BenchTruth
+from lightopt.rig.simulated._optics import BenchOptics
 
 
 @dataclass

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from lightopt.align import _coarse, _refinement
-from lightopt.fit import _cross_check
+from lightopt.estimate.reflectance import _comparisons as _cross_check
+from lightopt.estimate.registration import _coarse_search as _coarse
+from lightopt.estimate.registration import _refinement
 from lightopt.report import _surface_still
 
 
@@ -40,9 +41,9 @@ def take(bench, world, monkeypatch):
     """Capture the small rig on doubles that settle at once."""
     from capture_doubles import connecting
 
-    from lightopt.capture import CaptureOptions, Plan, _wiring, capture
     from lightopt.config import load_part, load_rig
     from lightopt.config._hardware import TimingConfig
+    from lightopt.rig.capture import CaptureOptions, Plan, _wiring, capture
     from lightopt.scene import build_scene
 
     plain = _wiring.HardwareConfig

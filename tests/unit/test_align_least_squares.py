@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightopt.align import Limits, linear_problem, solve
+from lightopt.core.least_squares import Limits, linear_problem, solve
 
 TRUTH = np.array([0.4, -0.7, 0.2])
 FREE = Limits(

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from lightopt import build_scene
-from lightopt.align import Placement, PoseFrame, Solution, refine_placement
-from lightopt.align import _registration as registration
+from lightopt.core.least_squares import Solution
+from lightopt.estimate.registration import Placement, PoseFrame
+from lightopt.estimate.registration import _registration as registration
+from lightopt.estimate.registration._registration import refine_placement
 
 NOWHERE = Placement(x=0.0, y=0.0, turn=0.0)
 

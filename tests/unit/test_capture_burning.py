@@ -11,11 +11,12 @@ import pytest
 import serial
 from capture_doubles import Lights, Stage, World
 
-from lightopt.capture import Devices, _burning, _open_lights, switch_off, wiring_of
-from lightopt.capture._burning import BurnWatch
-from lightopt.capture._open_lights import open_lights
 from lightopt.config import load_lights, load_rig
-from lightopt.errors import HardwareError, InputError, error_text
+from lightopt.core.errors import HardwareError, InputError, error_text
+from lightopt.rig.capture import Devices, _open_lights, switch_off, wiring_of
+from lightopt.rig.capture import _watchdog as _burning
+from lightopt.rig.capture._open_lights import open_lights
+from lightopt.rig.capture._watchdog import BurnWatch
 
 LONGEST_S = 0.05
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.align import Placement, place_part
-from lightopt.capture._come_back import CameBack, came_back
 from lightopt.config import load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Placement, place_part
+from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.rig.capture._repeatability import CameBack, came_back
 from lightopt.scene import Scene, build_scene
-from lightopt.sensor import expose
-from lightopt.transforms import Posture
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 POSTURE = Posture(0.0, 0.0)

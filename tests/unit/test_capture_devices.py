@@ -9,11 +9,11 @@ import time
 import pytest
 from capture_doubles import Camera, Lights, Stage, World, broken
 
-from lightopt.capture import CaptureOptions, Devices, burn, make_plan, snap, wiring_of
 from lightopt.config import load_part, load_rig
-from lightopt.errors import HardwareError, InputError
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.capture import CaptureOptions, Devices, burn, make_plan, snap, wiring_of
+from lightopt.rig.simulated import BenchTruth
 from lightopt.scene import build_scene
-from lightopt.virtualbench import BenchTruth
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def grab_and_go(devices):
 
 
 def test_a_light_that_does_not_go_dark_in_time_is_tried_again(opened, world, monkeypatch):
-    monkeypatch.setattr("lightopt.capture._burning._AGAIN_S", 0.05)
+    monkeypatch.setattr("lightopt.rig.capture._watchdog._AGAIN_S", 0.05)
     world.trouble = broken("level", number=6, error=HardwareError("no reply"))  # four at the start, one on
 
     with opened({"max_on_s": 0.1}) as devices:
@@ -243,8 +243,8 @@ def test_a_frame_that_hangs_under_a_lamp_at_the_bench(opened, world, bench):
 
 
 def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
-    from lightopt.capture._shoot import Shooter
-    from lightopt.capture._timing import Timing
+    from lightopt.rig.capture._exposure_sequence import Shooter
+    from lightopt.rig.capture._timing import Timing
 
     part = load_part(bench.part)
     plan = make_plan(rig, part)
@@ -258,8 +258,8 @@ def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
 
 
 def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opened, world, rig, bench):
-    from lightopt.capture._shoot import Shooter
-    from lightopt.capture._timing import Timing
+    from lightopt.rig.capture._exposure_sequence import Shooter
+    from lightopt.rig.capture._timing import Timing
 
     part = load_part(bench.part)
     sensor = build_scene(rig, part).sensor

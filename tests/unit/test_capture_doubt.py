@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from capture_doubles import broken, changing_at
 
-from lightopt.capture import Plan
-from lightopt.capture._disk import MOST_LINEARS, DiskWork
-from lightopt.capture._lock import LOCK_NAME
-from lightopt.capture._records import CapturedSet
-from lightopt.capture._shoot import Shooter
-from lightopt.capture._timing import Timing
-from lightopt.errors import HardwareError, InputError, Interrupted
+from lightopt.core.errors import HardwareError, InputError, Interrupted
+from lightopt.core.provenance import file_sha256
+from lightopt.core.transforms import Posture
 from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
-from lightopt.provenance import file_sha256
-from lightopt.transforms import Posture
+from lightopt.rig.capture import Plan
+from lightopt.rig.capture._background_writer import MOST_LINEARS, DiskWork
+from lightopt.rig.capture._exposure_sequence import Shooter
+from lightopt.rig.capture._image_records import CapturedSet
+from lightopt.rig.capture._lock import LOCK_NAME
+from lightopt.rig.capture._timing import Timing
 
 HERE = (Posture(0.0, 0.0),)
 
@@ -229,8 +229,8 @@ def test_few_linear_images_wait(take, monkeypatch):
 
 @pytest.mark.skipif(os.name == "nt", reason="os.kill ends a Windows process at once")
 def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world, bench, monkeypatch):
-    from lightopt.capture import _taking
     from lightopt.images import _writer
+    from lightopt.rig.capture import _session as _taking
 
     monkeypatch.setattr(_taking, "SILENT_S", 0.05)
     inside, gate, said, plain = threading.Event(), threading.Event(), [], _writer.write_png
@@ -347,7 +347,7 @@ def test_an_exposure_for_which_the_light_may_not_burn_is_not_begun():
 
 
 def test_what_was_noticed_stays_in_the_manifest_of_a_run_that_failed(take, world, bench):
-    from lightopt.virtualbench import BenchTruth
+    from lightopt.rig.simulated import BenchTruth
 
     world.trouble = broken("move", number=2)
     with pytest.raises(HardwareError):

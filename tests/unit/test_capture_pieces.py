@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lightopt.capture._frames import mean_of_frames
-from lightopt.capture._lit import Predictions, check_lit, lights_left_on
-from lightopt.capture._merge import merge_bracket
-from lightopt.sensor import Sensor
+from lightopt.optics import Sensor
+from lightopt.rig.capture._exposure_fusion import merge_bracket
+from lightopt.rig.capture._frames import mean_of_frames
+from lightopt.rig.capture._light_checks import Predictions, check_lit, lights_left_on
 
 EIGHT = Sensor(bit_depth=8, saturation_level=250, black_level=4)
 

@@ -6,11 +6,11 @@ import itertools
 
 import pytest
 
-from lightopt.capture import CaptureOptions, make_plan, wiring_of
 from lightopt.config import load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.rig.capture import CaptureOptions, make_plan, wiring_of
 from lightopt.scene import pace_text, travel_order, travel_s
-from lightopt.transforms import Posture
 
 HARDWARE = """\
 hardware:

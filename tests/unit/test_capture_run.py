@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from capture_doubles import broken, changing_at
 
-from lightopt.align import read_observations
-from lightopt.capture import Plan
-from lightopt.capture._shoot import Shooter
-from lightopt.capture._timing import Timing
 from lightopt.config import load_part, load_rig
-from lightopt.errors import HardwareError, InputError, Interrupted
+from lightopt.core.errors import HardwareError, InputError, Interrupted
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import read_observations
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata
-from lightopt.transforms import Posture
-from lightopt.virtualbench import BenchTruth
+from lightopt.rig.capture import Plan
+from lightopt.rig.capture._exposure_sequence import Shooter
+from lightopt.rig.capture._timing import Timing
+from lightopt.rig.simulated import BenchTruth
 
 
 def order(world):
@@ -186,7 +186,7 @@ def test_a_light_waits_for_a_quick_disk(take, world):
 
 
 def test_the_light_is_out_before_anything_is_made_of_its_frames(take, world, monkeypatch):
-    from lightopt.capture._frames import FrameMean
+    from lightopt.rig.capture._frames import FrameMean
 
     monkeypatch.setattr(Plan, "relighting_s", 0.02)
     burning = burning_after(monkeypatch, world, FrameMean, "image", seconds=0.1)
@@ -422,7 +422,7 @@ def test_a_light_that_stays_on_after_the_last_image_is_named(take, world, level)
 
 
 def test_a_light_that_stays_on_is_judged_by_the_posture_that_it_shows(take, world, monkeypatch):
-    from lightopt.capture import _judge
+    from lightopt.rig.capture import _image_checks as _judge
 
     plain = _judge.lights_left_on
     last = threading.Event()
@@ -495,7 +495,7 @@ def test_an_interrupted_run_says_where_it_stands(take, world, bench):
 
 
 def test_two_captures_into_one_folder_are_refused(take, world, bench):
-    from lightopt.capture._lock import LOCK_NAME, locked
+    from lightopt.rig.capture._lock import LOCK_NAME, locked
 
     with (
         locked(bench.out),
@@ -509,7 +509,7 @@ def test_two_captures_into_one_folder_are_refused(take, world, bench):
 
 
 def test_what_happened_on_the_links_is_at_the_image_where_it_happened(take, world, bench):
-    from lightopt.hardware import Event
+    from lightopt.rig.devices import Event
 
     def happen(event):
         at = len(world.did("grab"))

@@ -39,7 +39,7 @@ def sealed(monkeypatch):
     """No port, no process and no bench may be opened."""
     import serial
 
-    from lightopt.virtualbench import BenchProcess
+    from lightopt.rig.simulated import BenchProcess
 
     def refuse(*arguments, **options):
         raise AssertionError("something was opened")
@@ -195,13 +195,13 @@ def test_what_is_out_of_the_ordinary_on_the_wires_is_said(cli, wired, quiet):
 
 
 def test_an_interrupted_capture_says_how_to_go_on(cli, wired, monkeypatch):
-    import lightopt.capture
-    from lightopt.errors import Interrupted
+    import lightopt.rig.capture
+    from lightopt.core.errors import Interrupted
 
     def stop(*arguments, **options):
         raise Interrupted("all lights are off; 1 of 4 images are on disk; go on with --resume")
 
-    monkeypatch.setattr(lightopt.capture, "capture", stop)
+    monkeypatch.setattr(lightopt.rig.capture, "capture", stop)
     ran = cli("capture", wired.rig, wired.part, "-o", wired.out)
     assert (ran.status, ran.out) == (130, "")
     said = [line for line in ran.err.splitlines() if line]

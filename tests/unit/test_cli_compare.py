@@ -8,8 +8,8 @@ import shutil
 import numpy as np
 import pytest
 
+from lightopt.core.provenance import file_sha256
 from lightopt.images import read_exr, write_exr
-from lightopt.provenance import file_sha256
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from lightopt import build_scene, load_part, load_rig
+from lightopt.core.provenance import code_sha256
 from lightopt.images import read_exr, read_image_set
-from lightopt.provenance import code_sha256
-from lightopt.scatter import scatter_defects
+from lightopt.inspection import scatter_defects
 
 FEW = ("--patches", "500", "-q")
 SMALL = """\

@@ -12,8 +12,8 @@ from test_cli_optimize import BARE, FEW, result_of, with_lights
 
 from lightopt import build_scene
 from lightopt.cli._main import run
+from lightopt.design import Blind, blind_text
 from lightopt.images import read_png
-from lightopt.optimize import Blind, blind_text
 
 LIGHTS = ("light1", "light2", "light3")
 DEFECTS = ("--objective", "detectability", "--objective", "paper", "--seen-in", "2", "--threshold", "4")

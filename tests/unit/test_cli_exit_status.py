@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from lightopt.cli import _unexpected
-from lightopt.errors import CheckFailed, HardwareError, InputError
+from lightopt.core.errors import CheckFailed, HardwareError, InputError
 from lightopt.images import write_png
 
 closes_pipes = pytest.mark.skipif(

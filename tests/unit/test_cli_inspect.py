@@ -14,7 +14,7 @@ from PIL import Image
 
 from lightopt import load_part, load_rig
 from lightopt.cli._main import run
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata, write_png
 from lightopt.inspection import InspectOptions, inspection_provenance
 
@@ -120,7 +120,7 @@ def test_the_verdict_is_reached_and_told_before_the_images_without_highlights(cl
     def refuse(*_, **__):
         raise InputError("no image without highlights")
 
-    monkeypatch.setattr("lightopt.inspection._scored.fuse_images", refuse)
+    monkeypatch.setattr("lightopt.inspection._template_scores.fuse_images", refuse)
     ran = inspect(cli, bench, parts["bad"])
     assert "NG: " in ran.out
     assert "no image without highlights" in ran.err
@@ -491,7 +491,7 @@ def test_images_that_are_saturated_all_over_are_refused(cli, bench, images):
 def test_a_posture_without_a_pixel_to_judge_is_said_and_no_good_part(cli, bench, parts, monkeypatch):
     from dataclasses import replace
 
-    from lightopt.inspection import _predictions
+    from lightopt.inspection import _prediction_cache as _predictions
 
     def nothing_clean(*given, **more):
         found = predict(*given, **more)

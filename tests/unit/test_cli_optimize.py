@@ -14,8 +14,9 @@ import trimesh
 
 from lightopt.cli._main import run
 from lightopt.config import load_rig
+from lightopt.design import OptimizeOptions, area_text
+from lightopt.design._optimize import optimize
 from lightopt.images import read_image_set, read_png
-from lightopt.optimize import OptimizeOptions, area_text, optimize
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

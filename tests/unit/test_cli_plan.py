@@ -15,10 +15,10 @@ from planned import CATALOGUE, FEW, LIGHTS, PLAN, made_once, prepared
 from lightopt.cli._main import run
 from lightopt.cli._plan_tables import show_plan
 from lightopt.config import load_part, load_rig
+from lightopt.core.transforms import Posture
+from lightopt.design import Brackets, PlanResult, share_text
+from lightopt.design.exposures._brackets import Shot
 from lightopt.images import read_image_set
-from lightopt.optimize import share_text
-from lightopt.plan import Brackets, PlanResult, Shot
-from lightopt.transforms import Posture
 
 
 @pytest.fixture(scope="module")
@@ -410,7 +410,7 @@ def test_nothing_to_see_is_said(two, cli):
 
 @pytest.mark.slow
 def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two, cli, monkeypatch):
-    monkeypatch.setattr("lightopt.optimize._matrices.Matrices.holds", lambda *_: False)
+    monkeypatch.setattr("lightopt.design.responses._posture_matrices.Matrices.holds", lambda *_: False)
     asked = ("--choose-postures", "1", "--posture-step", "90", "--objective", "detectability")
     ran = plan(cli, two, *asked, "--objective", "coverage")
     assert ran.status == 0, ran.err
@@ -537,8 +537,8 @@ def test_tolerances_of_another_objective(two, cli):
     ],
 )
 def test_bad_questions_are_refused_before_any_work(two, cli, arguments, expected, monkeypatch):
-    monkeypatch.setattr("lightopt.plan._postures.cast_rays_at", work)
-    monkeypatch.setattr("lightopt.optimize._run.cast_rays_at", work)
+    monkeypatch.setattr("lightopt.design.postures._candidate_postures.cast_rays_at", work)
+    monkeypatch.setattr("lightopt.design._optimize.cast_rays_at", work)
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *arguments)
     assert ran.status == 2
     assert expected in ran.err
@@ -547,7 +547,7 @@ def test_bad_questions_are_refused_before_any_work(two, cli, arguments, expected
 
 
 def test_tolerances_of_many_lights_are_refused_before_any_work(two, cli, monkeypatch):
-    monkeypatch.setattr("lightopt.optimize._run.cast_rays_at", work)
+    monkeypatch.setattr("lightopt.design._optimize.cast_rays_at", work)
     more = "".join(
         f"  - {{name: more{i}, distance_mm: 330, elevation_deg: 30, azimuth_deg: {30 * i}}}\n"
         for i in range(10)

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from lightopt.cli._terminal import show_progress, show_time_left
-from lightopt.transforms import Posture
+from lightopt.core.transforms import Posture
 
 
 def test_time_left_is_that_of_the_rest_at_the_pace_so_far(capsys, monkeypatch):

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lightopt.core.provenance import file_sha256
 from lightopt.images import read_exr, read_exr_metadata, read_image_set, read_png
-from lightopt.provenance import file_sha256
+from lightopt.optics import Sensor, expose
 from lightopt.report import contact_sheet
 from lightopt.scene import build_camera, project
-from lightopt.sensor import Sensor, expose
 
 SPOUT = Path(__file__).resolve().parents[2] / "configs" / "parts" / "spout.stl"
 FEW = ("--patches", "500")  # as few patches as there are triangles: fast
@@ -312,7 +312,7 @@ def test_twelve_bits_come_in_a_sixteen_bit_container(cli, bench):
 
 def test_geometry_is_what_the_pixels_see(rendered, shared_bench):
     from lightopt import load_rig
-    from lightopt.transforms import rigid_transform
+    from lightopt.core.transforms import rigid_transform
 
     camera = build_camera(load_rig(shared_bench.rig))
     with np.load(rendered.folder / "patches.npz") as table:

@@ -13,25 +13,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from lightopt.compare import (
-    Thresholds,
-    compare_arrays,
-    compare_files,
-    compare_sets,
-    difference_picture,
-)
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
 from lightopt.images import (
     ImageEntry,
     ImageSetWriter,
     Manifest,
-    Posture,
     read_png,
     read_png_metadata,
     write_exr,
     write_npz_atomic,
     write_png,
 )
+from lightopt.images.comparison import Thresholds, compare_files, compare_sets, difference_picture
+from lightopt.images.comparison._channels import compare_arrays
 
 LEVELS = np.random.default_rng(0).uniform(1, 400, (40, 50)).astype(np.float32)
 STRICT = {"absolute": 0.0, "relative": 0.0, "max_share": 0.0}

@@ -12,8 +12,9 @@ import pytest
 from test_config_models import KNOWN_ERRORS, PROBES, error_kinds, paths, with_value
 
 from lightopt.config import PartConfig, json_schema, load_part, with_list
-from lightopt.defects import BUILT_IN_CATALOGUE, DEFECT_KINDS, depth_of_slope
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.defects import BUILT_IN_CATALOGUE, depth_of_slope
+from lightopt.defects._shape import DEFECT_KINDS
 
 GOOD = [
     {

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from lightopt.config import with_list, with_values
-from lightopt.errors import InputError
+from lightopt.config import with_list
+from lightopt.config._edit import with_values
+from lightopt.core.errors import InputError
 
 TEXT = """\
 # a part

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 RIG = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")

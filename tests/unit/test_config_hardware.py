@@ -18,13 +18,12 @@ from lightopt.config import (
     HardwareConfig,
     RigConfig,
     StageDeviceConfig,
-    TemplateConfig,
-    TimingConfig,
     copied_text,
     load_rig,
 )
-from lightopt.errors import InputError
-from lightopt.hardware import light_drivers
+from lightopt.config._hardware import TemplateConfig, TimingConfig
+from lightopt.core.errors import InputError
+from lightopt.rig.devices import light_drivers
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

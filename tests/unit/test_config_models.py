@@ -15,10 +15,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from lightopt.config import MeshConfig, PartConfig, RigConfig, json_schema, load_part, load_rig
+from lightopt.config import PartConfig, RigConfig, json_schema, load_part, load_rig
 from lightopt.config._messages import KNOWN_ERRORS
-from lightopt.errors import InputError
-from lightopt.units import UNIT_NAMES
+from lightopt.config._part import MeshConfig
+from lightopt.core.errors import InputError
+from lightopt.core.units import UNIT_NAMES
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SAMPLES = [("rig", p) for p in sorted((CONFIGS / "rigs").glob("*.yaml"))]

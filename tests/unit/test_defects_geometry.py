@@ -11,18 +11,17 @@ import pytest
 from lightopt.config._defects import DefectConfig
 from lightopt.defects import (
     BUILT_IN_CATALOGUE,
-    DEFECT_KINDS,
     SHAPE_KINDS,
     DefectShape,
     PlacedDefect,
     depth_of_slope,
-    height,
-    height_gradient,
     mark_surface,
     radial_place,
     slope_of_depth,
     tangent_direction,
 )
+from lightopt.defects._profile import height, height_gradient
+from lightopt.defects._shape import DEFECT_KINDS
 
 X, Y, Z = np.eye(3)
 

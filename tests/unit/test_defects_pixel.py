@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from lightopt.defects import PIXEL_RATIOS, DefectShape, grid_shares, pixel_shares
+from lightopt.defects import PIXEL_RATIOS, DefectShape, pixel_shares
+from lightopt.defects._pixel import grid_shares
 
 SLOPE = math.radians(10.0)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lightopt.errors import HardwareError, LightoptError, error_text
+from lightopt.core.errors import HardwareError, LightoptError, error_text
 
 
 class RaisesError(Exception):

@@ -11,32 +11,24 @@ import numpy as np
 import pytest
 
 from lightopt import load_rig
-from lightopt.errors import InputError
-from lightopt.fit import (
+from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _search, interval_words
+from lightopt.estimate.reflectance._cross_validation import Comparison, LeftOut, unseen
+from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
+from lightopt.estimate.reflectance._likelihood_criterion import (
     DARK,
     FIRST_GAIN,
     LOG_SIGMA,
     R_D,
-    Comparison,
-    Estimate,
-    FitResult,
-    FittedValue,
-    LeftOut,
-    Optimum,
-    ScanPoint,
-    _fit,
-    _search,
-    interval_words,
-    profile_interval,
-    profile_regions,
+    Evaluation,
+    parameter_name,
 )
-from lightopt.fit._checks import refuse_out_of_range, unconverged
-from lightopt.fit._criterion import Evaluation, parameter_name
-from lightopt.fit._maximise import has_settled, maximise
-from lightopt.fit._quality import poor_fit
-from lightopt.fit._result import bounded, joined_regions
-from lightopt.fit._scan import peaks, profile_over_sigma
-from lightopt.fit._validate import unseen
+from lightopt.estimate.reflectance._newton import has_settled, maximise
+from lightopt.estimate.reflectance._profile_intervals import profile_interval, profile_regions
+from lightopt.estimate.reflectance._quality import poor_fit
+from lightopt.estimate.reflectance._result import bounded, joined_regions
+from lightopt.estimate.reflectance._sigma_profile import peaks, profile_over_sigma
+from lightopt.estimate.reflectance._warnings import refuse_out_of_range, unconverged
 
 
 class Landscape:
@@ -360,7 +352,7 @@ def test_the_noise_of_dull_pixels_is_written_into_the_rig(cli, bench, noisy):
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
-    from lightopt.fit import _lack_of_fit
+    from lightopt.estimate.reflectance import _lack_of_fit
 
     monkeypatch.setattr(_lack_of_fit, "MOST_MISFIT", 0.1)
     ran = fit(cli, bench, noisy, bench.out, "--write-noise")
@@ -415,7 +407,7 @@ def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, mon
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_a_search_for_the_place_that_did_not_converge_exits_1(cli, bench, noisy, monkeypatch):
-    from lightopt.align import _registration
+    from lightopt.estimate.registration import _registration
 
     monkeypatch.setattr(_registration, "STAGE_ITERATIONS", 1)
     monkeypatch.setattr(_registration, "STAGES", 1)

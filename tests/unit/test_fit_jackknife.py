@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from lightopt.fit import FIRST_GAIN, R_D
-from lightopt.fit._criterion import Evaluation
-from lightopt.fit._jackknife import UNDETERMINED, at_least, leave_groups_out
+from lightopt.estimate.reflectance._jackknife import UNDETERMINED, at_least, leave_groups_out
+from lightopt.estimate.reflectance._likelihood_criterion import FIRST_GAIN, R_D, Evaluation
 
 POSTURE = "one"
 

@@ -12,24 +12,15 @@ import pytest
 from scipy.special import ndtr
 
 from lightopt import build_scene, render
-from lightopt.align import Observation
-from lightopt.fit import (
-    DARK,
-    LOG_R_S,
-    LOG_SIGMA,
-    R_D,
-    Likelihood,
-    Quality,
-    collect_samples,
-    compare_image,
-    predicted,
-    thinned,
-)
-from lightopt.fit._likelihood import lagrange
-from lightopt.fit._mismatch import _explained
-from lightopt.fit._quality import words
+from lightopt.estimate.reflectance._cross_validation import compare_image
+from lightopt.estimate.reflectance._likelihood import Likelihood, lagrange, predicted
+from lightopt.estimate.reflectance._likelihood_criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._quality import Quality, words
+from lightopt.estimate.reflectance._samples import collect_samples, thinned
+from lightopt.estimate.reflectance._wrong_images import _explained
+from lightopt.estimate.registration import Observation
+from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at
-from lightopt.sensor import expose, image_rng
 
 
 @pytest.fixture(scope="module")

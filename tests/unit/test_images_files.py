@@ -17,19 +17,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import file_sha256
 from lightopt.images import (
     read_exr,
     read_exr_metadata,
     read_png,
     read_png_metadata,
-    write_atomically,
     write_exr,
     write_npz_atomic,
     write_png,
     write_text_atomic,
 )
-from lightopt.provenance import file_sha256
+from lightopt.images._atomic import write_atomically
 
 RNG = np.random.default_rng(0)
 NOISE = RNG.normal(size=(70, 33)).astype(np.float32)

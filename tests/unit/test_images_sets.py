@@ -13,17 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
 from lightopt.images import (
     ImageEntry,
     ImageSet,
     ImageSetWriter,
     Manifest,
-    Posture,
     SourceFile,
-    exr_name,
-    geometry_name,
-    parse_manifest,
     png_name,
     read_exr_metadata,
     read_image_set,
@@ -32,6 +29,8 @@ from lightopt.images import (
     write_exr,
     write_png,
 )
+from lightopt.images._names import exr_name, geometry_name
+from lightopt.images._parse import parse_manifest
 
 HEADER = Manifest(
     kind="simulated",

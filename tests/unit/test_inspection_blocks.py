@@ -9,19 +9,14 @@ import pytest
 from scipy import ndimage
 
 from lightopt import build_scene, load_part, load_rig
-from lightopt.align import read_observations
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import read_observations
 from lightopt.images import read_image_set
-from lightopt.inspection import (
-    deviations,
-    measure_coverage,
-    posture_view,
-    predict,
-    score_deviations,
-)
+from lightopt.inspection import deviations, posture_view, predict, score_deviations
+from lightopt.inspection._coverage import measure_coverage
 from lightopt.inspection._coverage_blocks import coverage_in_blocks
 from lightopt.inspection._filter import filter_tile, gaussian_taps
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
-from lightopt.transforms import Posture
 
 FLAT = Posture(0.0, 0.0)
 LIGHTS = ("light1", "light3")

@@ -7,16 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lightopt.inspection import (
-    CONTRASTS,
-    Deviations,
-    Reached,
-    SurfaceCoverage,
-    measure_coverage,
-    score_deviations,
-)
-from lightopt.inspection._coverage import least_contrast
+from lightopt.inspection import CONTRASTS, Deviations, SurfaceCoverage, score_deviations
+from lightopt.inspection._coverage import least_contrast, measure_coverage
 from lightopt.inspection._deviation import DARK
+from lightopt.inspection._surface_classes import Reached
 
 SIDE, STEP = 360, 24
 LEVEL, SCALE, HIGH = 100.0, 2.0, 6.5

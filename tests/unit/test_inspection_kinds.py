@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from lightopt import load_part, load_rig
+from lightopt.core.transforms import Posture
 from lightopt.images import read_image_set
 from lightopt.inspection import InspectOptions, inspect_set
 from lightopt.inspection._measure import _kind
 from lightopt.rendering import RenderOptions, render_image_set
-from lightopt.transforms import Posture
 
 LEVEL = 50.0
 

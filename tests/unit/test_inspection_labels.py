@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lightopt import load_part, load_rig
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 from lightopt.images import ImageSet, SourceFile, read_image_set
 from lightopt.inspection import InspectOptions, inspect_set, truth_source
 from lightopt.inspection._labels import true_labels

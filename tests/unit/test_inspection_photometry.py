@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lightopt import build_scene
-from lightopt.align import Observation
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Observation
 from lightopt.inspection._photometry import fit_photometry
-from lightopt.transforms import Posture
 
 CLEAN = np.ones((80, 120), np.bool_)
 

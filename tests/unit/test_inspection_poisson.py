@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 
-from lightopt.errors import LightoptError
+from lightopt.core.errors import LightoptError
 from lightopt.inspection import poisson_grid
 
 

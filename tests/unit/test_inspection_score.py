@@ -9,26 +9,29 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from lightopt.align import Placement
 from lightopt.config import InspectionConfig
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Placement
 from lightopt.inspection import (
     SCALES_PX,
     Deviations,
     Inspection,
-    Sighting,
     SurfaceCoverage,
     find_regions,
-    gather,
     judge,
-    rank_probability,
     score_deviations,
     separate_pieces,
-    templates,
     threshold,
 )
-from lightopt.inspection._pieces import core_pixels, sums_in
-from lightopt.inspection._score import STRONGEST_Z, noise_gain, smoothed_deviations
-from lightopt.transforms import Posture
+from lightopt.inspection._defect_merging import Sighting, gather
+from lightopt.inspection._detection_score import (
+    STRONGEST_Z,
+    noise_gain,
+    rank_probability,
+    smoothed_deviations,
+)
+from lightopt.inspection._region_splitting import core_pixels, sums_in
+from lightopt.inspection._template import templates
 
 
 def noise(lights, rows=200, columns=240, *, seed=0, holes=False):
@@ -236,7 +239,7 @@ def test_templates_answer_to_no_even_image_and_are_of_one_size():
 
 def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_bench):
     from lightopt import build_scene
-    from lightopt.align import place_part
+    from lightopt.estimate.registration import place_part
     from lightopt.inspection._measure import to_file
     from lightopt.scene import view_from_part
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from lightopt import build_scene
-from lightopt.inspection import Coverage, Reached, map_surface, surface_coverage
-from lightopt.mesh import face_areas
+from lightopt.core.transforms import Posture
+from lightopt.geometry import face_areas
+from lightopt.inspection import Coverage
+from lightopt.inspection._surface import map_surface, surface_coverage
+from lightopt.inspection._surface_classes import Reached
 from lightopt.rendering import GRAZING_COSINE, cast_rays_at, trace_pixels
-from lightopt.transforms import Posture
 
 FLAT, TURN, TILTED = Posture(0.0, 0.0), Posture(0.0, 360.0), Posture(-40.0, 170.0)
 CONTRASTS = (0.05, 0.1, 0.2, 0.4)

@@ -11,12 +11,12 @@ import pytest
 from scipy import ndimage, special
 
 from lightopt import build_scene, load_rig
-from lightopt.align import Observation, refuse_mismatch
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Observation, refuse_mismatch
 from lightopt.inspection import InspectOptions, deviations, posture_view, predict
-from lightopt.inspection._words import inspection_words
+from lightopt.inspection._texts import inspection_words
 from lightopt.rendering import cast_rays_at
-from lightopt.transforms import Posture
 
 FLAT = Posture(0.0, 0.0)
 

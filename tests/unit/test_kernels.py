@@ -14,13 +14,13 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 import lightopt
-from lightopt import kernels
+from lightopt.core import kernels
 
 SOURCE = '''\
 """A module with kernels that call each other."""
 from typing import NamedTuple
 import numpy as np
-from lightopt.kernels import kernel
+from lightopt.core.kernels import kernel
 
 SCALE = 2.0
 TABLE = np.array([10.0, 20.0])
@@ -187,7 +187,7 @@ def test_a_folder_that_cannot_be_written_is_replaced_by_a_private_one(folder, tm
 def test_a_kernel_runs_without_scipys_linear_algebra():
     """It takes longer to load than the kernels of a command."""
     script = (
-        "import sys, numpy as np; from lightopt.mesh import TriangleMesh, face_areas; "
+        "import sys, numpy as np; from lightopt.geometry import TriangleMesh, face_areas; "
         "print(face_areas(TriangleMesh(np.eye(3), np.array([[0, 1, 2]])))); print('scipy.linalg' in sys.modules)"
     )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)

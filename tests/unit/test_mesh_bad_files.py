@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from lightopt.errors import InputError
-from lightopt.mesh import load_mesh
+from lightopt.core.errors import InputError
+from lightopt.geometry import load_mesh
 
 
 def refused(path: Path, match: str, **changes) -> None:

@@ -12,17 +12,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from lightopt.errors import InputError
-from lightopt.mesh import (
-    LoadedMesh,
-    TriangleMesh,
-    face_areas,
-    face_normals,
-    load_mesh,
-    transformed,
-)
-from lightopt.mesh._glb import parse_glb
-from lightopt.transforms import rotation_x
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import rotation_x
+from lightopt.geometry import TriangleMesh, face_areas, face_normals, load_mesh, transformed
+from lightopt.geometry._glb import parse_glb
+from lightopt.geometry._load import LoadedMesh
 
 CREASE = math.radians(30)
 
@@ -365,7 +359,7 @@ def test_a_binary_stl_file_takes_no_trimesh(tmp_path):
     program = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from lightopt.mesh import load_mesh\n"
+        "from lightopt.geometry import load_mesh\n"
         f"loaded = load_mesh(Path({str(path)!r}), unit_mm=1.0, normals='facet', crease_angle=0.5)\n"
         "print(len(loaded.mesh.faces), 'trimesh' in sys.modules)\n"
     )

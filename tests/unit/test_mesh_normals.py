@@ -9,9 +9,10 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lightopt.mesh import LoadedMesh, face_normals, load_mesh
-from lightopt.mesh._normals import smooth_normals
-from lightopt.mesh._topology import edge_pairs, merge_rows
+from lightopt.geometry import face_normals, load_mesh
+from lightopt.geometry._load import LoadedMesh
+from lightopt.geometry._normals import smooth_normals
+from lightopt.geometry._topology import edge_pairs, merge_rows
 
 
 def load(path: Path, crease_deg: float = 30.0, normals: str = "smooth") -> LoadedMesh:

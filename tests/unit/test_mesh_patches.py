@@ -8,8 +8,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightopt.errors import InputError
-from lightopt.mesh import TriangleMesh, estimate_patch_count, face_areas, face_normals, refine
+from lightopt.core.errors import InputError
+from lightopt.geometry import TriangleMesh, estimate_patch_count, face_areas, face_normals, refine
 
 
 def edges(corners: np.ndarray) -> np.ndarray:

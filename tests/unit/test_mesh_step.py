@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.errors import InputError
-from lightopt.mesh import LoadedMesh, _step_worker, load_mesh
-from lightopt.mesh._step import declared_unit_mm
+from lightopt.core.errors import InputError
+from lightopt.geometry import _step_worker, load_mesh
+from lightopt.geometry._load import LoadedMesh
+from lightopt.geometry._step import declared_unit_mm
 
 pytestmark = pytest.mark.usefixtures("real_step_files")
 

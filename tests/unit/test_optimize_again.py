@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 from test_cli_optimize import result_of, with_lights
 
-from lightopt.errors import InputError
-from lightopt.images import ImageEntry, ImageSetWriter, Manifest, Posture
-from lightopt.optimize import LuminanceMatrix, OptimizeOptions, _matrices, optimize
-from lightopt.optimize._earlier import begin_writing
-from lightopt.provenance import versions
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import versions
+from lightopt.core.transforms import Posture
+from lightopt.design import LuminanceMatrix, OptimizeOptions
+from lightopt.design._optimize import optimize
+from lightopt.design._previous_result import begin_writing
+from lightopt.design.responses import _posture_matrices as _matrices
+from lightopt.images import ImageEntry, ImageSetWriter, Manifest
 
 EACH = OptimizeOptions(step_deg=20.0, patch_budget=500)
 ONE = OptimizeOptions(step_deg=20.0, patch_budget=500, common_lights=True)
@@ -63,7 +66,7 @@ def test_interrupted_under_force_there_is_no_result_beside_other_files(three, mo
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("lightopt.optimize._outputs.render_image_set", stop)
+        patched.setattr("lightopt.design._files.render_image_set", stop)
         with pytest.raises(KeyboardInterrupt):
             optimize(three.rig, three.part, three.out, options=ONE, force=True)
     assert not (three.out / "result.json").exists()
@@ -143,7 +146,7 @@ def test_the_rig_is_written_as_it_was_loaded(three):
 
 
 def test_what_cannot_be_edited_is_told_before_rays_are_cast(three, monkeypatch):
-    monkeypatch.setattr("lightopt.optimize._run.cast_rays_at", lambda _: pytest.fail("rays were cast"))
+    monkeypatch.setattr("lightopt.design._optimize.cast_rays_at", lambda _: pytest.fail("rays were cast"))
     three.edit("rig.yaml", "elevation_deg: 60,", "elevation_deg: &low 60,")
     three.edit("rig.yaml", "elevation_deg: 50.0 ", "elevation_deg: *low ")
     with pytest.raises(InputError, match=r"rig\.yaml: .*write anchors and aliases out"):
@@ -167,7 +170,7 @@ def test_a_kept_matrix_is_reused_as_long_as_no_level_changes(three):
 
 def test_the_matrix_depends_on_the_version_of_what_loads_the_mesh(three, monkeypatch):
     optimize(three.rig, three.part, three.out, options=KEPT)
-    monkeypatch.setattr("lightopt.provenance.versions", lambda: {**versions(), "trimesh": "0"})
+    monkeypatch.setattr("lightopt.core.provenance.versions", lambda: {**versions(), "trimesh": "0"})
     assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
 
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from lightopt.optimize import OptimizeOptions, optimize
-from lightopt.optimize import _matrices as matrices
+from lightopt.design import OptimizeOptions
+from lightopt.design._optimize import optimize
+from lightopt.design.responses import _posture_matrices as matrices
 
 LIGHTS = """\
 lights:

@@ -11,9 +11,9 @@ import trimesh
 
 from lightopt import build_scene
 from lightopt.config import load_rig
-from lightopt.errors import InputError
-from lightopt.optimize import find_candidates
-from lightopt.optimize._angles import light_angles
+from lightopt.core.errors import InputError
+from lightopt.design import find_candidates
+from lightopt.design.candidates._angles import light_angles
 
 RIG = """\
 format: lightopt-rig/1

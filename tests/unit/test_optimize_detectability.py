@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from reference._search import all_combinations, detectability_value
 from test_optimize_visibility import visibility_of
 
+from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE
-from lightopt.errors import InputError
-from lightopt.optimize import (
+from lightopt.design import (
     Detectability,
     LuminanceMatrix,
     Thresholds,
@@ -21,8 +21,8 @@ from lightopt.optimize import (
     share_of_whole,
     unroll,
 )
-from lightopt.optimize import _bit_runs as bit_runs
-from lightopt.optimize import _count_runs as count_runs
+from lightopt.design.objectives import _bit_runs as bit_runs
+from lightopt.design.objectives import _count_runs as count_runs
 
 THRESHOLDS = Thresholds(shade=10, saturation=255)
 

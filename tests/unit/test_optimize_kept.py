@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightopt.optimize import LuminanceMatrix
-from lightopt.optimize._kept import keep_matrix, read_matrix
+from lightopt.design import LuminanceMatrix
+from lightopt.design.responses._matrix_cache import keep_matrix, read_matrix
 
 
 @pytest.fixture

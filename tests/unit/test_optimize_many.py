@@ -14,20 +14,13 @@ import numpy as np
 import pytest
 from reference._search import all_combinations, coverage_value, paper_value
 
-from lightopt.errors import InputError
-from lightopt.optimize import (
-    OBJECTIVES,
-    Answer,
-    Candidates,
-    LuminanceMatrix,
-    Space,
-    Thresholds,
-    area_units,
-    search,
-)
-from lightopt.optimize._answer import answer_set
-from lightopt.optimize._words import cut_off
-from lightopt.transforms import Posture
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.design import OBJECTIVES, Answer, LuminanceMatrix, Thresholds, area_units, search
+from lightopt.design._texts import cut_off
+from lightopt.design.candidates._candidates import Candidates
+from lightopt.design.candidates._combination_space import Space
+from lightopt.design.search._answer import answer_set
 
 HERE = Path(__file__).resolve().parent
 THRESHOLDS = Thresholds(shade=30, saturation=250, black=12)
@@ -194,7 +187,7 @@ def test_shares_rise_and_an_exception_ends_the_search_soon(name):
 
 INTERRUPTED = """
 import os, signal, sys, threading, time
-from lightopt.interrupts import interrupt
+from lightopt.core.interrupts import interrupt
 from test_optimize_many import MEDIUM, OBJECTIVES, THRESHOLDS, random_matrix, search
 matrix = random_matrix((60, 60, 60, 60), 100_000)
 objective = OBJECTIVES[{name!r}]
@@ -234,7 +227,9 @@ MEMORY = """
 import sys
 from pathlib import Path
 import numpy as np
-from lightopt.optimize import OBJECTIVES, LuminanceMatrix, Thresholds, search
+from lightopt.design.objectives._registry import OBJECTIVES
+from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
+from lightopt.design.search._search import search
 
 def levels(sizes, patches):
     # written row by row, so that nothing else is ever held
@@ -299,10 +294,10 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
         "_runs": ("CHUNK_PATCHES", "CHUNK_BOXES"),
     }.items():
         for name in names:
-            monkeypatch.setattr(f"lightopt.optimize.{module}.{name}", 50)
+            monkeypatch.setattr(f"lightopt.design.{module}.{name}", 50)
     for (name, objective), cost, share in itertools.product(OBJECTIVES.items(), (0.0, 1e9), (1e-9, 1e9)):
-        monkeypatch.setattr("lightopt.optimize._paper.DIRECT_COST", cost)
-        monkeypatch.setattr("lightopt.optimize._coverage.BITS_SHARE", share)
+        monkeypatch.setattr("lightopt.design.objectives._paper.DIRECT_COST", cost)
+        monkeypatch.setattr("lightopt.design.objectives._coverage.BITS_SHARE", share)
         weights = objective.weights(matrix.areas)
         again = objective.scores(matrix, weights, THRESHOLDS, threads=3)
         np.testing.assert_array_equal(again, whole[name])

@@ -10,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference._search import all_combinations, coverage_value, paper_value
 
-from lightopt.errors import InputError
-from lightopt.optimize import OBJECTIVES, LuminanceMatrix, Space, Thresholds, area_units, search
-from lightopt.optimize._bits import bit_scores
-from lightopt.optimize._ranking import NearBest
-from lightopt.optimize._runs import run_scores
+from lightopt.core.errors import InputError
+from lightopt.design import OBJECTIVES, LuminanceMatrix, Thresholds, area_units, search
+from lightopt.design.candidates._combination_space import Space
+from lightopt.design.objectives._bit_sums import bit_scores
+from lightopt.design.objectives._class_runs import run_scores
+from lightopt.design.search._ranking import NearBest
 
 EIGHT_BITS = (np.uint8, 255)
 TWELVE_BITS = (np.uint16, 4080)

@@ -7,19 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
-from lightopt.errors import InputError
-from lightopt.optimize import (
-    Blind,
-    LuminanceMatrix,
-    Thresholds,
-    Visibility,
-    blind_spots,
-    blind_text,
-    shown_by,
-    shown_together,
-    unroll,
-)
+from lightopt.design import Blind, LuminanceMatrix, Thresholds, Visibility, blind_text, unroll
+from lightopt.design.blind_spots._blind_spots import blind_spots, shown_by, shown_together
 
 THRESHOLDS = Thresholds(shade=10, saturation=255, black=2)
 

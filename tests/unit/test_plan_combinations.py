@@ -7,11 +7,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from lightopt.errors import InputError
-from lightopt.optimize import Space
-from lightopt.optimize import _count_runs as count_runs
-from lightopt.plan import PairWeights, combination_sums, counts_of_images, place_lights
-from lightopt.plan import _combinations as plain_sums
+from lightopt.core.errors import InputError
+from lightopt.design import counts_of_images, place_lights
+from lightopt.design.candidates._combination_space import Space
+from lightopt.design.objectives import _count_runs as count_runs
+from lightopt.design.postures import _combinations as plain_sums
+from lightopt.design.postures._combinations import combination_sums
+from lightopt.design.postures._counts import PairWeights
 
 POSTURES = 2
 

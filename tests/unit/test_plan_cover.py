@@ -11,21 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from lightopt.errors import InputError
-from lightopt.plan import (
-    PairWeights,
-    added,
-    counts_of_images,
-    exchanged,
-    gain_of,
-    greedy_cover,
-    no_counts,
-    reached,
-    worth,
-)
-from lightopt.plan._best_set import best_set
-from lightopt.plan._pick_shots import Offer, pick_shots
-from lightopt.transforms import Posture
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.design import counts_of_images
+from lightopt.design.exposures._selection import Offer, pick_shots
+from lightopt.design.postures._best_set import best_set
+from lightopt.design.postures._counts import PairWeights, added, gain_of, no_counts, reached, worth
+from lightopt.design.postures._exchange import exchanged
+from lightopt.design.postures._greedy_cover import greedy_cover
 
 
 def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2):

@@ -11,40 +11,37 @@ import pytest
 from planned import CATALOGUE
 
 from lightopt.config import load_part, load_rig
-from lightopt.errors import InputError
-from lightopt.mesh import face_normals
-from lightopt.optimize import (
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.design import (
     OBJECTIVES,
     Contrast,
     Inspection,
-    Thresholds,
-    area_units,
-    find_candidates,
-    luminance_matrices,
-    luminance_matrix,
-    matrix_bytes,
-    unroll,
-)
-from lightopt.plan import (
-    ObjectiveAssessment,
     PairAssessment,
     Setup,
     Survey,
+    Thresholds,
     Tolerances,
     Wanted,
+    area_units,
     choose_postures,
-    choose_with_exposures,
     drawn_patches,
-    plan_exposures,
+    find_candidates,
+    luminance_matrix,
     trust_of,
+    unroll,
 )
-from lightopt.plan import _places as placing
-from lightopt.plan import _turns as turning
-from lightopt.plan._looked import looked_at
-from lightopt.plan._unreached import unreached
+from lightopt.design.blind_spots._plan_blind_spots import looked_at
+from lightopt.design.blind_spots._unreachable_target import unreached
+from lightopt.design.exposures._exposures import plan_exposures
+from lightopt.design.exposures._joint_choice import choose_with_exposures
+from lightopt.design.postures import _alternating_search as turning
+from lightopt.design.postures import _common_lights as placing
+from lightopt.design.responses._luminance import luminance_matrices, matrix_bytes
+from lightopt.design.tolerances._evaluation import ObjectiveAssessment
+from lightopt.geometry import face_normals
 from lightopt.rendering import build_patches, cast_rays_at, sight_of
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
-from lightopt.transforms import Posture
 
 LIGHTS = """\
 lights:
@@ -360,7 +357,7 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
     free = looks()
     # room for three places of the five that each light has, at three exposures
     room = 3 * matrix_bytes(survey.scene, len(survey.table.inspectable(POSTURES[0])), 3, survey.inspection)
-    monkeypatch.setattr("lightopt.plan._survey.MOST_BYTES", room)
+    monkeypatch.setattr("lightopt.design.postures._pair_visibility.MOST_BYTES", room)
     monkeypatch.setitem(luminance_matrices.__kwdefaults__, "most_bytes", room)
     with pytest.raises(InputError, match="there is room for"):
         survey.matrices(POSTURES[0], candidates.panels, exposures=survey.exposures)

@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from lightopt.errors import InputError
-from lightopt.plan import Tolerances, trust_of
+from lightopt.core.errors import InputError
+from lightopt.design import Tolerances, trust_of
 
 NAMES = ("left", "right", "top")
 

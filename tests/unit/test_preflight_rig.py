@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt.config import RigConfig, load_rig
-from lightopt.errors import InputError
-from lightopt.preflight import Finding, Report, check_rig
+from lightopt.core.errors import InputError
+from lightopt.preflight import check_rig
+from lightopt.preflight._report import Finding, Report
 from lightopt.scene import (
-    Distortion,
     PanelLight,
     image_area,
     panel_corners,
@@ -26,6 +26,7 @@ from lightopt.scene import (
     rectangles_meet,
     segments_blocked,
 )
+from lightopt.scene._camera import Distortion
 
 SAMPLE = Path(__file__).parents[2] / "configs" / "rigs" / "four-panel.yaml"
 

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from test_preflight_rig import find, make_rig, only
 
 from lightopt.config import PartConfig, load_part, load_rig
-from lightopt.errors import InputError
-from lightopt.mesh import TriangleMesh, merge_rows, mesh_edges
-from lightopt.preflight import Report, _coverage, check_scene
+from lightopt.core.errors import InputError
+from lightopt.geometry import TriangleMesh, merge_rows, mesh_edges
+from lightopt.preflight import _coverage, check_scene
 from lightopt.preflight._coverage import facing
 from lightopt.preflight._facets import facet_angles, interpolation_errors
+from lightopt.preflight._report import Report
 from lightopt.scene._part_size import likely_units
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -140,7 +141,7 @@ def test_likely_units(longest, view, unit, expected):
     read=st.sampled_from(["mm", "inch", "m"]),
 )
 def test_right_unit_is_among_the_likely_ones(size, unit, read):
-    from lightopt.units import MM_PER_UNIT
+    from lightopt.core.units import MM_PER_UNIT
 
     found = likely_units(size / MM_PER_UNIT[unit] * MM_PER_UNIT[read], 52.8, read)
     assert (unit in found) == (unit != read)

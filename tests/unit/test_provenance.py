@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
-from lightopt import __version__, provenance
+from lightopt import __version__
 from lightopt.config import input_hashes, load_rig
-from lightopt.errors import InputError
+from lightopt.core import provenance
+from lightopt.core.errors import InputError
+from lightopt.design import OptimizeOptions
+from lightopt.design._optimize import optimize
 from lightopt.images import read_image_set, write_png
 from lightopt.inspection import read_calibration
-from lightopt.optimize import OptimizeOptions, optimize
 from lightopt.rendering import RenderOptions, render_image_set
 
 FEW = ("--patches", "500", "-q", "--posture", "0,0")

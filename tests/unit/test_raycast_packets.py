@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lightopt.raycast import RayCaster, _caster, _packets
+from lightopt.geometry import RayCaster, _caster, _packets
 
 MESHES = {
     "sphere": trimesh.creation.icosphere(3, 10.0),

@@ -14,14 +14,8 @@ import trimesh
 
 import lightopt
 from lightopt import build_scene, load_part, load_rig, render
-from lightopt.rendering import (
-    RenderOptions,
-    cast_rays_at,
-    highlight_level,
-    render_image_set,
-    render_posture,
-)
-from lightopt.transforms import Posture
+from lightopt.core.transforms import Posture
+from lightopt.rendering import RenderOptions, cast_rays_at, highlight_level, render_image_set, render_posture
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lightopt import build_scene, render
-from lightopt.rendering import LEFT_OUT, UNLIT, WHOLE, cast_rays_at, light_layer, panel_verdict, trace_pixels
+from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, panel_verdict, trace_pixels
+from lightopt.rendering._pixels import LEFT_OUT
 
 
 @pytest.mark.parametrize("points", [1, 9, "auto"])

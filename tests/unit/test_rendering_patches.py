@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from lightopt import build_scene
-from lightopt.mesh import face_areas, face_normals
+from lightopt.geometry import face_areas, face_normals
 from lightopt.rendering import (
     PatchTable,
     build_patches,

@@ -7,10 +7,12 @@ import time
 import pytest
 
 from lightopt import build_scene, load_part, load_rig
-from lightopt.align import read_observations
-from lightopt.align._coarse import coarse_pixels, refuse_useless_images
+from lightopt.core import threads as _threads
+from lightopt.core.threads import end_if_stopped, in_threads, run_all
+from lightopt.estimate.registration import read_observations
+from lightopt.estimate.registration._coarse_search import coarse_pixels, refuse_useless_images
 from lightopt.images import read_image_set
-from lightopt.rendering import _images, _threads, cast_rays_at, end_if_stopped, in_threads, run_all
+from lightopt.rendering import _images, cast_rays_at
 
 
 def endless() -> None:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
 from lightopt.images import (
     ImageEntry,
     ImageSet,
     ImageSetWriter,
     Manifest,
-    Posture,
     SourceFile,
     read_image_set,
     read_png,

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture, direction
+from lightopt.geometry import TriangleMesh
 from lightopt.images import read_png
-from lightopt.mesh import TriangleMesh
-from lightopt.reflectance import Reflectance
+from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import cast_rays_at
 from lightopt.report import frames_drawing, rig_drawing
 from lightopt.report._canvas import FINE, Canvas
@@ -21,9 +22,8 @@ from lightopt.report._rig_shapes import camera_shape, nice_step, panel_corners, 
 from lightopt.report._rig_side import draw_stage
 from lightopt.report._typeface import Typeface
 from lightopt.report._view import fit_view
-from lightopt.scene import Distortion, PanelLight, Scene, place_camera, place_light, project
-from lightopt.sensor import Sensor
-from lightopt.transforms import Posture, direction
+from lightopt.scene import PanelLight, Scene, place_camera, place_light, project
+from lightopt.scene._camera import Distortion
 
 BOX_FACES = np.array(
     [

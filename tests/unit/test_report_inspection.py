@@ -10,23 +10,16 @@ import pytest
 from PIL import Image
 
 from lightopt.config import InspectionConfig
-from lightopt.inspection import (
-    KIND_COLOURS,
-    FoundDefect,
-    KnownDefect,
-    Sighting,
-    TrueSet,
-    Verdict,
-    grey_picture,
-    summarise,
-)
+from lightopt.core.transforms import Posture
+from lightopt.inspection import KIND_COLOURS, FoundDefect, TrueSet, Verdict, grey_picture, summarise
+from lightopt.inspection._defect_merging import Sighting
+from lightopt.inspection._evaluation import KnownDefect
 from lightopt.report import BatchRow, batch_report
 from lightopt.report._chart import _Axis
 from lightopt.report._inspection_pictures import LABEL_COLOURS, overlay_image
 from lightopt.report._inspection_surface import _ball
 from lightopt.report._page import Facts, Note, Picture, Table
 from lightopt.report._truth_blocks import truth_blocks
-from lightopt.transforms import Posture
 
 
 def true_set(sizes, found):

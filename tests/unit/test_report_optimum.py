@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.optimize import (
+from lightopt.design import (
     BLIND_CLASSES,
     Blind,
     Curve,
@@ -19,25 +19,16 @@ from lightopt.optimize import (
     Thresholds,
     area_text,
     area_units,
-    optimize,
     share_text,
 )
-from lightopt.report import (
-    Answer,
-    Facts,
-    Gallery,
-    Note,
-    Picture,
-    SurfaceView,
-    Table,
-    _optimum_report,
-    optimum_page,
-    optimum_report,
-    page_html,
-)
+from lightopt.design._optimize import optimize
+from lightopt.report import _optimum_report, optimum_report
 from lightopt.report._optimum_answer import answer_blocks
 from lightopt.report._optimum_plan import posture_blocks
+from lightopt.report._optimum_report import optimum_page
 from lightopt.report._optimum_surface import SHOWN, shown_by_images
+from lightopt.report._page import Answer, Facts, Gallery, Note, Picture, SurfaceView, Table
+from lightopt.report._page_html import page_html
 
 LIGHTS = """\
 lights:

@@ -16,25 +16,22 @@ import pytest
 import trimesh
 from PIL import Image
 
-from lightopt.errors import InputError
-from lightopt.mesh import TriangleMesh, refine
-from lightopt.report import (
+from lightopt.core.errors import InputError
+from lightopt.geometry import TriangleMesh, refine
+from lightopt.report._page import (
     Answer,
-    ColouredSurface,
     Facts,
     Gallery,
     Note,
     Page,
     Picture,
     Section,
-    SurfaceClass,
-    SurfaceLayer,
     SurfaceView,
     Table,
     Warnings,
-    page_html,
 )
-from lightopt.report._surface import simplified
+from lightopt.report._page_html import page_html
+from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, simplified
 from lightopt.report._surface_data import surface_data, surface_head
 
 VIEWER = Path(__file__).resolve().parents[2] / "lightopt" / "report" / "viewer"

@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from lightopt.errors import InputError
-from lightopt.optimize import LegendRow
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import direction
+from lightopt.design import LegendRow
 from lightopt.report import with_legend
 from lightopt.report._canvas import Canvas, check_png_path, write_picture
 from lightopt.report._labels import Label, ink_of, place_labels
 from lightopt.report._thumbnail import SATURATED_COLOUR, thumbnail, thumbnail_size
 from lightopt.report._typeface import Typeface, sub
 from lightopt.report._view import arc, fit_view
-from lightopt.transforms import direction
 
 
 @given(

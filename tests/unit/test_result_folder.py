@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from lightopt.errors import InputError
+from lightopt.core.errors import InputError
 from lightopt.images import ResultFolder
 
 

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt import build_scene, load_part, load_rig
-from lightopt.errors import InputError
-from lightopt.transforms import Posture
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
 
 # a block whose three sides differ and that stands off the origin: every shift and turn shows
 SIDES = np.array([30.0, 20.0, 10.0])

@@ -10,10 +10,10 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lightopt.mesh import TriangleMesh, points_inside, transformed
-from lightopt.reflectance import Reflectance
+from lightopt.core.transforms import Posture, rigid_transform
+from lightopt.geometry import TriangleMesh, points_inside, transformed
+from lightopt.optics import Reflectance, Sensor
 from lightopt.scene import (
-    Distortion,
     Scene,
     frame_part,
     panel_grid,
@@ -25,8 +25,7 @@ from lightopt.scene import (
     screen_window,
     view_from_part,
 )
-from lightopt.sensor import Sensor
-from lightopt.transforms import Posture, rigid_transform
+from lightopt.scene._camera import Distortion
 
 LENS = Distortion(k1=-0.2, k2=0.05, p1=0.001, p2=-0.002, k3=0.01)
 

@@ -10,11 +10,11 @@ import pytest
 import trimesh
 
 from lightopt import build_scene
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture, rotation_z
 from lightopt.defects import BUILT_IN_CATALOGUE, surface_coordinates
-from lightopt.errors import InputError
-from lightopt.mesh import SurfaceFinder, TriangleMesh
+from lightopt.geometry import SurfaceFinder, TriangleMesh
 from lightopt.scene import build_catalogue, defect_facts, move_part, project, view_from_part
-from lightopt.transforms import Posture, rotation_z
 
 
 def with_defects(bench, *defects, key="defects"):
@@ -174,8 +174,8 @@ def test_surface_coordinates_of_a_placed_defect(box):
 
 def test_the_bench_shows_defects_where_the_part_lies(box):
     """A stain that is 1 mm aside in the file, or the part 1 mm aside on the bench, looks the same but for the rim."""
-    from lightopt.virtualbench._optics import BenchOptics
-    from lightopt.virtualbench._truth import BenchTruth
+    from lightopt.rig.simulated._deviations import BenchTruth
+    from lightopt.rig.simulated._optics import BenchOptics
 
     clean = box.part.read_text(encoding="utf-8")
 

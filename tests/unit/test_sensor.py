@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from lightopt.errors import InputError
-from lightopt.sensor import Sensor, expose, image_rng, saturated
-from lightopt.sensor._expose import _poisson
+from lightopt.core.errors import InputError
+from lightopt.optics import Sensor, expose, image_rng, saturated
+from lightopt.optics._exposure import _poisson
 
 EIGHT_BIT = Sensor(bit_depth=8)
 

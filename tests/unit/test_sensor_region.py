@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightopt.sensor import saturated_region
+from lightopt.optics import saturated_region
 
 
 def test_disc() -> None:

@@ -1,0 +1,528 @@
+"""Robust damped least squares: the one solver of every registration.
+
+Levenberg and Marquardt's method (Marquardt 1963, doi:10.1137/0111030) on a robust cost. Each accepted step lowers the
+cost. Steps are bounded, and so is the distance from the nominal parameters. What the residuals do not determine stays
+nominal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+TUKEY = 4.685
+HUBER = 1.345
+"""Residuals in units of their spread from which a pixel counts less: 95 % efficiency for Gaussian noise."""
+
+MOST_ITERATIONS = 40
+MOST_ROUNDS = 6
+"""Rounds with a spread of their own; each is of at most so many iterations as are left."""
+
+SAME_SPREAD = 0.03
+"""A spread that changes by less than this share ends the rounds."""
+
+PROMISE = 1e-3
+"""A solution has converged when the next step promises less than this of the cost: a step of 0.05 standard errors."""
+
+NO_DESCENT_PROMISE = 0.05
+"""And where no step lowers the cost, when it promised less than this: a step of 0.3 standard errors."""
+
+LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e5
+RELEASED = 2.0
+"""A direction that is held at nominal is let go again where the residuals tell this many times what they must. At the
+start, where the spread is still that of a misfit, they tell less than they do in the end."""
+
+WILD = 10.0
+"""A pixel that a trial step leaves without a prediction counts as a residual of this many spreads."""
+
+_HUGE = 1e12
+_TINY = 1e-12
+
+
+class Problem(Protocol):
+    """Residuals and their slopes; n rows, K parameters.
+
+    Attributes
+    ----------
+    weight
+        How much each row counts, shape (n,).
+    correlated
+        Rows whose errors are alike, so that `weight` and not their scatter says what they tell; shape (n,). Their
+        residuals are in units of their own spread.
+    """
+
+    @property
+    def weight(self) -> Float64:
+        """See above."""
+        ...
+
+    @property
+    def correlated(self) -> Bool:
+        """See above."""
+        ...
+
+    def residuals(self, x: Float64) -> Float64:
+        """Measured minus predicted in standard deviations, shape (n,); not finite where nothing is predicted."""
+        ...
+
+    def slopes(self, x: Float64) -> Float64:
+        """Derivatives of what is predicted by the parameters, in standard deviations, shape (n, K)."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Where parameters may go; arrays of shape (K,).
+
+    Attributes
+    ----------
+    nominal
+        Where a parameter stays that the residuals do not determine.
+    reach
+        Greatest distance from there.
+    step
+        Greatest change in one iteration.
+    prior
+        Standard deviation with which the nominal value is known beforehand; infinite where it is not.
+    resolution
+        A direction in the space of these parameters is determined where its standard error is below one of these
+        units; infinite for parameters that are adjusted along and of no interest.
+    undetermined
+        Directions that the residuals do not determine whatever their slopes say, rows in units of the parameters, shape
+        (u, K).
+    """
+
+    nominal: Float64
+    reach: Float64
+    step: Float64
+    prior: Float64
+    resolution: Float64
+    undetermined: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Where the robust cost is least; everything is finite.
+
+    Attributes
+    ----------
+    x
+        Parameters, shape (K,).
+    covariance
+        Of an M-estimate, each row with the variance that it shows, shape (K, K).
+    errors
+        Standard errors, at most the reach of a parameter, shape (K,).
+    undetermined
+        Directions that the residuals do not determine, in units of the limits' resolution, orthonormal rows, shape
+        (u, K).
+    at_limit
+        Parameters at their greatest distance from nominal, shape (K,).
+    converged
+        Whether the next step would change nothing.
+    iterations
+        Steps tried.
+    rows
+        Rows that had a prediction at the start.
+    spread
+        Robust standard deviation of the residuals at the end.
+    cost_before, cost_after
+        Robust cost per row with that spread: at the start, undetermined directions at nominal, and at the end.
+    """
+
+    x: Float64
+    covariance: Float64
+    errors: Float64
+    undetermined: Float64
+    at_limit: Bool
+    converged: bool
+    iterations: int
+    rows: int
+    spread: float
+    cost_before: float
+    cost_after: float
+
+    @property
+    def determined(self) -> bool:
+        """Whether the residuals determine every parameter of interest."""
+        return len(self.undetermined) == 0
+
+
+@dataclass(frozen=True)
+class _Loss:
+    kind: Literal["tukey", "huber"]
+
+    def cost(self, u: Float64) -> Float64:
+        # of residuals in units of their spread
+        if self.kind == "tukey":
+            inner = np.clip(1.0 - np.square(u / TUKEY), 0.0, None)
+            return TUKEY**2 / 6.0 * (1.0 - inner * inner * inner)
+        size = np.abs(u)
+        return np.where(size <= HUBER, 0.5 * u * u, HUBER * (size - 0.5 * HUBER))
+
+    def weight(self, u: Float64) -> Float64:
+        if self.kind == "tukey":
+            return np.square(np.clip(1.0 - np.square(u / TUKEY), 0.0, None))
+        return np.minimum(1.0, HUBER / np.maximum(np.abs(u), _TINY))
+
+    def bend(self, u: Float64) -> Float64:
+        # slope of weight(u)·u
+        if self.kind == "tukey":
+            off = np.square(u / TUKEY)
+            return np.where(off < 1.0, (1.0 - off) * (1.0 - 5.0 * off), 0.0)
+        return (np.abs(u) <= HUBER).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    slope: Float64
+    measured: Float64
+    weight: Float64
+    correlated: Bool
+
+    def residuals(self, x: Float64) -> Float64:
+        return self.measured - self.slope @ x
+
+    def slopes(self, x: Float64) -> Float64:  # noqa: ARG002 - the same everywhere
+        return self.slope
+
+
+def linear_problem(slope: Float64, measured: Float64, weight: Float64 | None = None) -> Problem:
+    """A problem whose prediction is linear in its parameters.
+
+    Parameters
+    ----------
+    slope
+        Derivatives in standard deviations, shape (n, K).
+    measured
+        Values in standard deviations, shape (n,).
+    weight
+        How much each row counts, shape (n,); all alike by default.
+    """
+    count = len(measured)
+    return _Linear(slope, measured, np.ones(count) if weight is None else weight, np.zeros(count, np.bool_))
+
+
+def solve(
+    problem: Problem,
+    start: Float64,
+    limits: Limits,
+    *,
+    loss: Literal["tukey", "huber"] = "tukey",
+    least_spread: float = 0.3,
+    most_iterations: int = MOST_ITERATIONS,
+) -> Solution:
+    """Find the parameters with the least robust cost.
+
+    Parameters
+    ----------
+    problem
+        Rows without a finite residual at the start do not count; those without finite slopes pull nowhere.
+    start
+        Shape (K,).
+    limits
+        Of the parameters.
+    loss
+        Tukey's (far residuals count alike) or Huber's (they pull alike; doi:10.1214/aoms/1177703732).
+    least_spread
+        Residuals are not taken for more exact than this many standard deviations.
+    most_iterations
+        Steps to try at most.
+    """
+    return _Solver(problem, limits, _Loss(loss), least_spread).run(
+        np.asarray(start, np.float64), most_iterations
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    x: Float64
+    residual: Float64
+    cost: float
+
+
+class _Solver:
+    def __init__(self, problem: Problem, limits: Limits, loss: _Loss, least_spread: float) -> None:
+        self._problem, self._limits, self._loss, self._least_spread = problem, limits, loss, least_spread
+        self._size = len(limits.nominal)
+        self._of_interest = np.flatnonzero(np.isfinite(limits.resolution))
+        self._precision = np.diag(np.where(np.isfinite(limits.prior), 1.0 / np.square(limits.prior), 0.0))
+        self._held = np.zeros((0, self._size))
+        self._scatter = np.zeros(0)
+        self._spread = least_spread
+        self._rows = np.zeros(0, np.bool_)
+        self._tried = 0
+        self._last: tuple[Float64, Float64] | None = None
+        self._raw: Float64 | None = None
+        self._last_normal: tuple[_Point, tuple[Float64, Float64]] | None = None
+        self._fixed_weight = np.zeros(0)
+
+    def run(self, start: Float64, most_iterations: int) -> Solution:
+        start = self._clipped(np.where(np.isfinite(start), start, self._limits.nominal))
+        with np.errstate(over="ignore", invalid="ignore"):
+            first = np.asarray(self._problem.residuals(start), np.float64)
+        self._rows = np.isfinite(first) & np.isfinite(self._problem.weight) & (self._problem.weight > 0.0)
+        self._fixed_weight = np.where(self._rows, self._problem.weight, 0.0)
+        here = self._point(start)
+        before = start
+        converged = False
+        for _ in range(MOST_ROUNDS):
+            spread = self._spread_of(here.residual)
+            done = converged and abs(spread - self._spread) <= SAME_SPREAD * self._spread
+            if not done:
+                self._spread = spread
+                here = self._point(here.x)
+            if self._hold(here):
+                before = self._at_nominal(start)
+                here = self._point(self._at_nominal(here.x))
+                done = False
+            if done:
+                break
+            here, converged = self._descend(here, most_iterations)
+            if self._tried >= most_iterations:
+                break
+        while True:
+            first_point = self._point(before)
+            if first_point.cost < here.cost:
+                # an earlier round's spread led elsewhere
+                here, converged = self._descend(first_point, self._tried + 5)
+            if not self._hold_scattered(here):
+                return self._solution(first_point, here, converged)
+            before = self._at_nominal(start)
+            here, converged = self._descend(
+                self._point(self._at_nominal(here.x)), max(most_iterations, self._tried + 5)
+            )
+
+    def _descend(self, here: _Point, most_iterations: int) -> tuple[_Point, bool]:
+        damping = FIRST_DAMPING
+        while True:
+            normal, pull = self._normal(here, self._slopes(here.x))
+            basis = self._basis(here.x, pull)
+            if basis.shape[1] == 0 or not self._rows.any():
+                return here, bool(self._rows.any())
+            scale, inner, outer = _scaled(basis.T @ normal @ basis, basis.T @ pull)
+            promise = 0.5 * float(outer @ _damped(inner, outer, LEAST_DAMPING))
+            if promise < PROMISE:
+                return here, True
+            before = here
+            while here is before:
+                if self._tried >= most_iterations or damping > MOST_DAMPING:
+                    return here, promise < NO_DESCENT_PROMISE
+                self._tried += 1
+                change = basis @ (_damped(inner, outer, damping) / scale)
+                there = self._point(self._bounded(here.x, change))
+                if there.cost < here.cost:
+                    here = there
+                    damping = max(LEAST_DAMPING, 0.1 * damping)
+                else:
+                    damping *= 10.0
+
+    def _point(self, x: Float64) -> _Point:
+        with np.errstate(over="ignore", invalid="ignore"):
+            residual = np.asarray(self._problem.residuals(x), np.float64)
+        finite = np.isfinite(residual)
+        if not finite.all():
+            residual = np.where(self._rows, np.where(finite, residual, WILD * self._units()), 0.0)
+        residual = np.clip(residual, -_HUGE, _HUGE)
+        cost = float(self._loss.cost(residual / self._units()) @ self._weights())
+        known = (x - self._limits.nominal) @ self._precision @ (x - self._limits.nominal)
+        return _Point(x, residual, cost + 0.5 * float(known))
+
+    def _units(self) -> Float64:
+        # spread of each row
+        return np.where(self._problem.correlated, 1.0, self._spread)
+
+    def _weights(self) -> Float64:
+        return self._fixed_weight
+
+    def _spread_of(self, residual: Float64) -> float:
+        own = residual[self._rows & ~self._problem.correlated]
+        return max(1.4826 * float(np.median(np.abs(own))), self._least_spread) if len(own) else self._spread
+
+    def _slopes(self, x: Float64) -> Float64:
+        if self._last is not None and np.array_equal(self._last[0], x):
+            return self._last[1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            slopes = np.asarray(self._problem.slopes(x), np.float64)
+        if self._last is not None and slopes is self._raw:
+            return self._last[1]  # a linear problem's
+        self._raw = slopes
+        known = self._rows & np.isfinite(slopes).all(axis=1)
+        if not known.all():
+            slopes = np.where(known[:, None], slopes, 0.0)
+        slopes = np.clip(slopes, -_HUGE, _HUGE)
+        self._last = x, slopes
+        return slopes
+
+    def _normal(self, here: _Point, slopes: Float64) -> tuple[Float64, Float64]:
+        # asked for more than once at a point; a point is made anew where the spread is another
+        if self._last_normal is not None and self._last_normal[0] is here:
+            return self._last_normal[1]
+        unit = self._units()
+        weight = self._weights() * self._loss.weight(here.residual / unit) / np.square(unit)
+        weighted = slopes * weight[:, None]
+        normal = weighted.T @ slopes + self._precision
+        pull = weighted.T @ here.residual - self._precision @ (here.x - self._limits.nominal)
+        self._last_normal = here, (normal, pull)
+        return normal, pull
+
+    def _hold(self, here: _Point) -> bool:
+        # keep the directions at nominal that the residuals do not determine, release those that they do; whether their
+        # number is another
+        of = self._of_interest
+        if not len(of):
+            return False
+        normal, _ = self._normal(here, self._slopes(here.x))
+        values, vectors = np.linalg.eigh(self._information(normal))
+        unknown, before = values < 1.0, len(self._held)
+        if np.sum(unknown) < before:
+            unknown = values < RELEASED
+        if np.sum(unknown) == before:
+            return False
+        self._held = np.zeros((int(np.sum(unknown)), self._size))
+        self._held[:, of] = vectors[:, unknown].T
+        self._scatter = np.zeros(len(self._held))
+        return True
+
+    def _hold_scattered(self, here: _Point) -> bool:
+        # keep the directions at nominal, too, that the residuals leave open as they scatter in the end; whether any is
+        of = self._of_interest
+        if not len(of) or len(self._held) == len(of) or not self._rows.any():
+            return False
+        held, unit = self._held[:, of], self._limits.resolution[of]
+        free = np.eye(len(of)) - held.T @ held
+        values, vectors = np.linalg.eigh(
+            free @ (self._covariance(here)[np.ix_(of, of)] / np.outer(unit, unit)) @ free
+        )
+        scattered = np.zeros((int(np.sum(values > 1.0)), self._size))
+        scattered[:, of] = vectors[:, values > 1.0].T
+        self._held = np.concatenate([self._held, scattered])
+        self._scatter = np.concatenate([self._scatter, values[values > 1.0]])
+        return len(scattered) > 0
+
+    def _information(self, normal: Float64) -> Float64:
+        # about the parameters of interest alone, in units of their resolution
+        of = self._of_interest
+        others = np.setdiff1d(np.arange(self._size), of)
+        kept = normal[np.ix_(of, of)]
+        if len(others):
+            scale, inner, _ = _scaled(normal[np.ix_(others, others)], np.zeros(len(others)))
+            cross = normal[np.ix_(of, others)] / scale
+            kept = kept - cross @ np.linalg.solve(inner + LEAST_DAMPING * np.eye(len(others)), cross.T)
+        unit = self._limits.resolution[of]
+        found = kept * np.outer(unit, unit)
+        if self._limits.undetermined.size:
+            known, _ = np.linalg.qr((self._limits.undetermined[:, of] / unit).T)
+            rest = np.eye(len(of)) - known @ known.T
+            found = rest @ found @ rest
+        return 0.5 * (found + found.T)
+
+    def _in_resolution(self) -> Float64:
+        # parameters of interest in units of their resolution; the others do not matter
+        return np.where(np.isfinite(self._limits.resolution), self._limits.resolution, 1.0)
+
+    def _at_nominal(self, x: Float64) -> Float64:
+        unit = self._in_resolution()
+        off = (x - self._limits.nominal) / unit
+        return self._clipped(self._limits.nominal + unit * (off - self._held.T @ (self._held @ off)))
+
+    def _basis(self, x: Float64, pull: Float64) -> Float64:
+        # of the directions to move in, shape (K, f): not those held, nor a parameter at its limit that is pulled beyond
+        low, high = self._limits.nominal - self._limits.reach, self._limits.nominal + self._limits.reach
+        stuck = ((x <= low) & (pull < 0.0)) | ((x >= high) & (pull > 0.0))
+        unit = self._in_resolution()
+        held = np.concatenate([self._held / unit, np.eye(self._size)[stuck]])
+        if not len(held):
+            return np.eye(self._size)
+        held = held / np.maximum(np.linalg.norm(held, axis=1, keepdims=True), _TINY)
+        _, values, rows = np.linalg.svd(held)
+        return rows[int(np.sum(values > 1e-9)) :].T
+
+    def _clipped(self, x: Float64) -> Float64:
+        return np.clip(
+            x, self._limits.nominal - self._limits.reach, self._limits.nominal + self._limits.reach
+        )
+
+    def _bounded(self, x: Float64, change: Float64) -> Float64:
+        change = np.where(np.isfinite(change), change, 0.0)
+        longest = float(np.max(np.abs(change) / self._limits.step))
+        return self._clipped(x + change / max(longest, 1.0))
+
+    def _solution(self, before: _Point, here: _Point, converged: bool) -> Solution:
+        reach = self._limits.reach
+        rows = int(self._rows.sum())
+        covariance = np.diag(np.square(reach))
+        if rows:
+            covariance = self._covariance(here)
+            scale = np.minimum(1.0, reach / np.sqrt(np.maximum(np.diag(covariance), _TINY)))
+            covariance = covariance * np.outer(scale, scale)
+        held = self._held if rows else np.eye(self._size)[self._of_interest]
+        return Solution(
+            x=here.x,
+            covariance=covariance,
+            errors=np.sqrt(np.diag(covariance)),
+            undetermined=held,
+            at_limit=np.abs(here.x - self._limits.nominal) >= reach * (1.0 - 1e-9),
+            converged=converged and rows > 0,
+            iterations=self._tried,
+            rows=rows,
+            spread=self._spread,
+            cost_before=before.cost / max(rows, 1),
+            cost_after=here.cost / max(rows, 1),
+        )
+
+    def _covariance(self, here: _Point) -> Float64:
+        # of an M-estimate: Huber 1973, doi:10.1214/aos/1176342503; directions held have that of the information
+        slopes = self._slopes(here.x)
+        unit, weight = self._units(), self._weights()
+        u = here.residual / unit
+        normal, pull = self._normal(here, slopes)
+        # rows that are off together are not bent one by one
+        correlated = self._problem.correlated
+        bend = weight * np.where(correlated, self._loss.weight(u), self._loss.bend(u)) / np.square(unit)
+        inner = (slopes * bend[:, None]).T @ slopes + self._precision
+        shown = np.square(weight * self._loss.weight(u) * u / unit)
+        said = weight * self._loss.weight(u) / np.square(unit)
+        scatter = np.where(correlated, said, shown)
+        middle = (slopes * scatter[:, None]).T @ slopes + self._precision
+        basis = self._basis(here.x, np.zeros_like(pull))
+        covariance = np.zeros((self._size, self._size))
+        if basis.shape[1]:
+            scale, a, _ = _scaled(basis.T @ normal @ basis, basis.T @ pull)
+            bent = (basis.T @ inner @ basis) / np.outer(scale, scale)
+            # far from the optimum the bend is not definite: there its weights say how sharp it is
+            sharp = bent if np.linalg.eigvalsh(bent)[0] > 0.1 * np.linalg.eigvalsh(a)[0] else a
+            back = np.linalg.inv(sharp + LEAST_DAMPING * np.eye(len(sharp)))
+            values, vectors = np.linalg.eigh((basis.T @ middle @ basis) / np.outer(scale, scale))
+            # a square, so that no variance is below 0 for rounding
+            root = (basis / scale) @ back @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+            covariance = root @ root.T
+        if len(self._held):
+            of, res = self._of_interest, self._in_resolution()
+            held = self._held[:, of]
+            information = held @ self._information(normal) @ held.T
+            less = np.maximum(self._scatter * np.diag(information), 1.0)
+            told = np.linalg.eigh(information / np.sqrt(np.outer(less, less)))
+            rows = told.eigenvectors.T @ held
+            # no direction is more uncertain than the reach allows
+            least = np.max(np.square(rows * res[of] / self._limits.reach[of]), axis=1)
+            spread = rows.T / np.maximum(told.eigenvalues, least) @ rows
+            covariance[np.ix_(of, of)] += spread * np.outer(res[of], res[of])
+        return 0.5 * (covariance + covariance.T)
+
+
+def _scaled(normal: Float64, pull: Float64) -> tuple[Float64, Float64, Float64]:
+    # a matrix with a diagonal of ones, but for parameters that nothing depends on
+    size = np.sqrt(np.maximum(np.diag(normal), 0.0))
+    scale = np.where(size > _TINY, size, 1.0)
+    return scale, normal / np.outer(scale, scale), pull / scale
+
+
+def _damped(normal: Float64, pull: Float64, damping: float) -> Float64:
+    found = np.linalg.solve(normal + damping * np.eye(len(pull)), pull)
+    return np.asarray(found, np.float64)

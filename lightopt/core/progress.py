@@ -1,0 +1,51 @@
+"""Work done by threads, counted, so that the calling thread can tell which share of it is over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from threading import Lock
+
+Share = Callable[[float], None]
+"""Called with the share that is done, 0 to 1; an exception that it raises ends the work."""
+
+
+class Work:
+    """Units of work, counted by any thread and told by the calling one.
+
+    Parameters
+    ----------
+    total
+        Units in all.
+    tell
+        Called with the share that is done; None for nobody.
+    """
+
+    def __init__(self, total: float, tell: Share | None) -> None:
+        self._total = max(1.0, float(total))
+        self._tell = tell
+        self._done = 0.0
+        self._lock = Lock()
+
+    def add(self, units: float) -> None:
+        """Count units as done."""
+        with self._lock:
+            self._done += units
+
+    def tell(self) -> None:
+        """Tell the share that is done."""
+        if self._tell is not None:
+            self._tell(min(1.0, self._done / self._total))
+
+
+def part_of(tell: Share | None, start: float, end: float) -> Share | None:
+    """Tells the share of a part of the work as a share of the whole: from `start` to `end`."""
+    if tell is None:
+        return None
+    return lambda share: tell(start + (end - start) * share)
+
+
+def pieces(count: int, most: int) -> Iterator[tuple[int, int]]:
+    """(start, end) of pieces of `count` things, nearly equal and none larger than `most`."""
+    number = -(-count // max(1, most))
+    for i in range(number):
+        yield count * i // number, count * (i + 1) // number

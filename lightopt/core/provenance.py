@@ -1,0 +1,183 @@
+"""What a result depends on: the code that computed it, the packages that this code runs on, its inputs, its options.
+
+Every JSON file of results says it under ``provenance``, in one layout. The other files of a result are listed in that
+JSON file; the part file of ``lightopt defects``, which stands alone, has it as JSON in a comment.
+
+``lightopt``
+    Version.
+``code_sha256``
+    Hash of the sources of all that computes; the version of a release stays the same while its code is edited.
+``versions``
+    Of Python, and of the packages that figures, rays, triangles and levels come from.
+``inputs``
+    Hashes of the files that were read; names only, no folders, so that the same files give the same bytes everywhere.
+``options``
+    What was asked for, as far as results depend on it.
+
+Results of equal provenance are the same. Whatever is reused (a set that is resumed, a luminance matrix that was kept, a
+calibration) is reused only where its provenance is that of the run.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Iterable, Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from lightopt import __version__
+
+__all__ = [
+    "code_sha256",
+    "computed_by",
+    "differences",
+    "file_sha256",
+    "files_sha256",
+    "provenance",
+    "versions",
+]
+
+_PACKAGES = ("cascadio", "embreex", "llvmlite", "numba", "numpy", "OpenImageIO", "scipy", "trimesh")
+"""Packages that results depend on; llvmlite turns numba's code into that of the processor."""
+
+_PRESENTATION = ("cli", "report")
+"""Folders of the package that compute no result: they parse, print and draw what the others found."""
+
+_CODE_KEY = "code_sha256"
+_BLOCK_BYTES = 1 << 20
+_MOST_CHARACTERS = 100
+_MOST_DIFFERENCES = 6
+
+
+def provenance(inputs: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """What a result depends on, as JSON; see the module for the layout.
+
+    Parameters
+    ----------
+    inputs
+        Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives.
+    options
+        What was asked for, JSON-able.
+    """
+    return {**computed_by(), "inputs": dict(inputs), "options": dict(options)}
+
+
+def computed_by() -> dict[str, Any]:
+    """What computes: version, hash of the code, versions of the packages."""
+    return {"lightopt": __version__, _CODE_KEY: code_sha256(), "versions": versions()}
+
+
+@functools.cache
+def code_sha256() -> str:
+    """SHA-256 in hex of the names and contents of all source files that compute results."""
+    package = Path(__file__).parents[1]
+    sources: list[Path] = []
+    for folder, below, files in os.walk(package):
+        below[:] = [name for name in below if name not in (*_PRESENTATION, "__pycache__")]
+        sources += [Path(folder, name) for name in files if name.endswith(".py")]
+    digest = hashlib.sha256()
+    for path in sorted(sources):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(package).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()
+
+
+@functools.cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    return (("python", platform.python_version()), *((name, version(name)) for name in _PACKAGES))
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on."""
+    return dict(_versions())
+
+
+def file_sha256(path: str | Path) -> str:
+    """SHA-256 of a file's bytes, in hex.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    with Path(path).open("rb") as file:
+        while block := file.read(_BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def files_sha256(folder: Path, names: Iterable[str]) -> str:
+    """SHA-256 in hex of files by name and content; a missing one counts as such, and whoever reads it says so.
+
+    Parameters
+    ----------
+    folder
+        Where they lie.
+    names
+        Relative to it, in their order.
+    """
+    digest = hashlib.sha256()
+    for name in names:
+        path = folder / name
+        digest.update(f"{name} {file_sha256(path) if path.is_file() else 'missing'}\n".encode())
+    return digest.hexdigest()
+
+
+def differences(there: Mapping[str, Any], now: Mapping[str, Any], *, partly: bool = False) -> str:
+    """What tells two runs apart, in words: first what a person set, then versions, then contents; empty where nothing.
+
+    Names of files do not count: the same content under another name gives the same results.
+
+    Parameters
+    ----------
+    there, now
+        Of the earlier and of the present run, JSON of any depth.
+    partly
+        Whether `now` is only a part of what is known of the present run.
+    """
+    old, new = dict(_leaves(there)), dict(_leaves(now))
+    keys = new if partly else dict.fromkeys((*old, *new))
+    pairs = [(key, old.get(key), new.get(key)) for key in keys if old.get(key) != new.get(key)]
+    told = list(dict.fromkeys(_difference(*pair) for pair in sorted(pairs, key=lambda pair: _rank(*pair))))
+    more = len(told) - _MOST_DIFFERENCES
+    return "; ".join([*told[:_MOST_DIFFERENCES], *([f"and {more} more"] if more > 0 else [])])
+
+
+def _leaves(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Dotted key (``options.points``) and JSON text of each value; the sections of a provenance are not named."""
+    for key, inner in value.items():
+        name = prefix if not prefix and key in ("provenance", "inputs") else f"{prefix}{key}"
+        if isinstance(inner, Mapping) and inner:
+            yield from _leaves(inner, f"{name}." if name else "")
+        elif name and name not in ("rig.file", "part.file", "calibration.file"):
+            yield name, json.dumps(inner, sort_keys=True)
+
+
+def _rank(key: str, old: str | None, new: str | None) -> int:
+    if key.startswith("versions."):
+        return 1
+    return 2 if _is_content(key, old, new) else 0
+
+
+def _is_content(key: str, old: str | None, new: str | None) -> bool:
+    return key.endswith("sha256") or "sha256" in f"{old}{new}"
+
+
+def _difference(key: str, old: str | None, new: str | None) -> str:
+    if key == _CODE_KEY:
+        return "the code of lightopt has changed"
+    if _is_content(key, old, new):
+        return f"{key}: another content"
+    return f"{key}: there {_shown(old)}, now {_shown(new)}"
+
+
+def _shown(text: str | None) -> str:
+    text = text or "absent"
+    return text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}…"

@@ -1,0 +1,93 @@
+"""How many threads there are to use, and work spread over them, which ends soon where it is stopped."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextvars import ContextVar
+from threading import Event
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+Task = tuple[Callable[..., None], tuple[Any, ...]]
+"""A function and its arguments."""
+
+
+_stopped: ContextVar[Event | None] = ContextVar("_stopped", default=None)
+"""In a pool's thread: set where the pool's work was stopped."""
+
+
+class _StoppedError(Exception):
+    """What ends a task of stopped work; nobody sees it, since what stopped the work is raised instead."""
+
+
+def end_if_stopped() -> None:
+    """End the task of :func:`run_all` or :func:`in_threads` that calls it, where their work was stopped.
+
+    For tasks that take longer than a person who pressed Ctrl-C should wait: call it now and then.
+    """
+    stopped = _stopped.get()
+    if stopped is not None and stopped.is_set():
+        raise _StoppedError
+
+
+def available_processors() -> int:
+    """Processors that this process may use, which batch systems and containers restrict, where that can be told."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | None = None) -> list[T]:
+    """Results of a function of pieces' starts, in order, worked out by a pool of threads."""
+    count = threads or available_processors()
+    if count == 1 or len(starts) < 2:
+        return [work(start) for start in starts]
+    results: dict[int, T] = {}
+
+    def one(place: int, start: int) -> None:
+        results[place] = work(start)
+
+    run_all(((one, pair) for pair in enumerate(starts)), threads=count)
+    return [results[place] for place in range(len(starts))]
+
+
+def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | None = None) -> None:
+    """Call each task's function with its arguments; the first exception stops the rest.
+
+    Parameters
+    ----------
+    tasks
+        Taken up as threads become free, so that a long generator costs no memory.
+    threads
+        Number of threads; with one the calling thread does the work.
+    done
+        Called from the calling thread after each task; an exception that it raises stops the rest, too.
+    """
+    if threads == 1:
+        for function, arguments in tasks:
+            function(*arguments)
+            if done is not None:
+                done()
+        return
+    waiting_tasks = iter(tasks)
+    stopped = Event()
+    with ThreadPoolExecutor(threads, initializer=_stopped.set, initargs=(stopped,)) as pool:
+        running: set[Future[None]] = set()
+        try:
+            while True:
+                for function, arguments in itertools.islice(waiting_tasks, 2 * threads - len(running)):
+                    running.add(pool.submit(function, *arguments))
+                if not running:
+                    return
+                finished, running = wait(running, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                    if done is not None:
+                        done()
+        except BaseException:
+            stopped.set()
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise

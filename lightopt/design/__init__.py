@@ -1,0 +1,140 @@
+"""Where the lights go: candidate positions, the luminance matrix, objectives, and the exact search over combinations.
+
+Positions are scored on the levels that the camera would deliver at exposure 1. A combination is one candidate position
+of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
+"""
+
+from lightopt.design._commands import Way
+from lightopt.design._found import Draft
+from lightopt.design._optimize import Optimum
+from lightopt.design._options import OptimizeOptions
+from lightopt.design._plan import plan
+from lightopt.design._plan_options import PlanOptions
+from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, TrustOf
+from lightopt.design._result import Answer, SetResult, angles_of
+from lightopt.design._texts import (
+    LEFT_OUT_MEANING,
+    gap_text,
+    left_out_text,
+    looked_text,
+    near_meaning,
+    near_text,
+    patches_text,
+    score_text,
+    shown_text,
+    ties_text,
+)
+from lightopt.design.blind_spots._blind_spots import Blind, BlindSpots, blind_text
+from lightopt.design.blind_spots._classes import (
+    BLIND_CLASSES,
+    BlindClass,
+    LegendRow,
+    blind_class,
+    blind_classes,
+    blind_legend,
+)
+from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindReport
+from lightopt.design.blind_spots._unreachable_target import TargetUnreached
+from lightopt.design.candidates._candidates import find_candidates
+from lightopt.design.exposures._brackets import Brackets
+from lightopt.design.exposures._exposures import DEFAULT_EXPOSURE_GAIN
+from lightopt.design.objectives._bit_runs import flags_of
+from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
+from lightopt.design.objectives._registry import OBJECTIVES
+from lightopt.design.postures._choice import Choice, Wanted
+from lightopt.design.postures._choose import choose_postures
+from lightopt.design.postures._counts import counts_of_images
+from lightopt.design.postures._grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
+from lightopt.design.postures._light_positions import place_lights
+from lightopt.design.postures._pair_visibility import DRAWN_PATCHES, Survey, drawn_patches
+from lightopt.design.responses._contrast import DEFAULT_CONTRAST, Contrast
+from lightopt.design.responses._defect_evaluation import Inspection
+from lightopt.design.responses._defect_hypotheses import DIRECTIONS, Trial, unroll
+from lightopt.design.responses._luminance import luminance_matrix
+from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Thresholds, area_units
+from lightopt.design.responses._visibility import Visibility
+from lightopt.design.search._curves import Curve
+from lightopt.design.search._search import DEFAULT_LIMIT, search
+from lightopt.design.tolerances._evaluation import PairAssessment, Setup
+from lightopt.design.tolerances._robustness import trust_of
+from lightopt.design.tolerances._tolerances import DEFAULT_TOLERANCE_TARGET, Tolerances
+
+__all__ = [
+    "BLIND_CLASSES",
+    "BLIND_LIGHTS",
+    "BLIND_SHARES_OF",
+    "DEFAULT_CONTRAST",
+    "DEFAULT_EXPOSURE_GAIN",
+    "DEFAULT_LIMIT",
+    "DEFAULT_OUTSIDE_PX",
+    "DEFAULT_POSTURE_STEP",
+    "DEFAULT_TOLERANCE_TARGET",
+    "DIRECTIONS",
+    "DRAWN_PATCHES",
+    "LEFT_OUT_MEANING",
+    "OBJECTIVES",
+    "SHARES_OF",
+    "Answer",
+    "Blind",
+    "BlindClass",
+    "BlindReport",
+    "BlindSpots",
+    "Brackets",
+    "Choice",
+    "ChosenPostures",
+    "Contrast",
+    "Curve",
+    "Detectability",
+    "Draft",
+    "Inspection",
+    "LegendRow",
+    "Levels",
+    "LuminanceMatrix",
+    "Objective",
+    "OptimizeOptions",
+    "Optimum",
+    "PairAssessment",
+    "PlanOptions",
+    "PlanResult",
+    "SetResult",
+    "Setup",
+    "Survey",
+    "TargetUnreached",
+    "Thresholds",
+    "Tolerances",
+    "Trial",
+    "TrustOf",
+    "Visibility",
+    "Wanted",
+    "Way",
+    "angles_of",
+    "area_text",
+    "area_units",
+    "blind_class",
+    "blind_classes",
+    "blind_legend",
+    "blind_text",
+    "choose_postures",
+    "counts_of_images",
+    "drawn_patches",
+    "find_candidates",
+    "flags_of",
+    "gap_text",
+    "left_out_text",
+    "looked_text",
+    "luminance_matrix",
+    "near_meaning",
+    "near_text",
+    "patches_text",
+    "place_lights",
+    "plan",
+    "score_text",
+    "search",
+    "share_of_whole",
+    "share_text",
+    "shown_text",
+    "ties_text",
+    "trust_of",
+    "unroll",
+]

@@ -1,0 +1,156 @@
+"""What was planned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lightopt.core.transforms import Posture
+from lightopt.design._commands import Command, Way
+from lightopt.design.exposures._brackets import Brackets
+from lightopt.design.postures._choice import Choice
+from lightopt.design.postures._grid import LeftOutPosture
+from lightopt.design.tolerances._robustness import Trust
+from lightopt.rendering import GRAZING_DEG
+
+SHARES_OF = (
+    f"the surface that the camera sees in any posture to choose from at up to {GRAZING_DEG:g}° to its normal × "
+    "defects by weight"
+)
+"""What the shares of a plan are shares of."""
+
+OWN_SHARES_OF = (
+    f"the surface that the camera sees in any of the postures at up to {GRAZING_DEG:g}° to its normal × defects by "
+    "weight"
+)
+"""The same of exposures for a part's own postures."""
+
+TELLING_SHARE = 0.001
+"""Of the pairs: what postures add together that are not worth an image."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChosenPostures:
+    """The postures of a plan, and what there was to choose from.
+
+    Attributes
+    ----------
+    choice
+        Postures and lights.
+    offered
+        Postures to choose from.
+    left_out
+        Postures that the stage reaches and that are of no use.
+    way
+        Through the chosen ones, were all captured in one round.
+    pace
+        How fast the stage goes, and who says so.
+    least
+        Images that must show a pair.
+    asked, target
+        Number of postures and share that were asked for; None for what was not.
+    drawn, patches
+        Patches that the first turns of postures and lights were taken on, and those of the last ones and all figures.
+    max_edge, footprint
+        Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
+    grain
+        How far shares may be off since a patch counts as its middle does: see :class:`lightopt.rendering.PatchTable`.
+    inspectable_share
+        Of the part's surface, by area, what is inspectable in one candidate posture or more.
+    left_out_share
+        Of the part's surface, by area, what the camera sees in candidate postures at a grazing angle only.
+    exposures
+        That were offered, 1 among them.
+    brackets
+        Which of them are planned; None where there was no offer.
+    """
+
+    choice: Choice
+    offered: int
+    left_out: tuple[LeftOutPosture, ...]
+    way: Way
+    pace: str
+    least: int
+    asked: int | None
+    target: float | None
+    drawn: int
+    patches: int
+    max_edge: float
+    footprint: float
+    grain: float
+    inspectable_share: float
+    left_out_share: float
+    exposures: tuple[float, ...] = (1.0,)
+    brackets: Brackets | None = None
+
+    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
+        """That are planned for a posture, the longest first."""
+        return (1.0,) if self.brackets is None else self.brackets.of(posture)
+
+    @property
+    def proven(self) -> bool:
+        """Whether no other postures with no other lights show more: then there is nothing that turns could miss."""
+        cover = self.choice.cover
+        return cover.reached == cover.total or (self.choice.turns == 0 and cover.proven)
+
+    @property
+    def telling(self) -> int:
+        """How many of the postures, in the order in which they were chosen, come within a tenth of a point of all."""
+        steps = self.choice.cover.steps
+        enough = (steps[-1].reached if steps else 0) - TELLING_SHARE * self.choice.cover.total
+        return next((i for i, step in enumerate(steps, start=1) if step.reached >= enough), len(steps))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrustOf:
+    """How far a score falls, of one posture or of several together.
+
+    Attributes
+    ----------
+    postures
+        Which.
+    trust
+        What becomes of their score.
+    unit
+        Of the score.
+    patches
+        Patches that it was worked out on.
+    grain
+        How far shares of these may be off since a patch counts as its middle does.
+    """
+
+    postures: tuple[Posture, ...]
+    trust: Trust
+    unit: str
+    patches: int
+    grain: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanResult:
+    """What was planned.
+
+    Attributes
+    ----------
+    chosen
+        Postures; None where the part's own were taken.
+    brackets
+        Exposures; None where none were offered.
+    trust
+        Posture by posture, then together where there are several; empty where nobody asked.
+    commands
+        That carry the plan out; empty where neither postures nor exposures were planned.
+    """
+
+    chosen: ChosenPostures | None = None
+    brackets: Brackets | None = None
+    trust: tuple[TrustOf, ...] = ()
+    commands: tuple[Command, ...] = ()
+
+    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
+        """That are planned for a posture, the longest first."""
+        return (1.0,) if self.brackets is None else self.brackets.of(posture)
+
+    @property
+    def shares_of(self) -> str:
+        """What the shares of exposures and postures are shares of."""
+        return OWN_SHARES_OF if self.chosen is None else SHARES_OF

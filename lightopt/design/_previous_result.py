@@ -1,0 +1,150 @@
+"""The result of an earlier run in the output folder: the same run again, or another one, or one that was cut off.
+
+While a run writes its files, ``unfinished.json`` lists those that it means to write, and those of an earlier run that
+it removes; it goes when ``result.json`` is there. So there is no time at which a folder has a ``result.json`` beside
+files that contradict it, and what an interrupted run left is known to the next one.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import differences
+from lightopt.design._additions import APPENDED_NAMES
+from lightopt.images import remove_image_set, write_text_atomic
+
+RESULT_NAME = "result.json"
+RIG_NAME = "rig.optimized.yaml"
+REPORT_NAME = "report.html"
+UNFINISHED_NAME = "unfinished.json"
+
+_FORMATS = {RESULT_NAME: "lightopt-optimum/", UNFINISHED_NAME: "lightopt-unfinished/"}
+
+
+def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
+    """Stop before any work where a folder holds the result of other inputs.
+
+    Parameters
+    ----------
+    folder
+        Where the results go.
+    provenance
+        Of the run to come, or the part of it that is known already.
+
+    Raises
+    ------
+    InputError
+        A result is there and was made otherwise, or cannot be read.
+    """
+    path = folder / RESULT_NAME
+    if not path.exists():
+        return
+    found = _read(path)
+    advice = "use --force to replace it, or choose another output folder"
+    if found is None:
+        raise InputError(f"{path}: exists and is not a result of lightopt optimize; {advice}")
+    earlier = found.get("provenance")
+    if told := differences(earlier if isinstance(earlier, dict) else {}, provenance, partly=True):
+        raise InputError(f"{path}: the result of another run ({told}); {advice}")
+
+
+def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
+    """Say which files are to come and, with `force`, remove result.json and then all that earlier runs list.
+
+    Removed are rigs, overlap maps, reports and files of an appendix by their names, and image sets by their manifests,
+    inside the folder only; captured images, kept matrices and what no list names stay.
+
+    Parameters
+    ----------
+    folder
+        Where the results go; it exists.
+    listed
+        ``rigs``, ``images``, ``overlaps`` and ``files`` as in result.json.
+    force
+        Whether the files of earlier runs are removed.
+
+    Returns
+    -------
+    bool
+        Whether a report that is there is of an earlier run.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written or removed.
+    """
+    earlier = [found for name in _FORMATS if (found := _read(folder / name)) is not None]
+    lists = {key: [one for doc in (listed, *earlier) for one in _entries(doc, key)] for key in listed}
+    document = {"format": "lightopt-unfinished/1", **lists}
+    write_text_atomic(folder / UNFINISHED_NAME, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    ours = any({"file": REPORT_NAME} in _entries(document, "files") for document in earlier)
+    if not force:
+        return ours
+    _unlink(folder / RESULT_NAME)
+    for document in earlier:
+        for path in _paths(folder, document, "overlaps", "map"):
+            if path.name.startswith("overlap") and path.suffix == ".png":
+                _unlink(path)
+        for path in _paths(folder, document, "images", "folder"):
+            remove_image_set(path)
+            _leave(path, folder)
+        for path in _paths(folder, document, "files", "file"):
+            if path.name in (REPORT_NAME, *APPENDED_NAMES):
+                _unlink(path)
+                _leave(path.parent, folder)
+        for path in _paths(folder, document, "rigs", "file"):
+            if path.name == RIG_NAME:
+                _unlink(path)
+                _leave(path.parent, folder)
+    return ours
+
+
+def end_writing(folder: Path) -> None:
+    """All files are there, result.json too."""
+    _unlink(folder / UNFINISHED_NAME)
+
+
+def _paths(folder: Path, document: Mapping[str, Any], key: str, name: str) -> Iterator[Path]:
+    # what a list names, as far as it is inside the folder; a list can be damaged in any way
+    for entry in _entries(document, key):
+        given = entry.get(name)
+        if not isinstance(given, str):
+            continue
+        with suppress(OSError, ValueError, RuntimeError):  # NUL, loops of links
+            path = (folder / given).resolve()
+            if path.is_relative_to(folder.resolve()) and path != folder.resolve():
+                yield path
+
+
+def _entries(document: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+    found = document.get(key)
+    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
+
+
+def _unlink(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be removed: {error.strerror or error}; remove it, or choose another output folder"
+        ) from error
+
+
+def _leave(path: Path, folder: Path) -> None:
+    if path != folder.resolve():
+        with suppress(OSError):  # something else is in it, or it is gone
+            path.rmdir()
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    right = isinstance(found, dict) and str(found.get("format", "")).startswith(_FORMATS[path.name])
+    return found if right else None

@@ -1,0 +1,70 @@
+"""The rig's file with new angles, its comments kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from lightopt.config import RigConfig, copied_text
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.design._previous_result import RIG_NAME
+from lightopt.design._result import SetResult, angles_of
+from lightopt.design.candidates._candidates import Candidates
+from lightopt.images import posture_folder
+
+
+def check_editable(rig: RigConfig) -> None:
+    """See that the angles of a rig's file can be changed, before any work.
+
+    Raises
+    ------
+    InputError
+        The rig was not read from a file, or anchors and aliases are in the way.
+    """
+    if not rig.source.text:
+        raise InputError(
+            f"{rig.source.path}: the rig was built in code, so that there is no file to write the new angles into; "
+            "load it from one"
+        )
+    _edited(rig, [(light.elevation_deg, light.azimuth_deg) for light in rig.lights], rig.source.path.parent)
+
+
+def rig_texts(
+    rig: RigConfig, results: Sequence[SetResult], candidates: Candidates, *, folder: Path
+) -> list[tuple[Path, tuple[Posture, ...], str]]:
+    """File, relative to the output `folder`, postures and text of each rig to write.
+
+    One rig where the same positions are best for all postures, else one per posture.
+    """
+    answered = [(result, result.answers[0]) for result in results if result.answers[0].nothing is None]
+    sets = [
+        (angles_of(candidates, answer.found.best), result.postures, Path(posture_folder(result.postures[0])))
+        for result, answer in answered
+    ]
+    if sets and len(answered) == len(results) and len({angles for angles, _, _ in sets}) == 1:
+        together = tuple(posture for _, postures, _ in sets for posture in postures)
+        sets = [(sets[0][0], together, Path())]
+    elif len(results) == 1:
+        sets = [(angles, postures, Path()) for angles, postures, _ in sets]
+    return [
+        (home / RIG_NAME, postures, _edited(rig, angles, folder / home)) for angles, postures, home in sets
+    ]
+
+
+def _edited(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
+    values: dict[tuple[str | int, ...], str] = {}
+    for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
+        if light.elevation_range_deg is not None:
+            values["lights", index, "elevation_deg"] = degrees_text(elevation)
+        if light.azimuth_range_deg is not None:
+            values["lights", index, "azimuth_deg"] = degrees_text(azimuth)
+    try:
+        return copied_text(rig, home, values)
+    except InputError as error:
+        raise InputError(*(f"{rig.source.path}: {text}" for text in error.messages)) from None
+
+
+def degrees_text(angle: float) -> str:
+    """An angle as a file is to say it: at most nine decimals, which is finer than any stage, and no exponent."""
+    return f"{round(angle, 9):.9f}".rstrip("0").rstrip(".")

@@ -1,0 +1,1 @@
+"""Where defects stay invisible, and why."""

@@ -1,0 +1,161 @@
+"""The blind spots of an optimisation: of the chosen lights and of all that lights can do, per posture and in all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.transforms import Posture
+from lightopt.design.blind_spots._blind_spots import (
+    Blind,
+    BlindSpots,
+    Shown,
+    blind_spots,
+    blind_text,
+    shown_by,
+)
+from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
+
+BLIND_SHARES_OF = "the part's surface but what the camera sees at a grazing angle only, × defects by weight"
+"""What shares of blind spots are shares of."""
+
+BLIND_LIGHTS = ("chosen", "best for each defect")
+"""Where the lights stand in the rows of the tables: at the chosen positions; or wherever each defect is seen, which no
+one set of positions need show."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Looked:
+    """What a posture's images show.
+
+    Attributes
+    ----------
+    posture
+        The posture.
+    chosen, possible
+        With the chosen lights and exposures, and with all positions and exposures that there were to choose from.
+    """
+
+    posture: Posture
+    chosen: Shown
+    possible: Shown
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BlindReport:
+    """Blind spots of the whole surface.
+
+    Attributes
+    ----------
+    objective
+        Whose defects they are.
+    lights
+        Names, in the rig's order.
+    postures
+        That were looked at.
+    chosen, possible
+        Over all postures, a defect being seen in enough of all their images: of the chosen lights, and of all that the
+        lights can do.
+    chosen_in, possible_in
+        The same of the images of each posture alone.
+    """
+
+    objective: Detectability
+    lights: tuple[str, ...]
+    postures: tuple[Posture, ...]
+    chosen: BlindSpots
+    possible: BlindSpots
+    chosen_in: tuple[BlindSpots, ...]
+    possible_in: tuple[BlindSpots, ...]
+
+    @staticmethod
+    def of(
+        looked: Sequence[Looked], areas: NDArray[np.float64], objective: Detectability, lights: Sequence[str]
+    ) -> BlindReport:
+        """Put postures together; areas are those of all patches of the run [mm²], shape (n,)."""
+        chosen = [one.chosen for one in looked]
+        possible = [one.possible for one in looked]
+        return BlindReport(
+            objective=objective,
+            lights=tuple(lights),
+            postures=tuple(one.posture for one in looked),
+            chosen=blind_spots(areas, chosen),
+            possible=blind_spots(areas, possible),
+            chosen_in=tuple(blind_spots(areas, [one]) for one in chosen),
+            possible_in=tuple(blind_spots(areas, [one]) for one in possible),
+        )
+
+    def parts(self) -> list[tuple[Posture | None, BlindSpots, BlindSpots]]:
+        """All postures together (None), then each: with the chosen lights, and with all that they can do."""
+        own = zip(self.postures, self.chosen_in, self.possible_in, strict=True)
+        return [(None, self.chosen, self.possible), *own]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "seen_in": self.objective.seen_in,
+            "shares_of": BLIND_SHARES_OF,
+            "surface_mm2": round(float(self.chosen.areas.sum()), 6),
+            "grain": round(self.chosen.grain, 6),
+            **self._both(self.chosen, self.possible),
+            "postures": [
+                {"posture": posture.as_dict(), **self._both(chosen, possible)}
+                for posture, chosen, possible in self.parts()
+                if posture is not None
+            ],
+        }
+
+    def _both(self, chosen: BlindSpots, possible: BlindSpots) -> dict[str, Any]:
+        return {"chosen": self._facts(chosen), "any_position": self._facts(possible)}
+
+    def _facts(self, spots: BlindSpots) -> dict[str, Any]:
+        reasons = [
+            {"reason": blind_text(code, self.lights), "share": round(share, 6)}
+            for code, share in spots.by_reason().items()
+        ]
+        return {
+            "seen": round(spots.seen, 6),
+            "blind": reasons,
+            "left_out_of_surface": round(spots.left_out, 6),
+        }
+
+
+def look_for_blind_spots(
+    matrix: LuminanceMatrix,
+    posture: Posture,
+    thresholds: Thresholds,
+    *,
+    seen_in: int,
+    candidates: Sequence[int],
+) -> Looked:
+    """Blind spots of a posture under a combination of light positions, and under all of them.
+
+    Parameters
+    ----------
+    matrix
+        Of the posture, with its visibility.
+    posture
+        The posture.
+    thresholds
+        Black level and saturation.
+    seen_in
+        Images that must show a defect.
+    candidates
+        The combination.
+    """
+    return Looked(
+        posture=posture,
+        chosen=shown_by([matrix], thresholds, least=seen_in, candidates=candidates),
+        possible=shown_by([matrix], thresholds, least=seen_in),
+    )
+
+
+def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:
+    """All codes and their names."""
+    codes = [*Blind, *(Blind.SATURATED + light for light in range(1, len(lights)))]
+    return [(int(code), blind_text(int(code), lights)) for code in codes]

@@ -1,0 +1,1 @@
+"""Candidate positions of the lights."""

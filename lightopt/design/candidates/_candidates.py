@@ -1,0 +1,302 @@
+"""Candidate positions of the lights: which there are, which are left out and why, which cannot stand together."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.config import RigConfig
+from lightopt.core.errors import InputError, counted
+from lightopt.design.candidates._angles import can_move, common_elevations, light_angles
+from lightopt.design.candidates._combination_space import Rows, Space
+from lightopt.rendering import panels_in_part
+from lightopt.scene import (
+    PanelLight,
+    PinholeCamera,
+    Scene,
+    build_camera,
+    build_lights,
+    image_area,
+    panel_corners,
+    rectangles_meet,
+)
+
+Angles = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A position that a light cannot take.
+
+    Attributes
+    ----------
+    light
+        Its name.
+    elevation_deg, azimuth_deg
+        The position [°].
+    reason
+        For people.
+    kind
+        ``view``, ``table``, ``part`` or ``collision``.
+    amount
+        Pixels that are covered, or mm below the table top; None for the other kinds.
+    """
+
+    light: str
+    elevation_deg: float
+    azimuth_deg: float
+    reason: str
+    kind: str
+    amount: float | None = None
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The positions to choose from.
+
+    Attributes
+    ----------
+    names
+        Of the lights, in the rig's order.
+    angles
+        Of each light: (elevation, azimuth) [°], ascending.
+    panels
+        Of each light: the panels that stand there, world frame.
+    left_out
+        What the ranges offer and the machine cannot do.
+    space
+        Which combinations are allowed.
+    """
+
+    names: tuple[str, ...]
+    angles: tuple[tuple[Angles, ...], ...]
+    panels: tuple[tuple[PanelLight, ...], ...]
+    left_out: tuple[LeftOut, ...]
+    space: Space
+
+    def panels_at(self, combination: Sequence[int]) -> tuple[PanelLight, ...]:
+        """The panels of one position of each light, given by its index."""
+        return tuple(some[k] for some, k in zip(self.panels, combination, strict=True))
+
+
+def find_candidates(
+    rig: RigConfig,
+    *,
+    step_deg: float,
+    common_elevation: bool = False,
+    points: int | Literal["auto"] | None = None,
+    places: Sequence[Angles] | None = None,
+    scene: Scene | None = None,
+) -> Candidates:
+    """The positions that a rig's lights can take.
+
+    Left out are panels that stand in the camera's view, reach below the table top, are inside the part in one of its
+    postures, or collide with another light wherever that one stands. Panels that collide in some of their positions
+    only make combinations that are not allowed.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    step_deg
+        Of the angles [°].
+    common_elevation
+        Whether all lights that move in elevation stand at the same one.
+    points
+        Point lights per panel, instead of the rig's.
+    places
+        One position of each light [°] that was chosen before, and no others.
+    scene
+        The part in its postures; without it the part is not in the way.
+
+    Raises
+    ------
+    InputError
+        No light that moves, a light without any position left.
+    """
+    _check_movable(rig, chosen=places is not None)
+    shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
+    camera = build_camera(rig)
+    left_out: list[LeftOut] = []
+    kept: list[list[tuple[Angles, PanelLight]]] = []
+    for index in range(len(rig.lights)):
+        standing: list[tuple[Angles, PanelLight]] = []
+        angles = (
+            light_angles(rig, index, step_deg=step_deg, elevations=shared)
+            if places is None
+            else [places[index]]
+        )
+        for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
+            reason = _reason(panel, camera) or _part_in_the_way(panel, scene)
+            if reason is None:
+                standing.append((at, panel))
+            else:
+                left_out.append(LeftOut(panel.name, *at, *reason))
+        kept.append(standing)
+    clashes = _clashes(kept)
+    hopeless = _always_colliding(kept, clashes)
+    for index, others in hopeless.items():
+        for k, other in sorted(others.items()):
+            name = rig.lights[index].name
+            reason = f"collides with {rig.lights[other].name} wherever that one stands"
+            left_out.append(LeftOut(name, *kept[index][k][0], reason, "collision"))
+    rows = [[k for k in range(len(places)) if k not in hopeless[i]] for i, places in enumerate(kept)]
+    _check_any(rig, rows, left_out)
+    angles_kept = tuple(tuple(kept[i][k][0] for k in row) for i, row in enumerate(rows))
+    sizes = tuple(len(row) for row in rows)
+    return Candidates(
+        names=tuple(light.name for light in rig.lights),
+        angles=angles_kept,
+        panels=tuple(tuple(kept[i][k][1] for k in row) for i, row in enumerate(rows)),
+        left_out=tuple(left_out),
+        space=Space(
+            sizes=sizes,
+            groups=_groups(rig, angles_kept, sizes, shared),
+            clashes={
+                pair: clash[np.ix_(rows[pair[0]], rows[pair[1]])]
+                for pair, clash in clashes.items()
+                if clash[np.ix_(rows[pair[0]], rows[pair[1]])].any()
+            },
+        ),
+    )
+
+
+def _check_movable(rig: RigConfig, *, chosen: bool) -> None:
+    if not chosen and not any(map(can_move, rig.lights)):
+        raise InputError(
+            f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
+            "azimuth_range_deg"
+        )
+
+
+def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[LeftOut]) -> None:
+    problems: list[str] = []
+    for index, row in enumerate(rows):
+        if not row:
+            light = rig.lights[index]
+            reasons = _grouped([out for out in left_out if out.light == light.name])
+            key = "elevation_range_deg" if light.elevation_range_deg is not None else "elevation_deg"
+            problems.append(
+                f"{rig.source.at('lights', index, key)}: no position of light {light.name} is left: it "
+                f"{'; it '.join(reasons)}. Change its range or the size of its panel"
+            )
+    if problems:
+        raise InputError(*problems)
+
+
+def _panels(
+    rig: RigConfig, index: int, angles: Sequence[Angles], points: int | Literal["auto"] | None
+) -> tuple[PanelLight, ...]:
+    light = rig.lights[index]
+    moved = tuple(light.model_copy(update={"elevation_deg": e, "azimuth_deg": a}) for e, a in angles)
+    return build_lights(rig.model_copy(update={"lights": moved}), None, points)
+
+
+Reason = tuple[str, str, float | None]
+"""Text, kind and amount of a :class:`LeftOut`."""
+
+
+def _grouped(left_out: Sequence[LeftOut]) -> list[str]:
+    # positions of one kind together, with the smallest and the largest amount
+    texts: list[str] = []
+    groups = dict.fromkeys((out.kind, "" if out.amount is not None else out.reason) for out in left_out)
+    for kind, text in groups:
+        some = [out for out in left_out if (out.kind, text or out.reason) == (kind, out.reason)]
+        amounts = [out.amount for out in some if out.amount is not None]
+        where = f" ({counted(len(some), 'position')})"
+        if kind == "view":
+            texts.append(f"stands in the camera's view, over {_span(amounts, ',.0f')} pixels{where}")
+        elif kind == "table":
+            texts.append(f"reaches {_span(amounts, '.3g')} mm below the table top{where}")
+        else:
+            texts.append(text + where)
+    return texts
+
+
+def _span(amounts: Sequence[float], form: str) -> str:
+    low, high = (format(end, form) for end in (min(amounts), max(amounts)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _reason(panel: PanelLight, camera: PinholeCamera) -> Reason | None:
+    corners = panel_corners(panel)
+    pixels = image_area(camera, corners)
+    if pixels > 0.0:
+        covered = max(1, round(pixels))
+        return f"stands in the camera's view, over {counted(covered, 'pixel')}", "view", float(covered)
+    lowest = float(corners[:, 2].min())
+    if lowest < 0.0:
+        return f"reaches {-lowest:.3g} mm below the table top", "table", -lowest
+    return None
+
+
+def _part_in_the_way(panel: PanelLight, scene: Scene | None) -> Reason | None:
+    if scene is None:
+        return None
+    inside = panels_in_part(replace(scene, lights=(panel,)))
+    return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
+
+
+def _clashes(
+    kept: Sequence[Sequence[tuple[Angles, PanelLight]]],
+) -> dict[tuple[int, int], NDArray[np.bool_]]:
+    clashes: dict[tuple[int, int], NDArray[np.bool_]] = {}
+    for i, j in itertools.combinations(range(len(kept)), 2):
+        clash = np.zeros((len(kept[i]), len(kept[j])), np.bool_)
+        if clash.size:
+            # spheres around the panels tell apart most pairs at once
+            centres = [np.array([panel.centre for _, panel in kept[k]]) for k in (i, j)]
+            reach = sum(0.5 * float(np.hypot(*kept[k][0][1].size)) for k in (i, j))
+            for a, centre in enumerate(centres[0]):
+                apart = np.linalg.norm(centres[1] - centre, axis=1)
+                for b in map(int, np.flatnonzero(apart <= reach)):
+                    clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
+        if clash.any():
+            clashes[i, j] = clash
+    return clashes
+
+
+def _always_colliding(
+    kept: Sequence[Sequence[object]], clashes: dict[tuple[int, int], NDArray[np.bool_]]
+) -> dict[int, dict[int, int]]:
+    # of each light, its candidates that collide with all that is left of another light, and which light that is
+    gone: dict[int, dict[int, int]] = {i: {} for i in range(len(kept))}
+    found = True
+    while found:
+        found = False
+        for (i, j), clash in clashes.items():
+            for light, other, table in ((i, j, clash), (j, i, clash.T)):
+                left = [k for k in range(len(kept[other])) if k not in gone[other]]
+                for k in range(len(kept[light])):
+                    if left and k not in gone[light] and table[k, left].all():
+                        gone[light][k] = other
+                        found = True
+    return gone
+
+
+def _groups(
+    rig: RigConfig, angles: Sequence[Sequence[Angles]], sizes: Sequence[int], shared: Sequence[float] | None
+) -> tuple[Rows, ...]:
+    if shared is None:
+        return (tuple(np.arange(n) for n in sizes),)
+    groups: list[Rows] = []
+    for elevation in shared:
+        rows = tuple(
+            np.array(
+                [k for k, at in enumerate(some) if light.elevation_range_deg is None or at[0] == elevation],
+                np.int64,
+            )
+            for light, some in zip(rig.lights, angles, strict=True)
+        )
+        if all(len(row) for row in rows):
+            groups.append(rows)
+    if not groups:
+        raise InputError(
+            f"{rig.source.at('lights')}: --common-elevation: at no elevation are positions of all lights left"
+        )
+    return tuple(groups)

@@ -1,0 +1,1 @@
+"""Which further exposures the images of a plan need."""

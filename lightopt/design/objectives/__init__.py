@@ -1,0 +1,1 @@
+"""What a set of images is scored by. Add an objective here."""

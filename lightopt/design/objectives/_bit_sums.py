@@ -1,0 +1,160 @@
+"""Scores that depend on classes of levels only, counted in packed bits: for patches whose classes change all the time.
+
+64 patches share a word. Usable and saturated images are counted by saturating bit counters, light after light; the
+weights of what is covered are added up bit by bit, each bit of the weights being a plane of words of its own.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.kernels import kernel
+from lightopt.core.progress import Share, Work, pieces
+from lightopt.core.threads import Task, run_all
+from lightopt.design.responses._luminance_matrix import Levels, Thresholds
+from lightopt.design.responses._packed_bits import Words, common_bits, count_flags, packed
+
+Int64 = NDArray[np.int64]
+
+BLOCK_LEVELS = 1 << 25
+"""Levels that are packed at once."""
+
+LEAST_PATCHES = 4096
+"""Of a block, however many candidates there are."""
+
+TASK_WORDS = 100_000_000
+"""Words that a task looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+
+
+def bit_scores(
+    levels: Sequence[Levels],
+    chosen: Int64,
+    weights: Int64,
+    thresholds: Thresholds,
+    *,
+    rule: tuple[int, int],
+    threads: int,
+    progress: Share | None = None,
+) -> Int64:
+    """As :func:`lightopt.design.objectives._class_runs.run_scores`, with the same parameters; at least two lights."""
+    sizes = [len(layer) for layer in levels]
+    table = np.zeros(math.prod(sizes), np.int64)
+    work = Work(len(table) * len(chosen), progress)
+    for start, end in pieces(len(chosen), max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
+        # heavy patches first, so that the planes of the high bits are short
+        some = chosen[start:end][np.argsort(-weights[chosen[start:end]], kind="stable")]
+        block = _Block(levels, some, weights[some], thresholds, rule)
+        run_all(block.tasks(table, work), threads=threads, done=work.tell)
+    return table
+
+
+class _Block:
+    """Some patches, packed."""
+
+    def __init__(
+        self,
+        levels: Sequence[Levels],
+        some: Int64,
+        heavy: Int64,
+        thresholds: Thresholds,
+        rule: tuple[int, int],
+    ) -> None:
+        self.patches = len(some)
+        bits = max(1, int(heavy.max(initial=0)).bit_length())
+        self.planes = packed(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
+        self.lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(bits)], np.int64)
+        self.words = self.planes.shape[1]
+        # row k: usable in more than k images so far; first those under lights that stand still
+        self.used = np.zeros((rule[0], self.words), np.uint64)
+        self.spoilt = np.zeros((rule[1] + 1, self.words), np.uint64)
+        # the last two of those that move are counted together; where fewer do, of those that stand still
+        moving = [i for i, layer in enumerate(levels) if len(layer) > 1]
+        inner = (moving or [0])[-2:]
+        inner = sorted({*inner, *[i for i in range(len(levels)) if i not in inner][: 2 - len(inner)]})
+        self.outer: list[tuple[Words, Words]] = []
+        self.inner: list[tuple[Words, Words]] = []
+        for i, layer in enumerate(levels):
+            taken = layer.take(some, axis=1)
+            usable = packed((taken >= thresholds.shade) & (taken < thresholds.saturation))
+            saturated = packed(taken >= thresholds.saturation)
+            if i in inner:
+                self.inner.append((usable, saturated))
+            elif len(layer) > 1:
+                self.outer.append((usable, saturated))
+            else:
+                count_flags(self.used, usable[0])
+                count_flags(self.spoilt, saturated[0])
+
+    def tasks(self, table: Int64, work: Work) -> Iterator[Task]:
+        """Tasks that add the block's scores to a table."""
+        (usable, saturated), (last_usable, last_saturated) = self.inner
+        columns = len(last_usable)
+        cells = table.reshape(-1, len(usable), columns)
+
+        def fill(index: int, prefix: tuple[int, ...], start: int, end: int) -> None:
+            used, spoilt = self.used.copy(), self.spoilt.copy()
+            for (use, spoil), candidate in zip(self.outer, prefix, strict=True):
+                count_flags(used, use[candidate])
+                count_flags(spoilt, spoil[candidate])
+            _last_two(
+                used,
+                spoilt,
+                usable[start:end],
+                saturated[start:end],
+                last_usable,
+                last_saturated,
+                self.planes,
+                self.lengths,
+                cells[index, start:end],
+            )
+            work.add((end - start) * columns * self.patches)
+
+        rows = max(1, TASK_WORDS // (columns * (self.words + int(self.lengths.sum()))))
+        prefixes = itertools.product(*(range(len(usable)) for usable, _ in self.outer))
+        for index, prefix in enumerate(prefixes):
+            for start, end in pieces(len(usable), rows):
+                yield fill, (index, prefix, start, end)
+
+
+@kernel
+def _last_two(
+    used: Words,
+    spoilt: Words,
+    usable: Words,
+    saturated: Words,
+    last_usable: Words,
+    last_saturated: Words,
+    planes: Words,
+    lengths: Int64,
+    table: Int64,
+) -> None:
+    words = planes.shape[1]
+    covered = np.empty(words, np.uint64)
+    for c in range(len(usable)):
+        use, spoil = used.copy(), spoilt.copy()
+        count_flags(use, usable[c])
+        count_flags(spoil, saturated[c])
+        enough, too_many = use[-1], spoil[-1]
+        almost, at_limit = _below(use, words), _below(spoil, words)
+        for d in range(len(last_usable)):
+            for w in range(words):
+                covered[w] = (enough[w] | (almost[w] & last_usable[d, w])) & ~(
+                    too_many[w] | (at_limit[w] & last_saturated[d, w])
+                )
+            total = 0
+            for k in range(len(lengths)):
+                total += common_bits(covered[: lengths[k]], planes[k, : lengths[k]]) << k
+            table[c, d] += total
+
+
+@kernel
+def _below(counters: Words, words: int) -> Words:
+    # patches that one more image carries over the counters' last row
+    if len(counters) > 1:
+        return counters[-2]
+    return np.full(words, ~np.uint64(0), np.uint64)

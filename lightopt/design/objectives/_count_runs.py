@@ -1,0 +1,285 @@
+"""What pairs of patch and trial are worth by the number of images that show them, for all combinations, as differences.
+
+Along the candidates of a light the number of images that show a pair changes a few times. Let b_lj say that light l has
+more than j of them, and v(n) be the worth of n images. With the lights' numbers n_l,
+
+    v(Σ n_l) = Σ over j_1, j_2, … of Δ(m, s) · Π_l [n_l ≥ j_l],
+    Δ(m, s) = Σ_{i ≤ m} (−1)^i · binomial(m, i) · v(s − i),
+
+m being how many of the j_l are above 0 and s their sum. With one image per light and v(n) = [n ≥ 2] that is e₂ − 2·e₃
++ 3·e₄ − … in elementary symmetric sums of the b_l. A product of m flags that rise or fall at places c_l is, in the
+array of its mixed differences along the lights' candidates, ±1 at the place of those c_l, with 0 for the other lights
+(:mod:`lightopt.design.objectives._difference_tables`). All trials of a patch are looked at as one word: those that
+rise at the same places cost no more than one. Lights with one candidate only shift v for the trials that they show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.kernels import kernel
+from lightopt.core.progress import Share, Work, pieces
+from lightopt.core.threads import run_all
+from lightopt.design.objectives._difference_tables import Differences
+from lightopt.design.responses._packed_bits import Words, add_image, word_weight
+
+Int64 = NDArray[np.int64]
+
+CHUNK_PATCHES = 1 << 12
+"""Patches of one task of a thread: some 0.01 s."""
+
+MOST_NODES = 1 << 18
+"""A word whose flags change at more places than this is left out; so is one with more than half as many as there are
+combinations, where trying them all takes about as long."""
+
+LEAST_NODES = 1 << 10
+"""However few combinations there are."""
+
+
+def at_least(least: int) -> Int64:
+    """A pair is worth 1 where `least` images or more show it, as values of :func:`count_run_sums`."""
+    return np.array([0] * least + [1], np.int64)
+
+
+def up_to(most: int) -> Int64:
+    """A pair is worth the number of images that show it, up to `most`."""
+    return np.arange(most + 1, dtype=np.int64)
+
+
+def count_run_sums(
+    counts: Sequence[Words],
+    weights: Int64,
+    planes: tuple[Words, Int64],
+    values: Int64,
+    *,
+    threads: int,
+    progress: Share | None = None,
+) -> tuple[Int64, NDArray[np.bool_]]:
+    """Σ weight of the patch · weight of the trial · worth of the number of images, for all combinations.
+
+    Parameters
+    ----------
+    counts
+        One array per light, shape (candidates, levels, p, ⌈t / 64⌉): flag j of a trial says that a candidate's images
+        show it more than j times. A light shows nothing more often than it has levels, nor more often than matters.
+    weights
+        Of the patches, shape (p,).
+    planes
+        The trials' weights: masks of those that share a factor, and the factors; see
+        :func:`lightopt.design.responses._visibility.trial_planes`.
+    values
+        What 0, 1, … images are worth; more than the last are worth as much as it. One row per table, shape (v, n + 1).
+    threads
+        Number of threads; the sums do not depend on it.
+    progress
+        Called with the share that is done.
+
+    Returns
+    -------
+    tables
+        Shape (v, combinations), the last light's candidates varying fastest.
+    left
+        Patches that the tables leave out since their flags change at too many places, shape (p,).
+    """
+    sizes = [len(layer) for layer in counts]
+    fixed = [layer for layer in counts if len(layer) == 1]
+    moving = [layer for layer in counts if len(layer) > 1]
+    patches, width = counts[0].shape[2:]
+    most_images, levels = values.shape[1] - 1, max((layer.shape[1] for layer in moving), default=1)
+    differences = Differences(sizes, threads, tables=len(values))
+    strides = differences.strides[[size > 1 for size in sizes]]
+    coefficients = _coefficients(values, len(moving), levels)
+    matters = _matters(coefficients, len(moving), levels)
+    most = min(MOST_NODES, max(LEAST_NODES, math.prod(sizes) // 2))
+    left = np.zeros(patches, np.bool_)
+    work = Work(patches, progress)
+
+    def add(start: int, end: int) -> None:
+        images = [flags[start:end] for layer in fixed for flags in layer[0]]
+        # candidates of all moving lights one after the other, patches first: what a patch needs lies together
+        rows = np.zeros((end - start, width, levels, sum(len(layer) for layer in moving)), np.uint64)
+        first = np.cumsum([0, *(len(layer) for layer in moving)])
+        for layer, at in zip(moving, first, strict=False):
+            rows[:, :, : layer.shape[1], at : at + len(layer)] = layer[:, :, start:end].transpose(2, 3, 1, 0)
+        with differences.borrowed() as own:
+            _scatter(
+                own,
+                strides,
+                first,
+                rows,
+                _shown_by_fixed(images, (end - start, width), most_images),
+                weights[start:end],
+                *planes,
+                coefficients,
+                matters,
+                most,
+                left[start:end],
+            )
+        work.add(end - start)
+
+    tasks = ((add, pair) for pair in pieces(patches, CHUNK_PATCHES))
+    run_all(tasks, threads=differences.workers, done=work.tell)
+    return differences.summed(), left
+
+
+def _coefficients(values: Int64, lights: int, levels: int) -> Int64:
+    # entry (v, j, m, s): Δ(m, s) of table v where the lights without a choice show a trial j times
+    tables, length = values.shape
+    found = np.zeros((tables, length, lights + 1, lights * levels + 1), np.int64)
+    for j in range(length):
+        for m in range(lights + 1):
+            for s in range(m, m * levels + 1):
+                for i in range(m + 1):
+                    factor = (-1) ** i * math.comb(m, i)
+                    found[:, j, m, s] += factor * values[:, min(j + s - i, length - 1)]
+    return found
+
+
+def _matters(coefficients: Int64, lights: int, levels: int) -> NDArray[np.bool_]:
+    # entry (j, r, m, s): whether a product may still come to a coefficient other than 0 with r more lights
+    here = (coefficients != 0).any(axis=0)
+    found = np.zeros((here.shape[0], lights + 1, *here.shape[1:]), np.bool_)
+    found[:, 0] = here
+    for r in range(1, lights + 1):
+        found[:, r] = found[:, r - 1]
+        for more in range(1, levels + 1):
+            found[:, r, :-1, : here.shape[2] - more] |= found[:, r - 1, 1:, more:]
+    return found
+
+
+def _shown_by_fixed(images: Sequence[Words], shape: tuple[int, int], most: int) -> Words:
+    # row j: trials that the lights without a choice show exactly j times; the last row has those of `most` and more
+    above = np.zeros((most, *shape), np.uint64)
+    for image in images:
+        add_image(above, image)
+    return np.concatenate([~above[:1], above[:-1] & ~above[1:], above[-1:]])
+
+
+@kernel
+def _scatter(
+    differences: Int64,
+    strides: Int64,
+    first: Int64,
+    rows: Words,
+    shown: Words,
+    weights: Int64,
+    masks: Words,
+    factors: Int64,
+    coefficients: Int64,
+    matters: NDArray[np.bool_],
+    most: int,
+    left: NDArray[np.bool_],
+) -> None:
+    zero = np.uint64(0)
+    # products of changes: place in the table, trials, sign, number of lights, sum of their levels
+    at, trials = np.empty(most, np.int64), np.empty(most, np.uint64)
+    sign, order, total = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
+    # the changes of each light: where, which trials, rising or falling, of which level
+    size = 2 * rows.shape[2] * rows.shape[3]
+    places, signs, levels = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
+    changed, ends = np.empty(size, np.uint64), np.empty(len(strides) + 1, np.int64)
+    for p in range(rows.shape[0]):
+        starts = 0
+        for w in range(rows.shape[1]):
+            for j in range(len(shown)):
+                starts += shown[j, p, w] != zero
+        # a patch with too many products is left out whole: where there are several words, they are looked at before
+        passes = 1 if starts == 1 else 2
+        for turn in range(passes):
+            for w in range(rows.shape[1]):
+                _changes(rows[p, w], strides, first, places, changed, signs, levels, ends)
+                for j in range(len(shown)):
+                    if shown[j, p, w] == zero:
+                        continue
+                    at[0], trials[0], sign[0], order[0], total[0] = 0, shown[j, p, w], 1, 0, 0
+                    number = _products(
+                        places, changed, signs, levels, ends, matters[j], at, trials, sign, order, total
+                    )
+                    if number < 0:
+                        left[p] = True
+                        break
+                    if turn < passes - 1:
+                        continue
+                    for node in range(number):
+                        for v in range(len(differences)):
+                            c = coefficients[v, j, order[node], total[node]] * sign[node]
+                            if c != 0:
+                                worth = weights[p] * word_weight(trials[node], w, masks, factors)
+                                differences[v, at[node]] += c * worth
+                if left[p]:
+                    break
+            if left[p]:
+                break
+
+
+@kernel
+def _changes(
+    row: Words,
+    strides: Int64,
+    first: Int64,
+    places: Int64,
+    changed: Words,
+    signs: Int64,
+    levels: Int64,
+    ends: Int64,
+) -> None:
+    # where the flags of each light rise and fall along its candidates
+    zero = np.uint64(0)
+    ends[0] = number = 0
+    for light in range(len(strides)):
+        for level in range(len(row)):
+            before = zero
+            for c in range(first[light], first[light + 1]):
+                word = row[level, c]
+                if word != before:
+                    place = strides[light] * (c - first[light])
+                    rise, fall = word & ~before, before & ~word
+                    if rise != zero:
+                        places[number], changed[number], signs[number] = place, rise, 1
+                        levels[number] = level + 1
+                        number += 1
+                    if fall != zero:
+                        places[number], changed[number], signs[number] = place, fall, -1
+                        levels[number] = level + 1
+                        number += 1
+                    before = word
+        ends[light + 1] = number
+
+
+@kernel
+def _products(
+    places: Int64,
+    changed: Words,
+    signs: Int64,
+    levels: Int64,
+    ends: Int64,
+    matters: NDArray[np.bool_],
+    at: Int64,
+    trials: Words,
+    sign: Int64,
+    order: Int64,
+    total: Int64,
+) -> int:
+    # products of changes of one light each that may count, the first of them given; −1 where there are too many
+    lights = len(ends) - 1
+    size = 1
+    for light in range(lights):
+        more = size
+        rest = matters[lights - light - 1]
+        for node in range(size):
+            for k in range(ends[light], ends[light + 1]):
+                both = trials[node] & changed[k]
+                if both == np.uint64(0) or not rest[order[node] + 1, total[node] + levels[k]]:
+                    continue
+                if more == len(at):
+                    return -1
+                at[more], trials[more] = at[node] + places[k], both
+                sign[more], order[more] = sign[node] * signs[k], order[node] + 1
+                total[more] = total[node] + levels[k]
+                more += 1
+        size = more
+    return size

@@ -1,0 +1,190 @@
+"""Objective ``detectability``: of the defects that the inspection is planned for, those that enough images show.
+
+With the trials t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), n(p, t) the number of
+images in which trial t is visible on patch p (:mod:`lightopt.design.responses._contrast`), and k from ``--seen-in``,
+
+    score = Σ_p area(p) · Σ_t weight(t) · [n(p, t) ≥ k],
+
+areas in whole square micrometres. Divided by the visible area and the sum of the weights it is the share of (patch,
+defect) pairs that are seen. The bits change a few times along the candidates of a light: see
+:mod:`lightopt.design.objectives._bit_runs`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError, counted
+from lightopt.core.progress import Share
+from lightopt.design.objectives._bit_runs import bit_run_scores, flags_of
+from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
+from lightopt.design.responses._defect_hypotheses import Trial
+from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.design.responses._visibility import Visibility
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+
+SCORE_IS = (
+    "sum over patches and defects that are seen of area [µm²] × weight of the defect; where all are seen it is "
+    "area_um2 × weight_of_all_defects"
+)
+"""What the number is, beside it in result.json."""
+
+
+def seen_in_problem(seen_in: int) -> str | None:
+    """What is wrong with a number of images that must show a defect; None where nothing is."""
+    if seen_in >= 1:
+        return None
+    return f"--seen-in: expected the number of images that must show a defect, 1 or more, found {seen_in}"
+
+
+@dataclass(frozen=True)
+class Detectability:
+    """Defects that enough images show; see the module's text.
+
+    Attributes
+    ----------
+    trials
+        The defects.
+    seen_in
+        Images that must show a defect.
+    across_postures
+        Whether images of other postures confirm, so that a posture may have fewer lights than that; the score of its
+        own images is then 0.
+    """
+
+    trials: tuple[Trial, ...]
+    seen_in: int = 1
+    across_postures: bool = False
+    name: str = "detectability"
+    unit: str = "µm² × weight of the defects"
+    share_of: str = f"{INSPECTABLE_SURFACE}, × defects by weight"
+
+    def __post_init__(self) -> None:
+        if problem := seen_in_problem(self.seen_in):
+            raise InputError(problem)
+
+    @property
+    def total_weight(self) -> int:
+        """Sum of the trials' weights."""
+        return sum(trial.weight for trial in self.trials)
+
+    def shown(self, score: int, grain: float) -> str:
+        """In mm², of the mean defect."""
+        return area_text(score / self.total_weight, grain)
+
+    def whole(self, area: int) -> int | None:
+        """All (patch, defect) pairs, by area and weight."""
+        return area * self.total_weight
+
+    def refusal(self, lights: int) -> str | None:
+        """There are no more images than lights, but for those of other postures."""
+        if lights >= self.seen_in or self.across_postures:
+            return None
+        return (
+            f"objective detectability wants each defect seen in {self.seen_in} images, and the rig has "
+            f"{counted(lights, 'light')} only; lower --seen-in"
+        )
+
+    def weights(self, areas: Float64) -> Int64:
+        """Each patch counts by its area."""
+        return area_units(areas)
+
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+        """Count images, compare, add weights."""
+        del thresholds
+        per_trial = weights @ self._seen(_visibility(matrix))
+        return int(per_trial @ self._trial_weights())
+
+    def scores(
+        self,
+        matrix: LuminanceMatrix,
+        weights: Int64,
+        thresholds: Thresholds,
+        *,
+        threads: int,
+        progress: Share | None = None,
+    ) -> Int64:
+        """By the places where bits change, or by packed bits."""
+        del thresholds
+        visibility = _visibility(matrix)
+        return bit_run_scores(
+            visibility.words,
+            weights,
+            visibility.planes,
+            self._trial_weights(),
+            least=self.seen_in,
+            threads=threads,
+            progress=progress,
+        )
+
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+        """What could be seen if each light stood where it serves each defect best."""
+        del thresholds
+        visibility = _visibility(matrix)
+        return int(weights @ visibility.weights(visibility.reachable(self.seen_in)))
+
+    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
+        """Share of the area on which each kind of defect is seen, the worst kind, and the worst direction of walls."""
+        area = sum(int(own.sum()) for own in weights)
+        seen = sum(
+            (own @ self._seen(_visibility(matrix)) for matrix, own in zip(matrices, weights, strict=True)),
+            start=np.zeros(len(self.trials), np.int64),
+        )
+        return self.facts(seen, area)
+
+    def facts(self, seen_areas: Int64, area: int) -> Mapping[str, Any]:
+        """The same of the areas on which each trial is seen, shape (t,), and the area that they are shares of [µm²]."""
+        seen = seen_areas / max(1, area)
+        kinds = self._mean_shares([trial.name for trial in self.trials], seen)
+        facts: dict[str, Any] = {
+            "score_is": SCORE_IS,
+            "area_um2": area,
+            "weight_of_all_defects": self.total_weight,
+            "seen_in": self.seen_in,
+            "defects": kinds,
+            "worst_defect": min(kinds, key=lambda name: kinds[name]),
+        }
+        leaning = [k for k, trial in enumerate(self.trials) if trial.slope > 0.0]
+        if leaning:
+            around = self._mean_shares(
+                [f"{round(math.degrees(self.trials[k].direction), 6):g}" for k in leaning],
+                seen[leaning],
+            )
+            worst = min(around, key=lambda name: around[name])
+            facts["directions_deg"] = around
+            facts["worst_direction_deg"] = float(worst)
+        return facts
+
+    def _seen(self, visibility: Visibility) -> NDArray[np.bool_]:
+        # of one position of each light: which trials enough images show, shape (p, t)
+        count = len(self.trials)
+        images = sum((flags_of(layer[0], count) for layer in visibility.words), start=np.uint8(0))
+        return np.asarray(images >= self.seen_in)
+
+    def _trial_weights(self) -> Int64:
+        return np.array([trial.weight for trial in self.trials], np.int64)
+
+    def _mean_shares(self, names: Sequence[str], shares: Float64) -> dict[str, float]:
+        # mean over the trials of a name, in the order of the names
+        return {
+            name: round(float(np.mean([x for n, x in zip(names, shares, strict=True) if n == name])), 6)
+            for name in dict.fromkeys(names)
+        }
+
+
+def _visibility(matrix: LuminanceMatrix) -> Visibility:
+    if matrix.visibility is None:
+        raise InputError(
+            "objective detectability: expected a luminance matrix with the visibility of the defects, found levels "
+            "alone"
+        )
+    return matrix.visibility

@@ -1,0 +1,192 @@
+"""Objective ``paper``: the sum of the middle levels that are neither shaded nor specular (paper, section 5.2).
+
+Of each patch's levels under the n lights the highest and the lowest are dropped (step 3); of the n − 2 that remain,
+those below the shade threshold and those at saturation count as zero (step 4); the sum over all patches is the score
+(step 5). What is summed is light: the part of a level above the sensor's black level (the paper's camera has none).
+
+All combinations at once, by algebra. Let ``x_1 ≤ … ≤ x_n`` be a patch's levels above black, h(x) the usable level (x,
+or 0 where it is not usable), and E_m the sum of h(min) over all sets of m lights. The least of a set of m is x_j in
+C(n − j, m − 1) of the sets, so that
+
+    E_m = Σ_j C(n − j, m − 1) · h(x_j),    and    h(x_2) + … + h(x_{n−1}) = Σ_m c_m · E_m,
+    c_{m+1} = Σ_{k=0..m} (−1)^{m−k} · C(m, k) · t_k,    t_k = 1 for 1 ≤ k ≤ n − 2, else 0.
+
+For four lights that is E_2 − E_3: six tables of pairs and four of triples instead of a table of quadruples. For every
+even n the term of all n lights cancels likewise. There are 2ⁿ sets: with many lights, or few candidates,
+
+    h(x_2) + … + h(x_{n−1}) = Σ_l h(level under light l) − h(x_1) − h(x_n)
+
+is the cheaper way, in which lights with one candidate only are looked at once. Whichever looks at fewer levels is
+taken.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import counted
+from lightopt.core.progress import Share, Work, pieces
+from lightopt.core.threads import Task, run_all
+from lightopt.design.objectives._extreme_sums import extreme_tasks
+from lightopt.design.objectives._minimum_sums import Capped, minimum_tasks
+from lightopt.design.objectives._upper_bounds import reach
+from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Thresholds, usable_sums
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+BLOCK_LEVELS = 1 << 24
+"""Levels that are capped at once: the only copies of levels that are made."""
+
+LEAST_PATCHES = 512
+"""Of a block, however many candidates there are."""
+
+DIRECT_COST = 2.5
+"""Looking at the least and the greatest level of a combination takes about as long as that many tables of minima."""
+
+MOST_LIGHTS_IN_SETS = 16
+"""Of more lights there are too many sets."""
+
+
+@dataclass(frozen=True)
+class Paper:
+    """The paper's evaluation value; see the module's text."""
+
+    name: str = "paper"
+    unit: str = "sensor level"
+    share_of: None = None
+
+    def shown(self, score: int, grain: float) -> str:
+        """A plain number: sums of levels have no other unit."""
+        del grain
+        return f"{score:,}"
+
+    def whole(self, area: int) -> int | None:
+        """None: levels are no area."""
+        del area
+
+    def refusal(self, lights: int) -> str | None:
+        """Dropping the highest and the lowest of two leaves nothing."""
+        if lights > 2:
+            return None
+        return (
+            f"objective paper drops each patch's highest and lowest level, and with {counted(lights, 'light')} nothing "
+            "is left; expected at least 3 lights, or use another objective"
+        )
+
+    def weights(self, areas: Float64) -> Int64:
+        """Every patch counts the same, as every polygon does in the paper."""
+        return np.ones(len(areas), np.int64)
+
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+        """Sort, drop the ends, zero what is not usable, sum."""
+        middle = np.sort(np.concatenate(matrix.levels), axis=0)[1:-1].astype(np.int64)
+        usable = (middle >= thresholds.shade) & (middle < thresholds.saturation)
+        return int(((middle - thresholds.black) * usable * weights).sum())
+
+    def scores(
+        self,
+        matrix: LuminanceMatrix,
+        weights: Int64,
+        thresholds: Thresholds,
+        *,
+        threads: int,
+        progress: Share | None = None,
+    ) -> Int64:
+        """By tables of minima or combination by combination; `weights` are those of :meth:`weights`, all 1."""
+        levels = matrix.levels
+        sizes = [len(layer) for layer in levels]
+        tables = _tables(sizes)
+        cells, patches = math.prod(sizes), levels[0].shape[1]
+        by_sets = sum(table.size for _, _, table in tables)
+        work = Work((by_sets or cells) * patches, progress)
+        lock = Lock()
+        result = np.zeros(cells, np.int64)
+        top = min(thresholds.saturation - thresholds.black - 1, int(np.iinfo(levels[0].dtype).max))
+
+        def tasks() -> Iterator[Task]:
+            for start, end in pieces(patches, max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
+                capped = [_capped(layer[:, start:end], thresholds) for layer in levels]
+                lights = [Capped.of(layer, top) for layer in capped] if tables else []
+                for chosen, _, table in tables:
+                    yield from minimum_tasks([lights[i] for i in chosen], top, table, lock, work)
+                if not tables:
+                    yield from extreme_tasks(capped, top, result, lock, work)
+
+        run_all(tasks(), threads=threads, done=work.tell)
+        if not tables:
+            return _all_usable(levels, weights, thresholds) - result
+        grid = result.reshape(sizes)
+        for chosen, coefficient, table in tables:
+            grid += (
+                coefficient * table[tuple(slice(None) if i in chosen else None for i in range(len(sizes)))]
+            )
+        return result
+
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+        """The lesser of two limits of each patch: its n − 2 largest usable levels, and its middle greatest levels.
+
+        The second holds since the j-th level of any combination is at most the j-th of the lights' greatest levels.
+        """
+        del weights  # all 1
+        levels, total, black = matrix.levels, 0, thresholds.black
+        for start, end in pieces(levels[0].shape[1], max(1, BLOCK_LEVELS // len(levels))):
+            some = [reach(layer, thresholds, start, end) for layer in levels]
+            usable = np.sort([np.maximum(one.usable - black, 0) for one in some], axis=0)[2:]
+            greatest = np.sort([one.greatest for one in some], axis=0)[1:-1]
+            lit = np.minimum(greatest, thresholds.saturation - 1) - black
+            middle = np.where(greatest >= thresholds.shade, lit, 0)
+            total += int(np.minimum(usable.sum(axis=0), middle.sum(axis=0)).sum())
+        return total
+
+    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
+        """Nothing."""
+        del matrices, weights
+        return {}
+
+
+def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:
+    # sets of lights, their coefficients and tables; none where the combinations themselves are fewer levels to look at
+    lights = len(sizes)
+    if lights > MOST_LIGHTS_IN_SETS:
+        return []
+    sets = [
+        (chosen, coefficient)
+        for count, coefficient in enumerate(_coefficients(lights), start=1)
+        if coefficient
+        for chosen in itertools.combinations(range(lights), count)
+    ]
+    if sum(math.prod(sizes[i] for i in chosen) for chosen, _ in sets) > DIRECT_COST * math.prod(sizes):
+        return []
+    return [(chosen, c, np.zeros(tuple(sizes[i] for i in chosen), np.int64)) for chosen, c in sets]
+
+
+def _all_usable(levels: Sequence[Levels], weights: Int64, thresholds: Thresholds) -> Int64:
+    # sum over the lights of their usable levels, for all combinations
+    total = np.zeros(1, np.int64)
+    for layer in levels:
+        total = np.add.outer(total, usable_sums(layer, weights, thresholds)).ravel()
+    return total
+
+
+def _coefficients(lights: int) -> list[int]:
+    # c_1 … c_n of the module's text
+    wanted = [int(1 <= k <= lights - 2) for k in range(lights)]
+    return [sum((-1) ** (m - k) * math.comb(m, k) * wanted[k] for k in range(m + 1)) for m in range(lights)]
+
+
+def _capped(layer: Levels, thresholds: Thresholds) -> Levels:
+    zero, black = layer.dtype.type(0), layer.dtype.type(thresholds.black)
+    cap = layer.dtype.type(min(thresholds.saturation, np.iinfo(layer.dtype).max))
+    return np.where(layer >= thresholds.shade, np.minimum(layer, cap) - black, zero)
+
+
+PAPER = Paper()

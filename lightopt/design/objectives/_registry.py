@@ -1,0 +1,48 @@
+"""The objectives by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from lightopt.core.errors import InputError
+from lightopt.design.objectives._coverage import COVERAGE
+from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.objectives._objective import Objective
+from lightopt.design.objectives._paper import PAPER
+
+OBJECTIVES: dict[str, Objective] = {objective.name: objective for objective in (COVERAGE, PAPER)}
+"""Those that need levels alone, in the order in which they are computed unless asked otherwise; the first one decides
+where the lights go."""
+
+
+def objectives_named(
+    names: Sequence[str], detectability: Callable[[], Detectability] | None = None
+) -> tuple[Objective, ...]:
+    """The objectives of these names; all that need levels alone for none.
+
+    Parameters
+    ----------
+    names
+        As on the command line.
+    detectability
+        Makes the objective of that name, which depends on a part's catalogue of defects.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or one given twice.
+    """
+    makers: dict[str, Callable[[], Objective]] = {
+        name: partial(OBJECTIVES.__getitem__, name) for name in OBJECTIVES
+    }
+    if detectability is not None:
+        makers["detectability"] = detectability
+    problems = [
+        f'--objective: expected {" or ".join(makers)}, found "{name}"' for name in names if name not in makers
+    ]
+    if len(set(names)) < len(names):
+        problems.append("--objective: the same objective was given twice")
+    if problems:
+        raise InputError(*problems)
+    return tuple(makers[name]() for name in names) or tuple(OBJECTIVES.values())

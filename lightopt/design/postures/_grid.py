@@ -1,0 +1,173 @@
+"""The postures that there are to choose from: a grid over what the stage reaches, without those that are of no use."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.rendering import panels_in_part
+from lightopt.scene import PanelLight, Scene, frame_part, part_postures, view_from_part
+
+DEFAULT_POSTURE_STEP = 22.5
+"""Of tilt and rotation [°], unless asked otherwise: a stage of ±45° and a full turn then has 80 postures."""
+
+DEFAULT_OUTSIDE_PX = 10.0
+"""How far the part may leave the view in a posture to choose from [px], unless asked otherwise: no further than a part
+may be off its place, so that its rim is near the image's border anyway. What is outside is not seen in that posture."""
+
+MOST_POSTURES = 2000
+"""More candidate postures are refused."""
+
+_SIDES = ("left", "top", "right", "bottom")
+
+
+@dataclass(frozen=True)
+class LeftOutPosture:
+    """A posture that the stage reaches and that cannot be planned.
+
+    Attributes
+    ----------
+    posture
+        The posture.
+    reason
+        For people.
+    kind
+        ``view`` or ``part``.
+    """
+
+    posture: Posture
+    reason: str
+    kind: str
+
+
+def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[Posture, ...]:
+    """Postures to choose from: the part's own ones, then tilts and rotations at a step.
+
+    Each angle takes the multiples of the step that the stage reaches, 0 among them, and both ends of its range; a range
+    of a full turn or more takes one turn, without its end. An axis that the rig's stage does not have stays at 0.
+
+    Parameters
+    ----------
+    rig, part
+        The stage and the part's own postures, of which those count that the stage reaches.
+    step_deg
+        [°], above 0.
+
+    Raises
+    ------
+    InputError
+        A step that is not a positive number, or that makes too many postures.
+    """
+    if not (math.isfinite(step_deg) and step_deg > 0.0):
+        raise InputError(f"--posture-step: expected degrees above 0, found {step_deg:g}")
+    ranges = _reach(rig)
+    tilts, turns = (_angles(_one_turn(ends), step_deg) for ends in ranges)
+    if len(tilts) * len(turns) > MOST_POSTURES:
+        raise InputError(
+            f"--posture-step: at {step_deg:g}° the stage has {len(tilts):,} × {len(turns):,} postures, more than "
+            f"{MOST_POSTURES:,}, the most that are accepted; take a larger step, or narrow the stage's ranges"
+        )
+    (lowest, highest), (first, last) = ranges
+    own = [
+        p
+        for p in part_postures(part)
+        if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last
+    ]
+    return tuple(dict.fromkeys([*own, *(Posture(tilt, turn) for tilt in tilts for turn in turns)]))
+
+
+def usable_postures(
+    scene: Scene, panels: Sequence[PanelLight], *, allow_outside_px: float = DEFAULT_OUTSIDE_PX
+) -> tuple[tuple[Posture, ...], tuple[LeftOutPosture, ...]]:
+    """Those of a scene's postures that keep the part in view and clear of the lights, and the others with the reason.
+
+    Parameters
+    ----------
+    scene
+        With the postures to look at; its own lights do not matter.
+    panels
+        Every place where a light may stand, world frame.
+    allow_outside_px
+        How far the part may leave the view at a side of the image [px].
+
+    Raises
+    ------
+    InputError
+        No posture is left.
+    """
+    kept: list[Posture] = []
+    left_out: list[LeftOutPosture] = []
+    for posture in scene.postures:
+        found = _out_of_view(scene, posture, allow_outside_px) or _in_the_way(scene, posture, panels)
+        if found is None:
+            kept.append(posture)
+        else:
+            left_out.append(LeftOutPosture(posture, *found))
+    if not kept:
+        first = left_out[0]
+        raise InputError(
+            f"no posture of {len(left_out)} is left to choose from: in {first.posture} {first.reason}; change the "
+            "part's placement, the stage's pivot or its ranges, let the camera see more, or allow the part to leave "
+            "the view (--allow-outside)"
+        )
+    return tuple(kept), tuple(left_out)
+
+
+def _reach(rig: RigConfig) -> tuple[tuple[float, float], tuple[float, float]]:
+    # tilts and rotations; an axis that a given stage lacks does not turn
+    if rig.hardware is None:
+        return rig.stage.elevation_range_deg, rig.stage.rotation_range_deg
+    stage = rig.hardware.stage
+    return (
+        (0.0, 0.0) if stage is None or stage.elevation is None else rig.stage.elevation_range_deg,
+        (0.0, 0.0) if stage is None or stage.rotation is None else rig.stage.rotation_range_deg,
+    )
+
+
+def _one_turn(ends: tuple[float, float]) -> tuple[float, float]:
+    # of what is more than a turn, the one from 0 on, or as near to it as there is
+    low, high = ends
+    if high - low <= 360.0:
+        return ends
+    start = max(low, min(0.0, high - 360.0))
+    return start, start + 360.0
+
+
+def _angles(ends: tuple[float, float], step: float) -> list[float]:
+    low, high = ends
+    if (high - low) / step > MOST_POSTURES:
+        return [low] * (MOST_POSTURES + 1)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    inner = [round(k * step, 9) + 0.0 for k in range(first, last + 1)]
+    angles = sorted({low, high, *(angle for angle in inner if low < angle < high)})
+    return angles[:-1] if math.isclose(high - low, 360.0) else angles
+
+
+def _out_of_view(scene: Scene, posture: Posture, allowed: float) -> tuple[str, str] | None:
+    framing = frame_part(view_from_part(scene, posture).camera, scene.mesh)
+    if framing.nearest <= 0.0:
+        return "the part reaches behind the camera", "view"
+    if not framing.outside and max(framing.excess) <= allowed:
+        return None
+    leaves = [
+        f"{_pixels(pixels)} at the {side}"
+        for pixels, side in zip(framing.excess, _SIDES, strict=True)
+        if pixels > 0.0
+    ]
+    limit = "so that nothing of it is seen" if framing.outside else f"{_pixels(allowed)} are allowed"
+    return f"the part leaves the view by {', '.join(leaves)}; {limit}", "view"
+
+
+def _pixels(amount: float) -> str:
+    # rounded up, so that what is more than what is allowed does not read as the same
+    return f"{math.ceil(10.0 * amount) / 10.0:g} px"
+
+
+def _in_the_way(scene: Scene, posture: Posture, panels: Sequence[PanelLight]) -> tuple[str, str] | None:
+    alone = replace(scene, lights=tuple(panels), postures=(posture,))
+    inside = panels_in_part(alone)
+    return (f"a place of {inside[0].light} is inside the part", "part") if inside else None

@@ -1,0 +1,117 @@
+"""The defects that an inspection is planned for, unrolled: one trial per slope and direction, stain and haze."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lightopt.core.errors import InputError
+from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, CatalogueEntry, DefectKind
+
+DIRECTIONS = 8
+"""Directions around that a wall may lean to."""
+
+MOST_TRIALS = 1024
+"""More are refused: each costs a bit per patch and position of a light."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """What a defect makes of the place of the surface that it lies on.
+
+    A scratch, dent, bump, pit or blister is its wall where that is steepest: a surface whose normal leans by the slope
+    to one of several directions around. A stain and a haze leave the normal and change what is reflected.
+
+    Attributes
+    ----------
+    name
+        Of the catalogue's entry.
+    kind
+        Of the defect.
+    weight
+        How much it counts, a whole number: the trials of each entry of the catalogue have the same sum of weights.
+    length, width
+        Of the defect's outline [mm].
+    slope
+        By which the normal leans [rad]; 0 for stains and hazes.
+    direction
+        To which it leans, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad], as
+        :func:`lightopt.defects.tangent_direction` counts.
+    R_d_factor, sigma_factor
+        By which R_d and σ are multiplied.
+    """
+
+    name: str
+    kind: DefectKind
+    weight: int
+    length: float
+    width: float
+    slope: float = 0.0
+    direction: float = 0.0
+    R_d_factor: float = 1.0
+    sigma_factor: float = 1.0
+
+    @property
+    def label(self) -> str:
+        """Name, and slope and direction where it has them."""
+        if self.slope == 0.0:
+            return self.name
+        return f"{self.name} {math.degrees(self.slope):.3g}° to {math.degrees(self.direction):.3g}°"
+
+
+def unroll(catalogue: Sequence[CatalogueEntry], *, directions: int = DIRECTIONS) -> tuple[Trial, ...]:
+    """The trials of a catalogue, entry after entry, directions counterclockwise from the reference axis.
+
+    Parameters
+    ----------
+    catalogue
+        From :func:`lightopt.scene.build_catalogue`.
+    directions
+        Number of directions around, even, 8 or more: each wall has one that faces it.
+
+    Raises
+    ------
+    InputError
+        No entry, a slope of 0 or above 60°, fewer than 8 or odd directions, more trials than are meant.
+    """
+    problems: list[str] = []
+    if not catalogue:
+        problems.append("defect catalogue: expected at least one kind of defect to plan for, found none")
+    if directions < DIRECTIONS or directions % 2:
+        problems.append(
+            f"directions of walls: expected an even number, {DIRECTIONS} or more, found {directions}"
+        )
+    problems += [
+        f"defect {entry.name}: expected a slope above 0° up to {math.degrees(MAX_SLOPE):g}°, found "
+        f"{math.degrees(entry.shape.slope):g}°"
+        for entry in catalogue
+        if entry.shape.kind in SHAPE_KINDS and not 0.0 < entry.shape.slope <= MAX_SLOPE
+    ]
+    count = sum(directions if entry.shape.kind in SHAPE_KINDS else 1 for entry in catalogue)
+    if count > MOST_TRIALS:
+        problems.append(
+            f"defect catalogue: {len(catalogue)} entries in {directions} directions are {count} trials, more than "
+            f"{MOST_TRIALS}; plan for fewer kinds"
+        )
+    if problems:
+        raise InputError(*problems)
+    trials: list[Trial] = []
+    for entry in catalogue:
+        shape = entry.shape
+        leaning = shape.kind in SHAPE_KINDS
+        trials += [
+            Trial(
+                name=entry.name,
+                kind=shape.kind,
+                weight=1 if leaning else directions,
+                length=shape.length,
+                width=shape.width,
+                slope=shape.slope if leaning else 0.0,
+                direction=2.0 * math.pi * turn / directions,
+                R_d_factor=shape.R_d_factor,
+                sigma_factor=shape.sigma_factor,
+            )
+            for turn in range(directions if leaning else 1)
+        ]
+    return tuple(trials)

@@ -1,0 +1,236 @@
+"""The luminance matrices of a run's postures: made, or taken where an earlier run kept them; and the patches."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.provenance import computed_by, file_sha256
+from lightopt.core.transforms import Posture
+from lightopt.design._options import OptimizeOptions
+from lightopt.design.candidates._candidates import Candidates
+from lightopt.design.responses._defect_evaluation import Inspection
+from lightopt.design.responses._luminance import MOST_BYTES, luminance_matrix
+from lightopt.design.responses._luminance_matrix import LuminanceMatrix
+from lightopt.design.responses._matrix_cache import keep_matrix, matrix_key, read_matrix
+from lightopt.geometry import RayCaster
+from lightopt.images import make_folder, posture_folder
+from lightopt.rendering import PatchTable, Report, build_patches, patches_for_edge
+from lightopt.scene import PanelLight, Scene, chord_tolerance, pixel_footprint
+
+COARSE_SHARE = 0.15
+"""Edges longer than this share of the part's diagonal are worth a warning."""
+
+MATRIX_NAME = "matrix.npz"
+
+_NOT_OF_LEVELS: Any = {
+    "name": True,
+    "postures": True,
+    "mesh": {"file"},
+    "defects": True,
+    "defect_catalogue": True,
+    "inspection": True,
+}
+"""What of a part no level depends on; of the catalogue's defects the trials have a key of their own."""
+
+
+class Matrices:
+    """Makes the luminance matrices, or takes kept ones where that was asked for; patches are cut only when needed.
+
+    Parameters
+    ----------
+    rig, part, scene, candidates, options
+        Of the run.
+    folder
+        Of the run, where matrices are kept.
+    caster
+        Of the scene's part.
+    inspection
+        The defects that are looked for; None for none.
+    table
+        Patches that were cut before, of the scene's postures; None to cut them when they are needed.
+
+    Attributes
+    ----------
+    reused
+        How many were taken from an earlier run.
+    table
+        The patches; None as long as they were not needed.
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        part: PartConfig,
+        scene: Scene,
+        candidates: Candidates,
+        options: OptimizeOptions,
+        folder: Path,
+        caster: RayCaster,
+        inspection: Inspection | None,
+        table: PatchTable | None = None,
+    ) -> None:
+        self.rig = rig
+        self.part = part
+        self.scene = scene
+        self.candidates = candidates
+        self.options = options
+        self.folder = folder
+        self.caster = caster
+        self.reused = 0
+        self.table = table
+        self.inspection = inspection
+        self._facts = _matrix_facts(rig, part, scene, candidates, options, inspection)
+        if table is not None:
+            self._facts["patches"] = hashlib.sha256(table.patches.centroids.tobytes()).hexdigest()
+
+    @property
+    def coarse(self) -> str | None:
+        """A warning where patches are so large that what happens within one matters; None where they are not."""
+        if self.table is None:
+            return None
+        low, high = self.scene.mesh.bounds
+        size = float(np.linalg.norm(high - low))
+        longest = max(COARSE_SHARE * size, self.table.footprint)
+        if self.table.max_edge <= longest:
+            return None
+        return (
+            f"patches have edges up to {self.table.max_edge:.3g} mm on a part of {size:.3g} mm: a patch is lit or dark "
+            f"as its middle is, so scores may be off by whole patches. {self._advice(longest)}"
+        )
+
+    def _advice(self, longest: float) -> str:
+        # how many patches it takes; where the mesh itself has more triangles than were asked for, how fewer are had
+        assert self.table is not None
+        # cutting may end somewhat before all that were asked for are made
+        needed = 1.02 * patches_for_edge(self.table, self.scene.mesh, 0.8 * longest)
+        step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
+        text = f"--patches {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
+        if not self.table.seen_faces:
+            return text
+        text += (
+            f". The mesh itself has {len(self.scene.mesh.faces):,} triangles, {self.table.seen_faces:,} of which may "
+            f"show: --patches {self.options.patch_budget} cannot make fewer. "
+        )
+        mesh = self.part.mesh
+        if not mesh.of_step:
+            return f"{text}For fewer, export it with a coarser tolerance"
+        now = chord_tolerance(self.part, pixel_footprint(self.scene.camera, self.rig.camera.distance_mm))
+        # triangles of a curved surface go about with 1 / tolerance; half of the patches are left to cut long ones
+        wanted = now * 2.0 * self.table.seen_faces / self.options.patch_budget
+        digit = 10.0 ** math.floor(math.log10(wanted))
+        return (
+            f"{text}For fewer, give the part file a coarser mesh.chord_tolerance_mm, such as "
+            f"{min(math.ceil(wanted / digit) * digit, 10.0):.3g} (now {now:.3g})"
+        )
+
+    @property
+    def message(self) -> str | None:
+        """What the patch refinement reached."""
+        return None if self.table is None else self.table.message
+
+    def patches(self) -> PatchTable:
+        """The patches, cut when first needed."""
+        if self.table is None:
+            self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
+        return self.table
+
+    def matrix(self, posture: Posture, report: Report | None, *, held: int) -> LuminanceMatrix:
+        """The luminance matrix of a posture, one of so many that are held together."""
+        key = matrix_key({**self._facts, "posture": posture.as_dict()})
+        path = self.folder / posture_folder(posture) / MATRIX_NAME
+        trials = None if self.inspection is None else self.inspection.trials
+        if self.options.keep_matrix:
+            kept = read_matrix(path, key=key, lights=len(self.candidates.names), trials=trials)
+            if kept is not None:
+                self.reused += 1
+                return kept
+        made = self._made(posture, self.candidates.panels, self.inspection, report, held)
+        if self.options.keep_matrix:
+            make_folder(path.parent)
+            keep_matrix(path, made, self.candidates.angles, key=key)
+        return made
+
+    def holds(self, candidates: Candidates) -> bool:
+        """Whether there is room for the levels of other candidates, in all postures together."""
+        dtype = 1 if self.scene.sensor.bit_depth <= 8 else 2
+        positions = sum(candidates.space.sizes)
+        table = self.patches()
+        patches = sum(len(table.inspectable(posture)) for posture in table.postures)
+        return positions * patches * dtype <= MOST_BYTES
+
+    def levels(self, posture: Posture, candidates: Candidates, report: Report | None) -> LuminanceMatrix:
+        """The levels of a posture under other candidates, of whom :meth:`holds` says that there is room."""
+        return self._made(posture, candidates.panels, None, report, 1)
+
+    def of_places(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
+        """The matrix of a posture with each light in one place."""
+        return self._made(posture, [[panel] for panel in panels], self.inspection, None, 1)
+
+    def _made(
+        self,
+        posture: Posture,
+        panels: Sequence[Sequence[PanelLight]],
+        inspection: Inspection | None,
+        report: Report | None,
+        held: int,
+    ) -> LuminanceMatrix:
+        return luminance_matrix(
+            self.scene,
+            self.patches(),
+            posture,
+            panels,
+            caster=self.caster,
+            inspection=inspection,
+            shadows=self.options.shadows,
+            threads=self.options.threads,
+            most_bytes=MOST_BYTES // held,
+            progress=None if report is None else lambda share, rays: report(posture, share, rays),
+        )
+
+
+def _matrix_facts(
+    rig: RigConfig,
+    part: PartConfig,
+    scene: Scene,
+    candidates: Candidates,
+    options: OptimizeOptions,
+    inspection: Inspection | None,
+) -> dict[str, Any]:
+    # all that a level depends on, and nothing else: not the names and ranges of the lights, nor the sensor's noise and
+    # saturation, which thresholds are made of
+    moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
+    mesh = part.source.resolve(part.mesh.file)
+    looked_for: dict[str, Any] = {}
+    if inspection is not None:
+        # what is visible depends on the sensor's noise and saturation, too
+        looked_for = {
+            "defects": [asdict(trial) for trial in inspection.trials],
+            "noise": asdict(inspection.contrast),
+            "defects narrower than a pixel": "F (D - M) + A M in two pixels",
+        }
+    return {
+        **looked_for,
+        "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
+        "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
+        "light_source": rig.light_source.model_dump(mode="json"),
+        "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
+        "angles_deg": [list(map(list, angles)) for angles in candidates.angles],
+        "pivot_mm": list(rig.stage.pivot_mm),
+        "part": part.model_dump(mode="json", exclude=_NOT_OF_LEVELS),
+        # of the file's name only what says how it is read
+        "mesh": {"sha256": file_sha256(mesh), "suffix": mesh.suffix.lower()},
+        # the patches are refined for all postures together
+        "postures": [posture.as_dict() for posture in scene.postures],
+        "points": options.points,
+        "shadows": options.shadows,
+        "patch_budget": options.patch_budget,
+        "computed_by": computed_by(),
+    }

@@ -1,0 +1,1 @@
+"""The exact search over all combinations of candidate positions."""

@@ -1,0 +1,215 @@
+"""From luminance matrices to the best set of each objective, compared under every objective."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from lightopt.core.errors import InputError, LightoptError
+from lightopt.core.progress import pieces
+from lightopt.core.transforms import Posture
+from lightopt.design._result import Answer, SetResult
+from lightopt.design.candidates._candidates import Candidates
+from lightopt.design.objectives._objective import Objective
+from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
+from lightopt.design.search._curves import score_curves
+from lightopt.design.search._search import Found, search
+from lightopt.rendering import GRAZING_DEG, grain_of
+
+PIECE_PATCHES = 1 << 15
+"""Patches that an objective's definition is given at once."""
+
+
+def answer_set(
+    matrices: Sequence[LuminanceMatrix],
+    postures: Sequence[Posture],
+    candidates: Candidates,
+    objectives: Sequence[Objective],
+    thresholds: Thresholds,
+    *,
+    rows: int,
+    limit: int,
+    threads: int | None,
+    progress: Callable[[str, float], None] | None = None,
+) -> SetResult:
+    """The best light positions for postures that share them.
+
+    Parameters
+    ----------
+    matrices, postures
+        One matrix per posture.
+    candidates
+        What the matrices' rows stand for.
+    objectives
+        Each is optimised, and each best set is scored under all.
+    thresholds
+        Which levels are usable.
+    rows, limit, threads
+        As for :func:`lightopt.design.search`: its `keep`, `limit` and `threads`.
+    progress
+        Called with what is searched for and the share of that which is done.
+
+    Raises
+    ------
+    InputError
+        As :func:`lightopt.design.search`.
+    """
+    for matrix, posture in zip(matrices, postures, strict=True):
+        if not len(matrix.areas):
+            sight = f"all that the camera sees, it sees at more than {GRAZING_DEG:g}° to the normal"
+            raise InputError(
+                f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
+                "position of the lights is better than another; check the part's placement and the posture"
+            )
+    answers: list[Answer] = []
+    for objective in objectives:
+        stage = f"{objective.name}, {', '.join(map(str, postures))}"
+        found = search(
+            matrices,
+            objective,
+            thresholds,
+            space=candidates.space,
+            keep=rows,
+            limit=limit,
+            threads=threads,
+            progress=None if progress is None else partial(progress, stage),
+        )
+        best = found.best.candidates
+        scores = {other.name: _score(matrices, other, best, thresholds) for other in objectives}
+        if scores[objective.name] != found.best.score:
+            raise LightoptError(
+                f"internal error: objective {objective.name} scores the best set {found.best.score:,} in the search "
+                f"and {scores[objective.name]:,} by its definition; please report it with the rig and the part"
+            )
+        nothing = _nothing(matrices, thresholds, found) if found.best.score == 0 else None
+        details = objective.details(
+            [matrix.combination(best) for matrix in matrices],
+            [objective.weights(matrix.areas) for matrix in matrices],
+        )
+        answers.append(
+            Answer(objective=objective, found=found, scores=scores, details=details, nothing=nothing)
+        )
+    first = answers[0]
+    return SetResult(
+        postures=tuple(postures),
+        patches=sum(len(matrix.areas) for matrix in matrices),
+        area=sum(int(area_units(matrix.areas).sum()) for matrix in matrices),
+        grazing_area=round(sum(matrix.grazing_mm2 for matrix in matrices) / AREA_UNIT_MM2),
+        grain=sum(grain_of(matrix.areas) * float(matrix.areas.sum()) for matrix in matrices)
+        / sum(float(matrix.areas.sum()) for matrix in matrices),
+        answers=tuple(answers),
+        levels=tuple(
+            np.concatenate(matrix.combination(first.found.best.candidates).levels) for matrix in matrices
+        ),
+        curves=()
+        if first.nothing is not None
+        else score_curves(
+            candidates,
+            first.found.best,
+            lambda combination: _score(matrices, first.objective, combination, thresholds),
+        ),
+    )
+
+
+def answers_beside(
+    chosen: SetResult,
+    at: tuple[int, ...],
+    levels: Sequence[LuminanceMatrix],
+    objectives: Sequence[Objective],
+    thresholds: Thresholds,
+    *,
+    candidates: Candidates,
+    look: Callable[[tuple[int, ...]], Sequence[LuminanceMatrix]],
+    rows: int,
+    limit: int,
+    threads: int | None,
+    progress: Callable[[str, float], None] | None = None,
+) -> SetResult:
+    """The best light positions of other objectives beside those that were chosen before for the first.
+
+    Parameters
+    ----------
+    chosen
+        The answer of the first objective, with one position of each light.
+    at
+        These positions among the candidates.
+    levels
+        Of all candidates, one matrix per posture; not used where there are no others.
+    objectives
+        The first, and the others.
+    thresholds
+        Which levels are usable.
+    candidates
+        What the matrices' rows stand for.
+    look
+        Makes the matrices of one combination, one per posture, with all that the first objective needs.
+    rows, limit, threads, progress
+        As for :func:`answer_set`.
+    """
+    first = chosen.answers[0]
+    own = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
+    postures = ", ".join(map(str, chosen.postures))
+    answers: list[Answer] = []
+    for objective in objectives:
+        stage = f"{objective.name}, {postures}"
+        found = (
+            own
+            if objective is objectives[0]
+            else search(
+                levels,
+                objective,
+                thresholds,
+                space=candidates.space,
+                keep=rows,
+                limit=limit,
+                threads=threads,
+                progress=None if progress is None else partial(progress, stage),
+            )
+        )
+        matrices = look(found.best.candidates)
+        only = (0,) * len(candidates.names)
+        answers.append(
+            Answer(
+                objective=objective,
+                found=found,
+                scores={other.name: _score(matrices, other, only, thresholds) for other in objectives},
+                details=objective.details(matrices, [objective.weights(matrix.areas) for matrix in matrices]),
+                nothing=_nothing(levels or matrices, thresholds, found) if found.best.score == 0 else None,
+            )
+        )
+    return replace(chosen, answers=tuple(answers))
+
+
+def _score(
+    matrices: Sequence[LuminanceMatrix],
+    objective: Objective,
+    combination: tuple[int, ...],
+    thresholds: Thresholds,
+) -> int:
+    total = 0
+    for matrix in matrices:
+        one, weights = matrix.combination(combination), objective.weights(matrix.areas)
+        # scores are sums over patches: pieces of them bound the memory
+        for start, end in pieces(len(weights), PIECE_PATCHES):
+            total += objective.score(one.patches(start, end), weights[start:end], thresholds)
+    return total
+
+
+def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: Thresholds, found: Found) -> str:
+    layers = [layer for matrix in matrices for layer in matrix.levels]
+    count = sum(layer.size for layer in layers)
+    dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)
+    bright = sum(int(np.count_nonzero(layer >= thresholds.saturation)) for layer in layers)
+    which = (
+        "every combination scores 0"
+        if found.bound == 0
+        else f"all {found.scored:,} combinations that were scored score 0, with {found.left:,} left"
+    )
+    return (
+        f"{which}: of the levels of the inspectable patches {100.0 * dark / count:.3g} % are shaded "
+        f"(below {thresholds.shade}) and {100.0 * bright / count:.3g} % saturated (from {thresholds.saturation} on); "
+        "change the lights' gain, the thresholds or the lights' ranges"
+    )

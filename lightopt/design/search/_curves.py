@@ -1,0 +1,107 @@
+"""How the score goes with one angle, all others as in the best set: for people who want to know how flat the top is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from lightopt.design.candidates._candidates import Candidates
+from lightopt.design.candidates._combination_space import is_allowed
+from lightopt.design.search._ranking import Ranked
+
+TOGETHER = "all lights together"
+
+MOST_POINTS = 31
+"""Of one curve; of more positions every second, third … is taken, and the best set's own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """Scores along one angle.
+
+    Attributes
+    ----------
+    name
+        Of the light that is moved, or :data:`TOGETHER`.
+    axis
+        ``elevation`` or ``azimuth``.
+    angles_deg
+        Ascending [°].
+    scores
+        With the light there and all else as in the best set.
+    """
+
+    name: str
+    axis: str
+    angles_deg: tuple[float, ...]
+    scores: tuple[int, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "light": None if self.name == TOGETHER else self.name,
+            "axis": self.axis,
+            "angles_deg": list(self.angles_deg),
+            "scores": list(self.scores),
+        }
+
+
+def score_curves(
+    candidates: Candidates, best: Ranked, score: Callable[[tuple[int, ...]], int]
+) -> tuple[Curve, ...]:
+    """The curves through a best set: all movable lights at one elevation, then each light's elevation and azimuth.
+
+    Combinations that are not allowed, and angles that a light cannot take, are left out; so are curves of one point.
+
+    Parameters
+    ----------
+    candidates
+        The positions that there were to choose from.
+    best
+        The set that the curves go through, but for the first, which may pass beside it.
+    score
+        Exact score of one combination.
+    """
+    curves: list[Curve] = []
+    lights = range(len(candidates.names))
+    moving = [k for k in lights if len({elevation for elevation, _ in candidates.angles[k]}) > 1]
+    if len(moving) > 1:
+        curves.append(_curve(candidates, best, TOGETHER, moving, 0, score))
+    for k in lights:
+        curves += [_curve(candidates, best, candidates.names[k], [k], axis, score) for axis in (0, 1)]
+    return tuple(curve for curve in curves if len(curve.angles_deg) > 1)
+
+
+def _curve(
+    candidates: Candidates,
+    best: Ranked,
+    name: str,
+    lights: list[int],
+    axis: int,
+    score: Callable[[tuple[int, ...]], int],
+) -> Curve:
+    here = [angles[k] for angles, k in zip(candidates.angles, best.candidates, strict=True)]
+    # along the axis, the other angle as it is: angle to candidate, for each light
+    along = [
+        {
+            angles[axis]: k
+            for k, angles in enumerate(candidates.angles[i])
+            if angles[1 - axis] == here[i][1 - axis]
+        }
+        for i in lights
+    ]
+    points: list[tuple[float, tuple[int, ...]]] = []
+    for angle in sorted(set(along[0]).intersection(*along[1:])):
+        places = dict(zip(lights, (way[angle] for way in along), strict=True))
+        combination = tuple(places.get(i, k) for i, k in enumerate(best.candidates))
+        if is_allowed(candidates.space, combination):
+            points.append((angle, combination))
+    stride = -(-len(points) // MOST_POINTS)
+    points = [p for k, p in enumerate(points) if k % max(1, stride) == 0 or p[1] == best.candidates]
+    return Curve(
+        name=name,
+        axis=("elevation", "azimuth")[axis],
+        angles_deg=tuple(angle for angle, _ in points),
+        scores=tuple(score(combination) for _, combination in points),
+    )

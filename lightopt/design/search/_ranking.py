@@ -1,0 +1,178 @@
+"""The best combinations of a table of scores, in the order that decides ties."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.design.candidates._combination_space import Rows
+
+Int64 = NDArray[np.int64]
+
+MOST_NEAR = 1 << 24
+"""Scores near the best that are held at a time: 128 MiB."""
+
+
+@dataclass(frozen=True, order=True)
+class Ranked:
+    """A combination and what it is ranked by: smaller comes first.
+
+    Attributes
+    ----------
+    negative_score, negative_usable
+        Minus the score, minus the sum of usable levels.
+    candidates
+        One per light, in the rig's order; candidates ascend by elevation, then azimuth.
+    """
+
+    negative_score: int
+    negative_usable: int
+    candidates: tuple[int, ...]
+
+    @property
+    def score(self) -> int:
+        """Score of the objective."""
+        return -self.negative_score
+
+    @property
+    def usable(self) -> int:
+        """Sum of the usable levels of all images, each times its patch's weight."""
+        return -self.negative_usable
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """The first of some combinations, and how many share the best score.
+
+    Attributes
+    ----------
+    best
+        Ordered; as many as were asked for or there are.
+    ties
+        Number of combinations with the best score.
+    count
+        Number of combinations looked at.
+    """
+
+    best: tuple[Ranked, ...] = ()
+    ties: int = 0
+    count: int = 0
+
+    def merged(self, other: Ranking, limit: int) -> Ranking:
+        """The ranking of both sets of combinations."""
+        best = tuple(sorted((*self.best, *other.best))[:limit])
+        score = best[0].score if best else 0
+        ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)
+        return Ranking(best, ties, self.count + other.count)
+
+
+class NearBest:
+    """Counts the scores near the best, table after table, of which only the last tells how high the best is.
+
+    Parameters
+    ----------
+    margin
+        Of a best score: by how much another may be below it and still be near. Best less margin never falls as the best
+        rises.
+    most
+        Scores that are held at a time; of more, the lower half is let go, and the count may be too low.
+    """
+
+    def __init__(self, margin: Callable[[int], int], *, most: int = MOST_NEAR) -> None:
+        self._margin, self._most = margin, most
+        self._held: list[Int64] = []
+        self._best = self._lost_below = 0
+
+    @property
+    def least(self) -> int:
+        """The least score that is near the best."""
+        return self._best - self._margin(self._best)
+
+    @property
+    def exact(self) -> bool:
+        """Whether no score that is near was let go."""
+        return self._lost_below <= self.least
+
+    @property
+    def count(self) -> int:
+        """Scores near the best, the best one among them."""
+        return sum(int(np.count_nonzero(scores >= self.least)) for scores in self._held)
+
+    def add(self, scores: Int64) -> None:
+        """More scores, none below 0."""
+        if not len(scores):
+            return
+        self._best = max(self._best, int(scores.max()))
+        self._held.append(scores[scores >= self.least])
+        if sum(map(len, self._held)) > self._most:
+            held = np.concatenate(self._held)
+            held = held[held >= self.least]
+            if len(held) > self._most:
+                held = np.partition(held, len(held) // 2)[len(held) // 2 :]
+                self._lost_below = int(held.min()) + 1
+            self._held = [held]
+
+
+def rank(
+    table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: NDArray[np.bool_] | None, limit: int
+) -> Ranking:
+    """Rank by score, then by the sum of usable levels, then by lower candidates in the order of the lights.
+
+    Parameters
+    ----------
+    table
+        Scores, one per combination of `rows`, the last light's varying fastest.
+    rows
+        Candidates of each light.
+    usable
+        Sum of usable levels of each candidate of each light, whatever the table's rows.
+    allowed
+        Of the same combinations; None for all.
+    limit
+        How many to keep.
+    """
+    places = None if allowed is None else np.flatnonzero(allowed)
+    scores = table if places is None else table[places]
+    if not len(scores):
+        return Ranking()
+    keep = min(limit, len(scores))
+    least = int(np.partition(scores, len(scores) - keep)[len(scores) - keep])
+    some = np.flatnonzero(scores >= least)
+    if places is not None:
+        some = places[some]
+    sums = _usable_of(some, rows, usable)
+    above, equal = table[some] > least, table[some] == least
+    # of the many that may share the least score kept, those with the largest sums, then the first ones
+    wanted = keep - int(above.sum())
+    tied = sums[equal]
+    edge = int(np.partition(tied, len(tied) - wanted)[len(tied) - wanted])
+    chosen = above | (equal & (sums > edge))
+    last = np.flatnonzero(equal & (sums == edge))[: keep - int(chosen.sum())]
+    chosen[last] = True
+    columns = [row[i] for row, i in zip(rows, _digits(some[chosen], rows), strict=True)]
+    candidates = np.stack(columns, axis=1)
+    best = sorted(
+        Ranked(-int(score), -int(total), tuple(int(c) for c in combination))
+        for score, total, combination in zip(table[some[chosen]], sums[chosen], candidates, strict=True)
+    )
+    ties = int(np.count_nonzero(scores == best[0].score))
+    return Ranking(tuple(best), ties, len(scores))
+
+
+def _usable_of(places: Int64, rows: Rows, usable: Sequence[Int64]) -> Int64:
+    total = np.zeros(len(places), np.int64)
+    for row, sums, index in zip(rows, usable, _digits(places, rows), strict=True):
+        total += sums[row][index]
+    return total
+
+
+def _digits(places: Int64, rows: Rows) -> Iterator[Int64]:
+    # which of its rows each light has at places of a table; NumPy's own way is for a few dozen lights only
+    stride = math.prod(len(row) for row in rows)
+    for row in rows:
+        stride //= len(row)
+        yield places // stride % len(row)

@@ -1,0 +1,1 @@
+"""How far lights and part may be off."""

@@ -1,0 +1,1 @@
+"""What images tell of the part: where it lies (`registration`) and how it reflects (`reflectance`)."""

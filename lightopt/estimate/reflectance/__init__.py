@@ -1,0 +1,24 @@
+"""Reflection coefficients from images: maximum likelihood, the paper's procedure, and how far to trust either."""
+
+from lightopt.estimate.reflectance._files import FitFolder, fit_provenance
+from lightopt.estimate.reflectance._fit import fit_diffuse, fit_specular
+from lightopt.estimate.reflectance._noise import MeasuredNoise
+from lightopt.estimate.reflectance._options import FitOptions
+from lightopt.estimate.reflectance._paper import OPTION_NAMES, PaperDiffuse, PaperOptions, PaperSpecular
+from lightopt.estimate.reflectance._result import FitResult, FittedValue, interval_words
+
+__all__ = [
+    "OPTION_NAMES",
+    "FitFolder",
+    "FitOptions",
+    "FitResult",
+    "FittedValue",
+    "MeasuredNoise",
+    "PaperDiffuse",
+    "PaperOptions",
+    "PaperSpecular",
+    "fit_diffuse",
+    "fit_provenance",
+    "fit_specular",
+    "interval_words",
+]

@@ -1,0 +1,210 @@
+"""Least squares of levels as the camera clips them, each pixel of the images counting alike.
+
+The criterion for images that the model does not describe: a likelihood of the noise then asks which of the pixels to
+give up, while this finds the reflectance that predicts images best. It is the log-likelihood of Gaussian deviations of
+one unknown variance, which is put at its best value: −N/2·(ln(2π·mean square) + 1).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.kernels import kernel
+from lightopt.estimate.reflectance._likelihood import lagrange
+from lightopt.estimate.reflectance._likelihood_criterion import (
+    FIRST_GAIN,
+    LOG_SIGMA,
+    Evaluation,
+    add_curvature,
+    image_factors,
+    mirror_curvature,
+    specular_and_slope,
+    sum_pieces,
+)
+from lightopt.estimate.reflectance._samples import Samples
+
+Float64 = NDArray[np.float64]
+
+LEAST_SIGMA, MOST_SIGMA = 0.0007, 0.3
+"""Widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one."""
+
+NODES = 121
+WINDOW = 5
+"""Nodes of ln σ over that range, and how many of them an interpolation takes: its error is some 1e-6 of the lobe."""
+
+LEAST_MEAN_SQUARE = 1.0 / 12.0
+"""That of rounding to whole levels: no model can be nearer."""
+
+_PIECE = 65_536
+
+
+class SpecularTable:
+    """Light per unit of R_s of some pixels over ln σ, worked out at nodes as they are needed.
+
+    Parameters
+    ----------
+    samples
+        The pixels (n); observations do not matter.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+
+    nodes = np.linspace(math.log(LEAST_SIGMA), math.log(MOST_SIGMA), NODES)
+    """ln σ."""
+
+    def __init__(self, samples: Samples, *, threads: int | None = None) -> None:
+        self._samples = samples
+        self._threads = threads
+        self._columns: dict[int, Float64] = {}
+        self._window: tuple[int, Float64] = (-1, np.zeros((0, 0)))
+
+    def column(self, node: int) -> Float64:
+        """At a node, shape (n,)."""
+        if node not in self._columns:
+            sigma = math.exp(self.nodes[node])
+            self._columns[node] = self._samples.specular(sigma, threads=self._threads)
+        return self._columns[node]
+
+    def around(self, log_sigma: float) -> tuple[Float64, Float64]:
+        """The nodes around a place, shape (w,), and the light there, shape (n, w)."""
+        nearest = round((log_sigma - self.nodes[0]) / (self.nodes[1] - self.nodes[0]))
+        first = min(max(nearest - WINDOW // 2, 0), NODES - WINDOW)
+        if self._window[0] != first:
+            columns = [self.column(first + k) for k in range(WINDOW)]
+            self._window = first, np.stack(columns, axis=1)
+        return self.nodes[first : first + WINDOW], self._window[1]
+
+
+class LeastSquares:
+    """The criterion of least squares over samples.
+
+    Parameters
+    ----------
+    samples
+        What was measured.
+    table
+        The specular light of the samples' pixels.
+    fixed
+        ln σ and the light there, shape (n,), of a criterion that is only asked there.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+
+    def __init__(
+        self,
+        samples: Samples,
+        table: SpecularTable,
+        *,
+        fixed: tuple[float, Float64] | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.samples = samples
+        self.table = table
+        self.threads = threads
+        self.size = FIRST_GAIN + len(samples.lights) + 2
+        self._fixed = None if fixed is None else (np.array([fixed[0]]), fixed[1][:, None])
+        weight = samples.weight[samples.sample]
+        self._weight = weight / max(float(np.mean(weight)), 1e-300) if len(weight) else weight
+
+    @property
+    def sigma_range(self) -> tuple[float, float]:
+        """Values of ln σ for which it can be evaluated."""
+        return float(self.table.nodes[0]), float(self.table.nodes[-1])
+
+    @property
+    def weight(self) -> Float64:
+        """Pixels of the images that each observation stands for, on average 1, shape (N,)."""
+        return self._weight
+
+    def without(self, left_out: NDArray[np.bool_]) -> LeastSquares:
+        """The same of other samples: those not marked in `left_out`, shape (N,)."""
+        return LeastSquares(self.samples.keep(~left_out), self.table, threads=self.threads)
+
+    def light(self, x: Float64) -> Float64:
+        """Specular light per unit of R_s at the σ of `x`, shape (n,)."""
+        at = float(x[LOG_SIGMA])
+        nodes, columns = self._fixed or self.table.around(at)
+        return columns @ lagrange(nodes, at)[0]
+
+    def mean_square(self, x: Float64) -> float:
+        """Of measured minus predicted level, both clipped as by the camera [sensor level²]."""
+        return -2.0 * self._sums(x)[0] / max(1, len(self.samples.sample))
+
+    def evaluate(self, x: Float64) -> Evaluation:
+        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
+        value, gradient, curvature = self._sums(x)
+        count = len(self.samples.sample)
+        mean = max(-2.0 * value / max(1, count), LEAST_MEAN_SQUARE)
+        return Evaluation(
+            -0.5 * count * (math.log(2.0 * math.pi * mean) + 1.0), gradient / mean, curvature / mean
+        )
+
+    def _sums(self, x: Float64) -> tuple[float, Float64, Float64]:
+        s = self.samples
+        at = float(x[LOG_SIGMA])
+        nodes, columns = self._fixed or self.table.around(at)
+        c, dc = lagrange(nodes, at)
+        top = s.sensor.saturated_from
+
+        def add(start: int, end: int, gradient: Float64, curvature: Float64) -> float:
+            return _accumulate(
+                s.sample, s.level, s.image, start, end, self._weight, s.diffuse, columns, c, dc, s.facts.factor,
+                s.facts.light, s.sensor.black_level, top, x, gradient, curvature,
+            )  # fmt: skip
+
+        return sum_pieces(add, len(s.sample), self.size, piece=_PIECE, threads=self.threads)
+
+
+@kernel
+def _accumulate(
+    sample: NDArray[np.int32],
+    level: NDArray[np.float32],
+    image: NDArray[np.int32],
+    start: int,
+    end: int,
+    weights: Float64,
+    diffuse: Float64,
+    specular: Float64,
+    c: Float64,
+    dc: Float64,
+    factors: Float64,
+    lights: NDArray[np.int32],
+    black: float,
+    top: float,
+    x: Float64,
+    gradient: Float64,
+    curvature: Float64,
+) -> float:
+    # minus half the sum of weighted squares, its gradient, and the matrix of Gauss and Newton
+    r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
+    factor_of = image_factors(factors, lights, x)
+    total = 0.0
+    for j in range(start, end):
+        i, m = sample[j], image[j]
+        factor = factor_of[m]
+        s, ds = specular_and_slope(i, specular, c, dc)
+        signal = factor * (r_d * diffuse[i] + r_s * s)
+        mean = black + dark + signal
+        weight = weights[j]
+        residual = min(float(level[j]), top) - min(max(mean, 0.0), top)
+        total -= 0.5 * weight * residual * residual
+        if mean < 0.0 or mean > top:
+            continue
+        by_r_d, by_r_s, by_sigma, gain = (
+            factor * diffuse[i],
+            factor * r_s * s,
+            factor * r_s * ds,
+            4 + lights[m],
+        )
+        pull = weight * residual
+        gradient[0] += pull * by_r_d
+        gradient[1] += pull * by_r_s
+        gradient[2] += pull * by_sigma
+        gradient[3] += pull
+        gradient[gain] += pull * signal
+        add_curvature(weight, gain, by_r_d, by_r_s, by_sigma, signal, curvature)
+    mirror_curvature(curvature)
+    return total

@@ -1,0 +1,122 @@
+"""Second opinions on a fit: evenly lit panels instead of point lights, the likelihood's view of the paper's answer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.estimate.reflectance._estimate import Estimate, Freed
+from lightopt.estimate.reflectance._quality import appraise, poor_fit
+from lightopt.estimate.reflectance._samples import Samples, evenly_lit, thinned
+from lightopt.estimate.reflectance._search import estimate, refine
+from lightopt.estimate.reflectance._setup import World
+from lightopt.estimate.reflectance._wrong_images import refuse_other_images
+from lightopt.geometry import RayCaster
+
+BUDGET = 250
+"""Pixels per octave, light and posture that a second opinion looks at."""
+
+LEAST_RATIO = 100.0
+"""Twice the logarithm of the likelihoods' ratio that is worth a word."""
+
+LEAST_DIFFERENCE = 0.005
+LEAST_PAPER_DIFFERENCE = 0.05
+"""Of ln R_s or ln σ; the paper's σ is a multiple of a step."""
+
+
+def evenly_lit_words(
+    samples: Samples,
+    found: Estimate,
+    *,
+    freed: Freed,
+    held: NDArray[np.float64],
+    caster: RayCaster,
+    threads: int | None = None,
+) -> tuple[str, ...]:
+    """What to say where ``points: auto`` describes the images better than the point lights that were fitted with.
+
+    Parameters
+    ----------
+    samples, found
+        The fit.
+    freed, held
+        As it was made.
+    caster
+        Of the scene's part.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+    lights = [group.layer.light for group in samples.groups if group.layer is not None]
+    if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
+        return ()
+    few = thinned(samples, BUDGET)
+    even = evenly_lit(few, caster, threads=threads)
+    # the fit itself was the best of all σ; what evenly lit panels would give may lie far from it
+    panels = estimate(even, freed=freed, held=held, threads=threads)
+    points = (
+        refine(few, found, threads=threads)
+        if found.describes
+        else estimate(few, freed=freed, held=held, threads=threads)
+    )
+    count = len(few.level)
+    ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
+    moved = max(abs(math.log(panels.R_s / found.R_s)), abs(math.log(panels.sigma / found.sigma)))
+    if ratio < LEAST_RATIO or moved < LEAST_DIFFERENCE:
+        return ()
+    number = lights[0].points
+    lit = "1 point" if number == 1 else f"{number} points"
+    text = (
+        f"evenly lit panels describe these images better than {lit} per panel: R_s would be about {panels.R_s:.4g} "
+        f"and σ {panels.sigma:.4g} rad, and the intervals given here do not hold that. Use --points auto, or "
+        "points: auto in the rig"
+    )
+    return (text,)
+
+
+def paper_words(
+    world: World,
+    samples: Samples,
+    *,
+    R_d: float | None,
+    specular: tuple[float, float] | None,
+    threads: int | None = None,
+) -> tuple[str, ...]:
+    """What the likelihood of all pixels says of the paper's answer, which comes from a mean, a count and a sum.
+
+    Parameters
+    ----------
+    world, samples
+        Those that the answer comes from.
+    R_d
+        As section 4.2 has it [grey level]; None where it was not asked for.
+    specular
+        R_s [grey level] and σ [rad] as section 4.3 has them; None where they were not asked for.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Raises
+    ------
+    InputError
+        The images do not look like the part.
+    """
+    few = thinned(samples, BUDGET)
+    whole = estimate(few, freed=Freed(), threads=threads)
+    quality = appraise(few, whole, threads=threads)
+    placed = refuse_other_images(world, few, whole, quality, threads=threads)
+    said = [*poor_fit(whole, quality, placed=placed)]
+    pairs = [("R_d", R_d, whole.R_d)]
+    if specular is not None:
+        pairs += [("R_s", specular[0], whole.R_s), ("σ", specular[1], whole.sigma)]
+    off = [
+        f"{name} {value:.4g}, there {other:.4g}"
+        for name, value, other in pairs
+        if value is not None and abs(math.log(max(value, 1e-9) / max(other, 1e-9))) > LEAST_PAPER_DIFFERENCE
+    ]
+    if off:
+        said.append(
+            f"the default method, which looks at every pixel, finds other values on these images ({'; '.join(off)}): a "
+            "mean, a count and a sum hardly tell these apart"
+        )
+    return tuple(said)

@@ -1,0 +1,247 @@
+"""Leave one light out: fit the others, predict its images, compare."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.estimate.reflectance._estimate import Estimate
+from lightopt.estimate.reflectance._predict import predict_images
+from lightopt.estimate.reflectance._samples import Samples, thinned
+from lightopt.estimate.reflectance._search import refine
+from lightopt.estimate.registration import Observation
+from lightopt.geometry import RayCaster
+from lightopt.optics import Sensor
+from lightopt.scene import Scene
+
+BUDGET = 1500
+"""Pixels per octave, light and posture that the fits without a light look at."""
+
+MOST_BORDER_PIXELS = 4000
+
+POOR_SHARE = 5.0 / 255.0
+"""A prediction that is further off than this share of the sensor's full scale is worth a word."""
+
+Keep = Callable[[Observation, NDArray[np.float32]], None]
+"""Gets each image that was left out and the sensor levels that were predicted for it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """A predicted image against the measured one.
+
+    Attributes
+    ----------
+    image
+        Its name.
+    rms
+        Of measured minus predicted level on the part's pixels, both clipped as by the camera
+        [grey level at exposure 1].
+    rms_sensor
+        The same in the image as it was delivered [sensor level].
+    iou
+        Intersection over union of the saturated areas; None where neither image has any.
+    border
+        Mean distance between the borders of the saturated areas [px]; None where one image has none.
+    area, predicted_area
+        Saturated pixels of the measured and of the predicted image.
+    """
+
+    image: str
+    rms: float
+    rms_sensor: float
+    iou: float | None
+    border: float | None
+    area: int
+    predicted_area: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "image": self.image,
+            "rms_grey_levels": float(f"{self.rms:.5g}"),
+            "rms_sensor_levels": float(f"{self.rms_sensor:.5g}"),
+            "iou": None if self.iou is None else round(self.iou, 5),
+            "border_px": None if self.border is None else float(f"{self.border:.4g}"),
+            "saturated_px": self.area,
+            "predicted_saturated_px": self.predicted_area,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """A light whose images were predicted from those of the others.
+
+    Attributes
+    ----------
+    light
+        Its name.
+    R_d, R_s, sigma
+        As fitted to the other lights.
+    images
+        Of the light.
+    converged
+        Whether the fit to the others did.
+    """
+
+    light: str
+    R_d: float
+    R_s: float
+    sigma: float
+    images: tuple[Comparison, ...]
+    converged: bool = True
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "light": self.light,
+            "R_d": float(f"{self.R_d:.6g}"),
+            "R_s": float(f"{self.R_s:.6g}"),
+            "sigma_rad": float(f"{self.sigma:.6g}"),
+            "converged": self.converged,
+            "images": [image.as_dict() for image in self.images],
+        }
+
+
+def leave_lights_out(
+    scene: Scene,
+    samples: Samples,
+    found: Estimate,
+    *,
+    caster: RayCaster,
+    threads: int | None = None,
+    keep: Keep | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[LeftOut, ...]:
+    """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
+
+    A gain or a dark level that was freed stays as all images have it, since the others cannot tell that of a light.
+
+    Parameters
+    ----------
+    scene
+        With the lights and postures of the images.
+    samples, found
+        The fit to all images.
+    caster
+        Of the scene's part.
+    threads
+        Number of threads; the result does not depend on it.
+    keep
+        Called with each image and its prediction.
+    progress
+        Called as lights are done.
+    """
+    used = sorted(set(samples.facts.light.tolist()))
+    if len(used) < 2:
+        return ()
+    few = thinned(samples, BUDGET)
+    results: list[LeftOut] = []
+    for done, light in enumerate(used):
+        others = few.keep(few.facts.light[few.image] != light)
+        fitted = refine(others, found, only_reflectance=True, threads=threads)
+        mine = [o for o in samples.images if o.light == samples.lights[light]]
+        comparisons: list[Comparison] = []
+        for seen, levels, hit in predict_images(scene, fitted.x, mine, caster=caster, threads=threads):
+            comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
+            if keep is not None:
+                keep(seen, levels)
+        results.append(
+            LeftOut(
+                light=samples.lights[light],
+                R_d=fitted.R_d,
+                R_s=fitted.R_s,
+                sigma=fitted.sigma,
+                images=tuple(comparisons),
+                converged=fitted.maximum.converged,
+            )
+        )
+        if progress is not None:
+            progress((done + 1) / len(used))
+    return tuple(results)
+
+
+def unseen(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
+    """What a person should know of the predictions of lights that were left out; the sensor is the images'."""
+    if not left_out:
+        return ("one light alone cannot be left out: not validated",)
+    said: list[str] = []
+    unsettled = [left.light for left in left_out if not left.converged]
+    if unsettled:
+        said.append(
+            f"{len(unsettled)} of the {len(left_out)} fits without one light each did not converge (without "
+            f"{', '.join(unsettled)}): how well they predict its images says little"
+        )
+    worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms_sensor)
+    if worst.rms_sensor > POOR_SHARE * sensor.max_level:
+        said.append(
+            f"{worst.image}, predicted from the other lights, is {worst.rms_sensor:.3g} sensor levels rms off "
+            f"({worst.rms:.3g} grey levels at exposure 1): do not rely on predicted images of this surface"
+        )
+    return tuple(said)
+
+
+def compare_image(
+    seen: Observation,
+    levels: NDArray[np.float32],
+    hit: NDArray[np.bool_],
+    sensor: Sensor,
+    full_scale: float,
+) -> Comparison:
+    """Compare a measured image with the sensor levels predicted for it.
+
+    Parameters
+    ----------
+    seen
+        The image.
+    levels
+        Predicted, not clipped, shape (height, width).
+    hit
+        Where the part is, same shape.
+    sensor
+        Of the camera.
+    full_scale
+        Of the reflectance, that grey levels are counted in.
+    """
+    top = sensor.saturated_from
+    measured = np.minimum(seen.levels, np.float32(top))
+    residual = (measured - np.clip(levels, 0.0, top))[hit].astype(np.float64)
+    full = np.floor(levels + 0.5) >= top
+    rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else 0.0
+    both, either = int((full & seen.saturated).sum()), int((full | seen.saturated).sum())
+    return Comparison(
+        image=seen.name,
+        rms=full_scale / sensor.max_level * rms / seen.exposure,
+        rms_sensor=rms,
+        iou=both / either if either else None,
+        border=_border_distance(full, seen.saturated),
+        area=int(seen.saturated.sum()),
+        predicted_area=int(full.sum()),
+    )
+
+
+def _border_distance(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float | None:
+    a, b = _border(first), _border(second)
+    if not len(a) or not len(b):
+        return None
+    return 0.5 * (_mean_nearest(a, b) + _mean_nearest(b, a))
+
+
+def _border(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    padded = np.pad(mask, 1)
+    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    places = np.argwhere(mask & ~inner).astype(np.float64)
+    return places[:: max(1, len(places) // MOST_BORDER_PIXELS)]
+
+
+def _mean_nearest(places: NDArray[np.float64], targets: NDArray[np.float64]) -> float:
+    nearest = [
+        np.sqrt(((places[i : i + 256, None] - targets[None]) ** 2).sum(axis=2).min(axis=1))
+        for i in range(0, len(places), 256)
+    ]
+    return float(np.concatenate(nearest).mean())

@@ -1,0 +1,197 @@
+"""What a fit finds: where the likelihood is greatest, and how sharply."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.estimate.reflectance._lack_of_fit import LackOfFit
+from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion
+from lightopt.estimate.reflectance._newton import Maximum
+
+Float64 = NDArray[np.float64]
+
+Interval = tuple[float | None, float | None]
+"""95 %; None for an end that the images do not bound."""
+
+CHI2_95 = 3.841458820694124
+"""95 % quantile of χ² with one degree of freedom: twice the log-likelihood may fall by this (Wilks 1938)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Freed:
+    """What a fit may change beside R_d, R_s and σ.
+
+    Attributes
+    ----------
+    diffuse, specular
+        Whether R_d, and whether R_s and σ are fitted.
+    gain
+        Gain of every light, relative to the first one.
+    dark
+        A constant dark level.
+    """
+
+    diffuse: bool = True
+    specular: bool = True
+    gain: bool = False
+    dark: bool = False
+
+
+class _Reflectance:
+    # coefficients in a vector of parameters
+    x: Float64
+
+    @property
+    def R_d(self) -> float:  # noqa: N802
+        """[grey level]."""
+        return float(self.x[R_D])
+
+    @property
+    def R_s(self) -> float:  # noqa: N802
+        """[grey level]."""
+        return math.exp(self.x[LOG_R_S])
+
+    @property
+    def sigma(self) -> float:
+        """[rad]."""
+        return math.exp(self.x[LOG_SIGMA])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPoint(_Reflectance):
+    """The best fit at one σ.
+
+    Attributes
+    ----------
+    x
+        Parameters, shape (K,).
+    value
+        Criterion at the scan's pixels [nat].
+    fall
+        How far twice the criterion of the estimate is below its maximum there [nat].
+    """
+
+    x: Float64
+    value: float
+    fall: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optimum(_Reflectance):
+    """Where the climb from one peak of the profile over σ ended.
+
+    Attributes
+    ----------
+    start_sigma
+        Of the peak [rad].
+    x
+        Parameters, shape (K,).
+    value
+        Criterion of the estimate [nat]: all optima of an estimate are compared by the same one.
+    converged
+        Whether the climb did.
+    criterion
+        That one, where it can be evaluated around here; None where the climb is not worth while, far below the best.
+    """
+
+    start_sigma: float
+    x: Float64
+    value: float
+    converged: bool
+    criterion: Criterion | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        numbers = {
+            "start_sigma": self.start_sigma,
+            "sigma": self.sigma,
+            "R_d": self.R_d,
+            "R_s": self.R_s,
+            "value": self.value,
+        }
+        return {**{k: float(f"{v:.8g}") for k, v in numbers.items()}, "converged": self.converged}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate(_Reflectance):
+    """The best fit, and how sharply the images determine it.
+
+    Attributes
+    ----------
+    x
+        Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood_criterion` orders them.
+    free
+        Places of the parameters that were fitted.
+    covariance
+        Of those, shape (k, k), if the model is right.
+    inflation
+        By how much the variance of each of those is larger for what the model gets wrong, shape (k,).
+    critical
+        Square of the standard errors that a 95 % interval has on either side: a quantile of χ², or of Student's t where
+        few groups of images tell the variance.
+    criterion
+        What is greatest at `x`.
+    maximum
+        How the climb ended.
+    scan
+        The profile over σ, the estimate's own among them.
+    optima
+        Where the climbs from the peaks of the profile ended, the best first, which is the estimate itself.
+    mean_log_likelihood
+        Of a level, by the likelihood of noise and outliers [nat]: comparable between fits to the same levels.
+    unexplained
+        Share of the pixels that the likelihood would leave out as outliers.
+    lack_of_fit
+        Whether the model describes the images; None where that was not looked at.
+    scatter
+        From what the uncertainty is known where it does not, such as "12 lights".
+    unsettled_refits
+        How many of the fits without one of those each did not converge.
+    """
+
+    x: Float64
+    free: tuple[int, ...]
+    covariance: Float64
+    inflation: Float64
+    critical: float = CHI2_95
+    criterion: Criterion
+    maximum: Maximum
+    scan: tuple[ScanPoint, ...]
+    optima: tuple[Optimum, ...] = ()
+    mean_log_likelihood: float
+    unexplained: float
+    lack_of_fit: LackOfFit | None = None
+    scatter: str | None = None
+    unsettled_refits: int = 0
+
+    @property
+    def describes(self) -> bool:
+        """Whether the model describes the images, so that the likelihood was maximised; else least squares."""
+        return self.scatter is None
+
+    @property
+    def tau(self) -> float:
+        """Deviation that the sensor's noise does not explain [sensor level]."""
+        return math.exp(0.5 * self.x[-2])
+
+    @property
+    def epsilon(self) -> float:
+        """Share of the pixels that the fit takes for dust, glints and the like."""
+        return 1.0 / (1.0 + math.exp(-self.x[-1]))
+
+    def standard_error(self, place: int) -> float:
+        """Standard error of a parameter, for what the model gets wrong as well; 0 for one that was held."""
+        if place not in self.free:
+            return 0.0
+        i = self.free.index(place)
+        return math.sqrt(self.covariance[i, i] * self.inflation[i])
+
+    def correlation(self, first: int, second: int) -> float:
+        """Correlation of two parameters that were fitted."""
+        i, j = self.free.index(first), self.free.index(second)
+        return float(self.covariance[i, j] / math.sqrt(self.covariance[i, i] * self.covariance[j, j]))

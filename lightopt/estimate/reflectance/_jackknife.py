@@ -1,0 +1,135 @@
+"""Uncertainty of a fit to images that the model does not describe: how it changes with the lights that are left out.
+
+What the model gets wrong is alike in all pixels of a light, so that pixels tell nothing of it. The estimates without
+one group of images each scatter as it takes (Efron and Stein 1981, doi:10.1214/aos/1176345462).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares
+from lightopt.estimate.reflectance._likelihood_criterion import FIRST_GAIN
+from lightopt.estimate.reflectance._newton import Maximum, maximise
+from lightopt.estimate.reflectance._samples import Samples
+
+Float64 = NDArray[np.float64]
+
+LEAST_GROUPS, MOST_GROUPS = 4, 24
+"""Groups of images: lights, where there are so many, else lights by posture, else pieces of the images. Further lights
+share a group."""
+
+UNDETERMINED = 1e3
+"""Standard error of a parameter that the images do not tell, such as the σ of a lobe without light."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jackknife:
+    """Scatter of the estimates without one group of images each.
+
+    Attributes
+    ----------
+    covariance
+        Shape (k, k); that of parameters that nothing determines where there is but one group.
+    of
+        Number of groups and what they are, such as "12 lights"; of the pieces, too, where these tell as well.
+    quantile
+        Student's t of a two-sided 95 % interval for so many groups.
+    refits
+        Where the fits without one group each ended.
+    """
+
+    covariance: Float64
+    of: str
+    quantile: float
+    refits: tuple[Maximum, ...] = ()
+
+
+def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -> Jackknife:
+    """Fit again without each group of images.
+
+    Parameters
+    ----------
+    criterion, x
+        The fit.
+    free
+        Places of the parameters that were fitted. A light that is left out tells nothing of its own gain, nor do the
+        others of what theirs are relative to: where gains are free, pieces of the images tell as well.
+    """
+    by_light, by_piece = _by_light(criterion.samples), _by_piece(criterion.samples)
+    label, of = next((one for one in (*by_light, by_piece) if _count(one[0]) >= LEAST_GROUPS), by_piece)
+    covariance, count, of, refits = _scatter(criterion, x, free, label, of)
+    if any(place >= FIRST_GAIN for place in free) and label is not by_piece[0]:
+        pieces, _, of_pieces, more = _scatter(criterion, x, free, *by_piece)
+        refits += more
+        of = f"{of} and {of_pieces}"
+        covariance = at_least(covariance, pieces)
+    quantile = float(stdtrit(max(count - 1, 1), 0.975))
+    return Jackknife(covariance=covariance, of=of, quantile=quantile, refits=refits)
+
+
+def at_least(covariance: Float64, other: Float64) -> Float64:
+    """A covariance that is no smaller than either of two in any direction: the first, and by what the second is larger.
+
+    Standard errors alone would leave the correlations of the first: the lights move R_s and σ along their ridge, pieces
+    of the light that gains are relative to move R_s by itself.
+    """
+    unit = np.sqrt(np.maximum(np.maximum(np.diag(covariance), np.diag(other)), 1e-200))
+    scale = np.outer(unit, unit)
+    values, vectors = np.linalg.eigh((other - covariance) / scale)
+    more = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return covariance + 0.5 * (more + more.T) * scale
+
+
+def with_errors(covariance: Float64, errors: Float64) -> Float64:
+    """A covariance with the same correlations and other standard errors."""
+    spread = np.maximum(np.sqrt(np.diag(covariance)), 1e-100)
+    correlation = covariance / np.outer(spread, spread)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation * np.outer(errors, errors)
+
+
+def _scatter(
+    criterion: LeastSquares, x: Float64, free: Sequence[int], label: NDArray[np.intp], of: str
+) -> tuple[Float64, int, str, tuple[Maximum, ...]]:
+    # covariance, number of groups and what they are, and where the fits ended
+    count = _count(label)
+    each = math.ceil(count / MOST_GROUPS)
+    if each > 1:
+        # neighbours in number are rarely neighbours in place
+        label, of = label % math.ceil(count / each), f"groups of {of}"
+        count = _count(label)
+    index = list(free)
+    if count < 2:
+        return UNDETERMINED**2 * np.eye(len(index)), count, f"{count} {of}", ()
+    refits = tuple(maximise(criterion.without(label == k), x, free) for k in range(count))
+    found = np.array([refit.x[index] for refit in refits])
+    off = found - found.mean(axis=0)
+    return (count - 1.0) / count * off.T @ off, count, f"{count} {of}", refits
+
+
+def _count(label: NDArray[np.intp]) -> int:
+    return int(label.max(initial=-1)) + 1
+
+
+def _by_light(samples: Samples) -> list[tuple[NDArray[np.intp], str]]:
+    # a number per observation: what is left out together
+    light = samples.facts.light[samples.image].astype(np.intp)
+    postures = list(dict.fromkeys(image.posture for image in samples.images))
+    posture = np.array([postures.index(image.posture) for image in samples.images])[samples.image]
+    both = light * len(postures) + posture
+    return [(_numbered(light), "lights"), (_numbered(both), "lights and postures")]
+
+
+def _by_piece(samples: Samples) -> tuple[NDArray[np.intp], str]:
+    return _numbered(samples.block[samples.sample].astype(np.intp)), "pieces of the images"
+
+
+def _numbered(label: NDArray[np.intp]) -> NDArray[np.intp]:
+    return np.unique(label, return_inverse=True)[1].astype(np.intp)

@@ -1,0 +1,296 @@
+"""How likely the images are: interval-censored levels of a noisy sensor, some of which the model cannot explain.
+
+A quantised level q says that the signal was between q − ½ and q + ½, a saturated one that it was at least that, a zero
+that it was at most ½ (Tobin 1958, doi:10.2307/1907382). The signal is Gaussian about the model's level with the
+sensor's shot and read noise (EMVA Standard 1288) and a further deviation τ that is estimated, since neither meshes nor
+noise figures are exact. The mean of N frames has an N-th of the sensor's variance. A share ε of the pixels, estimated
+as well, may show anything at all: dust, scratches, glints.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.kernels import kernel
+from lightopt.estimate.reflectance._likelihood_criterion import (
+    DARK,
+    FIRST_GAIN,
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    Evaluation,
+    add_curvature,
+    image_factors,
+    mirror_curvature,
+    specular_and_slope,
+    sum_pieces,
+)
+from lightopt.estimate.reflectance._samples import ImageFacts, Samples
+from lightopt.optics import Sensor
+
+Float64 = NDArray[np.float64]
+
+EXTREME_SHARE = 0.05
+"""Share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
+evenly over the levels between."""
+
+_PIECE = 16_384
+_SQRT_HALF = math.sqrt(0.5)
+_SQRT_TWO_PI = math.sqrt(2.0 * math.pi)
+
+
+class SensorNumbers(NamedTuple):
+    """A sensor's numbers as the kernels want them."""
+
+    black: float
+    read_variance: float
+    levels_per_electron: float
+    ceiling: float
+    outlier: float
+
+
+def sensor_numbers(sensor: Sensor) -> SensorNumbers:
+    """Black level, noise, and the level from which a pixel is saturated."""
+    electrons = sensor.electrons_per_level
+    return SensorNumbers(
+        black=sensor.black_level,
+        read_variance=sensor.read_noise_levels**2,
+        levels_per_electron=0.0 if electrons is None else 1.0 / electrons,
+        ceiling=float(math.ceil(sensor.saturated_from)),
+        outlier=(1.0 - 2.0 * EXTREME_SHARE) / max(1.0, sensor.max_level - 1.0),
+    )
+
+
+class Likelihood:
+    """The likelihood of a set of samples, for σ near those that the specular light was worked out for.
+
+    Parameters
+    ----------
+    samples
+        What was measured.
+    log_sigmas
+        ln σ of the columns of `specular`, shape (m,); between them the light is interpolated by a polynomial.
+    specular
+        Per unit of R_s, shape (n, m).
+    threads
+        Number of threads; the result does not depend on it.
+    """
+
+    def __init__(
+        self,
+        samples: Samples,
+        log_sigmas: Float64,
+        specular: Float64,
+        *,
+        threads: int | None = None,
+    ) -> None:
+        self.samples = samples
+        self.log_sigmas = log_sigmas
+        self.specular = specular
+        self.threads = threads
+        self.size = FIRST_GAIN + len(samples.lights) + 2
+        self._sensor = sensor_numbers(samples.sensor)
+
+    @property
+    def log_tau2(self) -> int:
+        """Place of ln τ² in the vector of parameters."""
+        return self.size - 2
+
+    @property
+    def logit_epsilon(self) -> int:
+        """Place of logit ε in the vector of parameters."""
+        return self.size - 1
+
+    @property
+    def sigma_range(self) -> tuple[float, float]:
+        """Values of ln σ for which it can be evaluated: half the columns' span beyond them, any for one."""
+        if len(self.log_sigmas) == 1:
+            return -math.inf, math.inf
+        low, high = float(self.log_sigmas[0]), float(self.log_sigmas[-1])
+        return low - 0.5 * (high - low), high + 0.5 * (high - low)
+
+    def specular_weights(self, log_sigma: float) -> tuple[Float64, Float64]:
+        """Weights of the columns for the light at ln σ, and for its derivative by ln σ; each of shape (m,)."""
+        return lagrange(self.log_sigmas, log_sigma)
+
+    def evaluate(self, x: Float64) -> Evaluation:
+        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
+        s = self.samples
+        c, dc = self.specular_weights(float(x[LOG_SIGMA]))
+
+        def add(start: int, end: int, gradient: Float64, curvature: Float64) -> float:
+            return _accumulate(
+                s.sample, s.level, s.saturated, s.image, start, end, s.diffuse, self.specular, c, dc,
+                s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x, gradient,
+                curvature,
+            )  # fmt: skip
+
+        return Evaluation(*sum_pieces(add, len(s.sample), self.size, piece=_PIECE, threads=self.threads))
+
+    def by_piece(self, x: Float64) -> tuple[Float64, Float64]:
+        """Gradients and curvatures of the pieces of the images, (B, K) and (B, K, K); each sums up to the whole."""
+        s = self.samples
+        block = s.block[s.sample]
+        order = np.argsort(block, kind="stable")
+        ends = np.append(np.flatnonzero(np.diff(block[order])) + 1, len(order))
+        starts = np.append(0, ends[:-1])
+        sample, level, saturated, image = (a[order] for a in (s.sample, s.level, s.saturated, s.image))
+        c, dc = self.specular_weights(float(x[LOG_SIGMA]))
+        gradients = np.zeros((len(ends), self.size))
+        curvatures = np.zeros((len(ends), self.size, self.size))
+        for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
+            _accumulate(
+                sample, level, saturated, image, start, end, s.diffuse, self.specular, c, dc,
+                s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x,
+                gradients[number], curvatures[number],
+            )  # fmt: skip
+        return gradients, curvatures
+
+
+def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
+    """Sensor levels, not clipped, that the parameters `x` predict for each observation, shape (N,).
+
+    Parameters
+    ----------
+    samples
+        The observations.
+    specular
+        Per unit of R_s at the σ of `x`, shape (n,).
+    x
+        Parameters, shape (K,).
+    """
+    light = x[R_D] * samples.diffuse + math.exp(x[LOG_R_S]) * specular
+    facts: ImageFacts = samples.facts
+    factor = facts.factor * np.exp(x[FIRST_GAIN + facts.light])
+    return samples.sensor.black_level + x[DARK] + factor[samples.image] * light[samples.sample]
+
+
+def clipped_levels(samples: Samples, mean: Float64) -> tuple[Float64, Float64]:
+    """Measured and predicted sensor levels of each observation, both clipped where the camera clips, shape (N,) each.
+
+    Parameters
+    ----------
+    samples
+        The observations.
+    mean
+        Predicted levels, not clipped, shape (N,), as :func:`predicted` gives them.
+    """
+    top = samples.sensor.saturated_from
+    return np.minimum(samples.level.astype(np.float64), top), np.clip(mean, 0.0, top)
+
+
+def lagrange(nodes: Float64, at: float) -> tuple[Float64, Float64]:
+    """Weights of the values at `nodes` in the interpolating polynomial at a place, and in its derivative there."""
+    m = len(nodes)
+    weights, slopes = np.ones(m), np.zeros(m)
+    if m == 1:
+        return weights, slopes
+    for j in range(m):
+        others = [k for k in range(m) if k != j]
+        scale = math.prod(nodes[j] - nodes[k] for k in others)
+        weights[j] = math.prod(at - nodes[k] for k in others) / scale
+        slopes[j] = sum(math.prod(at - nodes[k] for k in others if k != i) for i in others) / scale
+    return weights, slopes
+
+
+@kernel
+def _normal_interval(a: float, b: float) -> float:
+    # Φ(b) − Φ(a) without cancellation in either tail
+    if a > 0.0:
+        return 0.5 * (math.erfc(a * _SQRT_HALF) - math.erfc(b * _SQRT_HALF))
+    return 0.5 * (math.erfc(-b * _SQRT_HALF) - math.erfc(-a * _SQRT_HALF))
+
+
+@kernel
+def _accumulate(
+    sample: NDArray[np.int32],
+    level: NDArray[np.float32],
+    saturated: NDArray[np.bool_],
+    image: NDArray[np.int32],
+    start: int,
+    end: int,
+    diffuse: Float64,
+    specular: Float64,
+    c: Float64,
+    dc: Float64,
+    factors: Float64,
+    lights: NDArray[np.int32],
+    half_widths: Float64,
+    frames: Float64,
+    sensor: SensorNumbers,
+    x: Float64,
+    gradient: Float64,
+    curvature: Float64,
+) -> float:
+    size = len(x)
+    r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
+    factor_of = image_factors(factors, lights, x)
+    tau2 = math.exp(x[size - 2])
+    epsilon = 1.0 / (1.0 + math.exp(-x[size - 1]))
+    total = 0.0
+    for j in range(start, end):
+        i, m = sample[j], image[j]
+        factor = factor_of[m]
+        s, ds = specular_and_slope(i, specular, c, dc)
+        signal = factor * (r_d * diffuse[i] + r_s * s)
+        mean = sensor.black + dark + signal
+        # the mean of frames has less noise; but it is saturated where any one of them is
+        share = 1.0 if saturated[j] else 1.0 / frames[m]
+        variance = share * sensor.read_variance + tau2
+        shot = 0.0
+        if signal > 0.0:
+            shot = share * sensor.levels_per_electron
+            variance += shot * signal
+        deviation = math.sqrt(variance)
+        q, half = level[j], half_widths[m]
+        # the interval that the signal was in, in standard deviations from the mean
+        a, b, outlier = -math.inf, math.inf, sensor.outlier
+        if saturated[j]:
+            a = (min(q, sensor.ceiling) - half - mean) / deviation if half >= 0.5 else (q - mean) / deviation
+            outlier = EXTREME_SHARE
+        elif q <= 0.0:
+            b = (half - mean) / deviation
+            outlier = EXTREME_SHARE
+        else:
+            a, b = (q - half - mean) / deviation, (q + half - mean) / deviation
+            outlier *= 2.0 * half
+        f = _normal_interval(a, b)
+        pa = math.exp(-0.5 * a * a) / _SQRT_TWO_PI if a > -math.inf else 0.0
+        pb = math.exp(-0.5 * b * b) / _SQRT_TWO_PI if b < math.inf else 0.0
+        apa = a * pa if pa > 0.0 else 0.0
+        bpb = b * pb if pb > 0.0 else 0.0
+        p = (1.0 - epsilon) * f + epsilon * outlier
+        total += math.log(p)
+        by_mean = (pa - pb) / deviation
+        by_variance = (apa - bpb) / (2.0 * variance)
+        inside = (1.0 - epsilon) / p
+        score = inside * (by_mean + shot * by_variance)
+        surely = inside * f
+        bend = 0.0
+        if f > 1e-200:
+            ratio = by_mean / f
+            bend = min(max(ratio * ratio - (apa - bpb) / (variance * f), 0.0), 1.0 / variance)
+        bend *= surely
+        by_r_d, by_r_s, by_sigma, gain = (
+            factor * diffuse[i],
+            factor * r_s * s,
+            factor * r_s * ds,
+            4 + lights[m],
+        )
+        gradient[0] += score * by_r_d
+        gradient[1] += score * by_r_s
+        gradient[2] += score * by_sigma
+        gradient[3] += inside * by_mean  # the dark level makes no shot noise
+        gradient[gain] += score * signal
+        add_curvature(bend, gain, by_r_d, by_r_s, by_sigma, signal, curvature)
+        part = tau2 / variance
+        gradient[size - 2] += inside * by_variance * tau2
+        curvature[size - 2, size - 2] += 0.5 * surely * part * part
+        gradient[size - 1] += (outlier - f) / p * epsilon * (1.0 - epsilon)
+        curvature[size - 1, size - 1] += epsilon * (1.0 - epsilon)
+    mirror_curvature(curvature)
+    return total

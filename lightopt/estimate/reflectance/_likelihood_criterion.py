@@ -1,0 +1,182 @@
+"""What a fit makes as large as possible, as a function of all parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import in_threads
+from lightopt.estimate.reflectance._samples import Samples
+
+Float64 = NDArray[np.float64]
+
+R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
+"""Places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A criterion at a vector of parameters.
+
+    Attributes
+    ----------
+    value
+        Log-likelihood [nat].
+    gradient
+        Shape (K,).
+    curvature
+        Positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K).
+    """
+
+    value: float
+    gradient: Float64
+    curvature: Float64
+
+
+class Criterion(Protocol):
+    """A log-likelihood of samples: the censored one of noise and outliers, or that of least squares."""
+
+    samples: Samples
+
+    @property
+    def size(self) -> int:
+        """Number of parameters K."""
+        ...
+
+    @property
+    def sigma_range(self) -> tuple[float, float]:
+        """Values of ln σ for which it can be evaluated."""
+        ...
+
+    def evaluate(self, x: Float64) -> Evaluation:
+        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
+        ...
+
+
+def parameter_name(place: int, lights: tuple[str, ...]) -> str:
+    """What a place in the vector of parameters is called; `lights` are the names of the scene's lights."""
+    names = ["R_d", "R_s", "σ", "the dark level"]
+    names += [f"the gain of {light}" for light in lights]
+    names += ["the deviation beside the noise", "the share of outliers"]
+    return names[place]
+
+
+def sum_pieces(
+    add: Callable[[int, int, Float64, Float64], float],
+    count: int,
+    size: int,
+    *,
+    piece: int,
+    threads: int | None,
+) -> tuple[float, Float64, Float64]:
+    """Value, gradient and curvature of all observations, worked out in pieces side by side.
+
+    Parameters
+    ----------
+    add
+        Returns the value of the observations from one number to another, and adds to the gradient, shape (K,), and the
+        curvature, shape (K, K), that it is given.
+    count, size
+        Number of observations, and of parameters K.
+    piece
+        Observations at a time.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+
+    def one(start: int) -> tuple[float, Float64, Float64]:
+        gradient, curvature = np.zeros(size), np.zeros((size, size))
+        value = add(start, min(start + piece, count), gradient, curvature)
+        return value, gradient, curvature
+
+    parts = in_threads(one, range(0, count, piece), threads)
+    if len(parts) == 1:
+        return parts[0]
+    return (
+        sum(p[0] for p in parts),
+        np.sum([p[1] for p in parts], axis=0),
+        np.sum([p[2] for p in parts], axis=0),
+    )
+
+
+@kernel
+def image_factors(factors: Float64, lights: NDArray[np.int32], x: Float64) -> Float64:
+    """Levels per unit of light in each image at the gains of the parameters `x`, shape (M,).
+
+    Parameters
+    ----------
+    factors, lights
+        Exposure by gain as the rig has it, and the light, shape (M,).
+    x
+        Parameters, shape (K,).
+    """
+    return np.array([factors[m] * math.exp(x[4 + lights[m]]) for m in range(len(factors))])
+
+
+@kernel
+def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tuple[float, float]:
+    """Specular light of pixel `i` per unit of R_s, and its slope by ln σ.
+
+    Parameters
+    ----------
+    i
+        Number of the pixel.
+    specular
+        At the nodes of ln σ, shape (n, w).
+    c, dc
+        Weights of the nodes for the light and for its slope, shape (w,).
+    """
+    s = ds = 0.0
+    for k in range(len(c)):
+        s += c[k] * specular[i, k]
+        ds += dc[k] * specular[i, k]
+    return s, ds
+
+
+@kernel
+def add_curvature(
+    bend: float, gain: int, r_d: float, r_s: float, sigma: float, signal: float, curvature: Float64
+) -> None:
+    """Add what one observation bends the criterion by to the upper triangle of the curvature.
+
+    Parameters
+    ----------
+    bend
+        Minus the second derivative by the level.
+    gain
+        Place of the gain of its light.
+    r_d, r_s, sigma, signal
+        Slopes of the level by R_d, ln R_s, ln σ and ln gain; that by the dark level is 1.
+    curvature
+        Shape (K, K).
+    """
+    by_r_d, by_r_s, by_sigma = bend * r_d, bend * r_s, bend * sigma
+    curvature[0, 0] += by_r_d * r_d
+    curvature[0, 1] += by_r_d * r_s
+    curvature[0, 2] += by_r_d * sigma
+    curvature[0, 3] += by_r_d
+    curvature[0, gain] += by_r_d * signal
+    curvature[1, 1] += by_r_s * r_s
+    curvature[1, 2] += by_r_s * sigma
+    curvature[1, 3] += by_r_s
+    curvature[1, gain] += by_r_s * signal
+    curvature[2, 2] += by_sigma * sigma
+    curvature[2, 3] += by_sigma
+    curvature[2, gain] += by_sigma * signal
+    curvature[3, 3] += bend
+    curvature[3, gain] += bend * signal
+    curvature[gain, gain] += bend * signal * signal
+
+
+@kernel
+def mirror_curvature(curvature: Float64) -> None:
+    """Copy the upper triangle to the lower, shape (K, K)."""
+    for k in range(len(curvature)):
+        for n in range(k):
+            curvature[k, n] = curvature[n, k]

@@ -1,0 +1,214 @@
+"""Climb to the greatest likelihood by damped Newton steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.kernels import kernel
+from lightopt.estimate.reflectance._likelihood_criterion import (
+    FIRST_GAIN,
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    Criterion,
+    Evaluation,
+)
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+TOLERANCE = 1e-4
+"""A maximum is found when the next step promises less than this [nat]: a hundredth of a standard error."""
+
+LEAST_LOG_TAU2, MOST_LOG_TAU2 = np.log(1e-4), np.log(1e10)
+LEAST_LOGIT, MOST_LOGIT = -14.0, 2.0
+LEAST_LOG_R_S, MOST_LOG_R_S = np.log(1e-3), np.log(1e12)
+MOST_LOG_GAIN = np.log(100.0)
+FREE_DAMPING = 1e-3
+STALLED = 1e8
+STALL_TOLERANCE = 0.02
+"""A climb whose steps had to be damped this much has nowhere to go. It has converged where an undamped step promises
+less than this [nat], a fifth of a standard error: a clipped level bends the criterion at single pixels."""
+
+SETTLED = 0.1
+"""Least squares have converged where no parameter has a step left of more than this share of its standard error."""
+
+LONGEST_STEP = 1.5
+"""No logarithm changes by more than this in one step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Maximum:
+    """Where a climb ended.
+
+    Attributes
+    ----------
+    x
+        Parameters, shape (K,).
+    evaluation
+        There.
+    converged
+        Whether no step promises anything more.
+    unsettled
+        Places of the parameters along which the criterion still rises; none where it converged.
+    steps
+        Number of evaluations.
+    """
+
+    x: Float64
+    evaluation: Evaluation
+    converged: bool
+    unsettled: tuple[int, ...]
+    steps: int
+
+
+def bounds(criterion: Criterion) -> tuple[Float64, Float64]:
+    """Lowest and highest value of each parameter, two arrays of shape (K,)."""
+    size = criterion.size
+    low, high = np.full(size, -np.inf), np.full(size, np.inf)
+    low[R_D] = 0.0
+    low[LOG_R_S], high[LOG_R_S] = LEAST_LOG_R_S, MOST_LOG_R_S
+    low[LOG_SIGMA], high[LOG_SIGMA] = criterion.sigma_range
+    low[FIRST_GAIN : size - 2] = -MOST_LOG_GAIN
+    high[FIRST_GAIN : size - 2] = MOST_LOG_GAIN
+    low[size - 2], high[size - 2] = LEAST_LOG_TAU2, MOST_LOG_TAU2
+    low[size - 1], high[size - 1] = LEAST_LOGIT, MOST_LOGIT
+    return low, high
+
+
+def maximise(
+    criterion: Criterion,
+    x: Float64,
+    free: Sequence[int],
+    *,
+    most_steps: int = 60,
+    tolerance: float = TOLERANCE,
+) -> Maximum:
+    """Climb from `x` along the free parameters.
+
+    Parameters
+    ----------
+    criterion
+        To maximise.
+    x
+        Where to start, shape (K,).
+    free
+        Places of the parameters that may change.
+    most_steps
+        Evaluations after which to give up.
+    tolerance
+        Promise of a step that is not worth taking [nat].
+    """
+    low, high = bounds(criterion)
+    can_change = np.zeros(len(x), np.bool_)
+    can_change[list(free)] = True
+    low[~can_change], high[~can_change] = -np.inf, np.inf
+    longest = np.full(len(x), LONGEST_STEP)
+    longest[R_D] = np.inf
+    x = np.minimum(np.maximum(x, low), high)
+    here = criterion.evaluate(x)
+    damping = FREE_DAMPING
+    steps, converged = 1, False
+    while steps < most_steps:
+        moving = _movable(x, here.gradient, can_change, low, high)
+        if not moving.any():
+            converged = True
+            break
+        step = _newton_step(here.gradient, here.curvature, moving, damping)
+        # a step that is damped promises little because it is short
+        if float(here.gradient @ step) < tolerance and (
+            damping <= FREE_DAMPING or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+        ):
+            converged = True
+            break
+        trial = x + np.minimum(np.maximum(step, -longest), longest)
+        trial = np.minimum(np.maximum(trial, low), high)
+        there = criterion.evaluate(trial)
+        steps += 1
+        if there.value > here.value:
+            x, here = trial, there
+            damping = max(1e-6, 0.2 * damping)
+        else:
+            damping *= 8.0
+            if damping > STALLED:
+                break
+    moving = _movable(x, here.gradient, can_change, low, high)
+    if not converged:
+        converged = not moving.any() or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+    unsettled: tuple[int, ...] = ()
+    if not converged:
+        gains = moving * here.gradient**2 / np.maximum(np.diag(here.curvature), 1e-9)
+        unsettled = tuple(np.flatnonzero(moving & (gains > 0.1 * np.max(gains))).tolist())
+    return Maximum(x=x, evaluation=here, converged=converged, unsettled=unsettled, steps=steps)
+
+
+def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
+    """Whether a climb has converged, or the step that is left is small beside the standard errors.
+
+    A clipped level bends the criterion of least squares at single pixels, where what a step promises tells little.
+
+    Parameters
+    ----------
+    top
+        Where it ended.
+    free
+        Places of the parameters that were fitted.
+    errors
+        Their standard errors, shape (k,).
+    """
+    if top.converged:
+        return True
+    index = np.asarray(free, dtype=np.intp)
+    moving = np.zeros(len(top.x), np.bool_)
+    moving[index] = True
+    moving[R_D] &= top.x[R_D] > 0.0 or top.evaluation.gradient[R_D] > 0.0
+    left = _newton_step(top.evaluation.gradient, top.evaluation.curvature, moving, 1e-6)
+    return bool(np.all(np.abs(left[index]) < SETTLED * errors))
+
+
+def _promise(here: Evaluation, moving: Bool) -> float:
+    # what a step that is hardly damped promises [nat]
+    return float(here.gradient @ _newton_step(here.gradient, here.curvature, moving, 1e-6))
+
+
+@kernel
+def _movable(x: Float64, gradient: Float64, can_change: Bool, low: Float64, high: Float64) -> Bool:
+    # a parameter at its bound that is pushed beyond it stays there
+    moving = np.empty(len(x), np.bool_)
+    for k in range(len(x)):
+        stuck = (x[k] <= low[k] and gradient[k] < 0.0) or (x[k] >= high[k] and gradient[k] > 0.0)
+        moving[k] = can_change[k] and not stuck
+    return moving
+
+
+@kernel
+def _newton_step(gradient: Float64, curvature: Float64, moving: Bool, damping: float) -> Float64:
+    # 0 where nothing moves; a damping of 1 halves a step, or shortens it more along a ridge
+    size = len(gradient)
+    matrix, step = np.eye(size), np.zeros(size)
+    for k in range(size):
+        if moving[k]:
+            step[k] = gradient[k]
+            for n in range(size):
+                if moving[n]:
+                    matrix[k, n] = curvature[k, n]
+            matrix[k, k] += damping * max(curvature[k, k], 1e-9)
+    # Gaussian elimination; the damped matrix is positive definite, so that no rows have to change places
+    for k in range(size):
+        if not moving[k]:
+            continue
+        for n in range(k + 1, size):
+            if matrix[n, k] != 0.0:
+                share = matrix[n, k] / matrix[k, k]
+                for m in range(k + 1, size):
+                    matrix[n, m] -= share * matrix[k, m]
+                step[n] -= share * step[k]
+    for k in range(size - 1, -1, -1):
+        for m in range(k + 1, size):
+            step[k] -= matrix[k, m] * step[m]
+        step[k] /= matrix[k, k]
+    return step

@@ -1,0 +1,385 @@
+"""The paper's procedure (sections 4.2 and 4.3), with its misprints read as they must have been meant.
+
+Equations 5 and 7 as printed scale R_d the wrong way; measured over simulated is used. Step 4 of section 4.3 as printed
+would start over for ever; σ is swept over its range, at each σ the saturated pixels are brought to the measured number
+by equation 10, and the σ is kept whose total specular brightness is closest to the measured one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._samples import Samples
+
+Float64 = NDArray[np.float64]
+
+MOST_ITERATIONS = 500
+MOST_R_S = 1e15
+MOST_STEPS = 1000
+
+OPTION_NAMES = {
+    "lambda_d": "--lambda-d",
+    "lambda_s1": "--lambda-s1",
+    "lambda_s2": "--lambda-s2",
+    "sigma_step": "--sigma-step",
+    "sigma_start": "--sigma-start",
+    "R_d_start": "--start",
+    "R_s_start": "--start",
+    "away": "--away",
+}
+
+WIDE_RANGE = 1.5
+"""Where the σ of the sweep within λ_s2 reach over more than this factor, it is worth a word."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperOptions:
+    """Thresholds and starting values; the paper prints no threshold and no step.
+
+    Attributes
+    ----------
+    lambda_d
+        λ_d: difference of the mean brightness that is small enough [grey level].
+    lambda_s1
+        λ_s1: difference of the saturated pixels that is small enough, as a share of the measured number.
+    lambda_s2
+        λ_s2: difference of the total specular brightness that is small enough, as a share of the measured one.
+    sigma_step
+        σ_step [rad]; the rows of Table 1 are multiples of 0.0025.
+    sigma_start, sigma_least, sigma_most
+        Where the sweep starts, and its range [rad] (section 4.3).
+    R_d_start, R_s_start
+        Starting values [grey level]; R_s starts at the saturation level.
+    away
+        Pixels whose normal is at least this far from all half vectors count as diffuse only [rad].
+    """
+
+    lambda_d: float = 0.01
+    lambda_s1: float = 0.005
+    lambda_s2: float = 0.05
+    sigma_step: float = 0.0025
+    sigma_start: float = 0.01
+    sigma_least: float = 0.001
+    sigma_most: float = 0.2
+    R_d_start: float = 10.0
+    R_s_start: float = 255.0
+    away: float = math.radians(20.0)
+
+    def as_dict(self) -> dict[str, float]:
+        """JSON form."""
+        return dict(vars(self))
+
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong with the values, by the names of the command line's options."""
+        found = [
+            f"{OPTION_NAMES.get(name, name)}: expected a number above 0, found {value:g}"
+            for name, value in vars(self).items()
+            if not (math.isfinite(value) and value > 0.0)
+        ]
+        if found:
+            return tuple(found)
+        if not self.sigma_least <= self.sigma_start <= self.sigma_most:
+            found.append(
+                f"--sigma-start: expected {self.sigma_least:g} to {self.sigma_most:g} rad, found {self.sigma_start:g}"
+            )
+        steps = (self.sigma_most - self.sigma_least) / self.sigma_step
+        if steps > MOST_STEPS:
+            least = (self.sigma_most - self.sigma_least) / MOST_STEPS
+            found.append(
+                f"--sigma-step: expected {least:.2g} rad or more, for a sweep of {MOST_STEPS} steps at most, found "
+                f"{self.sigma_step:g}"
+            )
+        if self.away >= math.pi / 2.0:
+            found.append(f"--away: expected less than 90°, found {math.degrees(self.away):g}")
+        return tuple(found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperDiffuse:
+    """R_d by section 4.2.
+
+    Attributes
+    ----------
+    R_d
+        [grey level].
+    image
+        The image used.
+    pixels
+        Number of diffuse-only pixels.
+    iterations
+        (R_d, B_r, D) of each [grey level].
+    """
+
+    R_d: float
+    image: str
+    pixels: int
+    iterations: tuple[tuple[float, float, float], ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        rows = [{"R_d": r, "B_r": b, "D": d} for r, b, d in self.iterations]
+        return {"R_d": self.R_d, "image": self.image, "pixels": self.pixels, "iterations": rows}
+
+    def words(self) -> tuple[str, ...]:
+        """What a person should know beside the number."""
+        return ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SigmaStep:
+    """One σ of the sweep.
+
+    Attributes
+    ----------
+    sigma
+        [rad].
+    R_s
+        Where N_s came close enough to N_m [grey level].
+    reached
+        Whether it did.
+    brightness
+        Total specular brightness of the simulated image over the measured one.
+    iterations
+        (R_s, N_s) of each.
+    """
+
+    sigma: float
+    R_s: float
+    reached: bool
+    brightness: float
+    iterations: tuple[tuple[float, int], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperSpecular:
+    """R_s and σ by section 4.3.
+
+    Attributes
+    ----------
+    R_s
+        [grey level].
+    sigma
+        [rad].
+    image
+        The image used.
+    saturated
+        N_m [px].
+    steps
+        The sweep, in its order.
+    alike
+        The σ at which both the count and the brightness come as close as was asked for, ascending [rad].
+    """
+
+    R_s: float
+    sigma: float
+    image: str
+    saturated: int
+    steps: tuple[SigmaStep, ...]
+    alike: tuple[float, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        steps = [
+            {
+                "sigma_rad": float(f"{step.sigma:.6g}"),
+                "R_s": step.R_s,
+                "reached": step.reached,
+                "brightness_ratio": step.brightness,
+                "iterations": [{"R_s": r_s, "N_s": n_s} for r_s, n_s in step.iterations],
+            }
+            for step in self.steps
+        ]
+        return {
+            "R_s": self.R_s,
+            "sigma_rad": self.sigma,
+            "image": self.image,
+            "N_m": self.saturated,
+            "alike_sigma_rad": list(self.alike),
+            "sweep": steps,
+        }
+
+    def words(self) -> tuple[str, ...]:
+        """What a person should know beside the numbers."""
+        if not self.alike or self.alike[-1] <= WIDE_RANGE * self.alike[0]:
+            return ()
+        text = (
+            f"{len(self.alike)} σ of the sweep, from {self.alike[0]:g} to {self.alike[-1]:g} rad, come within λ_s2 of "
+            f"the measured brightness of {self.image}: section 4.3 hardly tells σ here, nor R_s with it"
+        )
+        return (text,)
+
+
+def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
+    """R_d from the mean brightness of the pixels without specular reflection (paper, section 4.2).
+
+    Parameters
+    ----------
+    samples
+        Uniformly chosen.
+    options
+        Thresholds and starting values.
+
+    Raises
+    ------
+    InputError
+        No image has a pixel that is diffuse only, or the iteration does not end.
+    """
+    if problems := options.problems():
+        raise InputError(*problems)
+    plain = (samples.deflection[samples.sample] >= options.away) & ~samples.saturated
+    plain &= samples.diffuse[samples.sample] > 0.0
+    counts = np.bincount(samples.image[plain], minlength=len(samples.images))
+    if not counts.any():
+        raise InputError(
+            f"no diffuse-only pixel: none is unsaturated and {math.degrees(options.away):g}° from every highlight; "
+            "add images under lights that the surface mirrors elsewhere, or lower --away"
+        )
+    # the image without specular reflection, or with the least of it: that with the largest share of such pixels
+    share = counts / np.maximum(np.bincount(samples.image, minlength=len(samples.images)), 1)
+    image = int(np.argmax(share))
+    mine = plain & (samples.image == image)
+    factor = float(samples.facts.factor[image])
+    measured = float(np.mean((samples.level[mine] - samples.sensor.black_level) / factor))
+    unit = float(np.mean(samples.diffuse[samples.sample[mine]]))
+    if measured <= 0.0:
+        raise InputError(f"{samples.images[image].name}: all diffuse-only pixels are black; expose longer")
+    r_d = options.R_d_start
+    iterations: list[tuple[float, float, float]] = []
+    for _ in range(MOST_ITERATIONS):
+        simulated = r_d * unit
+        iterations.append((r_d, simulated, abs(simulated - measured)))  # (6)
+        if iterations[-1][2] <= options.lambda_d:
+            return PaperDiffuse(
+                R_d=r_d,
+                image=samples.images[image].name,
+                pixels=int(mine.sum()),
+                iterations=tuple(iterations),
+            )
+        r_d *= measured / simulated  # (5), (7), measured over simulated
+    raise InputError(
+        f"section 4.2 does not converge: after {MOST_ITERATIONS} rounds the mean brightness is still "
+        f"{iterations[-1][2]:.3g} levels off; λ_d = {options.lambda_d:g} is below rounding, raise --lambda-d"
+    )
+
+
+def paper_specular(
+    samples: Samples,
+    options: PaperOptions,
+    *,
+    R_d: float,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> PaperSpecular:
+    """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3).
+
+    Parameters
+    ----------
+    samples
+        Uniformly chosen.
+    options
+        Thresholds and starting values.
+    R_d
+        Diffuse coefficient [grey level].
+    threads
+        Number of threads; the result does not depend on it.
+    progress
+        Called as σ are done.
+
+    Raises
+    ------
+    InputError
+        Impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as bright.
+    """
+    if problems := options.problems():
+        raise InputError(*problems)
+    counts = np.bincount(samples.image[samples.saturated], minlength=len(samples.images))
+    image = int(np.argmax(counts))
+    measured = int(counts[image])
+    if measured == 0:
+        raise InputError(
+            "no saturated pixel in any image: the paper's method compares saturated areas. Expose longer, or use the "
+            "default method"
+        )
+    mine = samples.keep(samples.image == image)
+    factor = float(mine.facts.factor[image])
+    diffuse = factor * R_d * mine.diffuse[mine.sample]
+    room = mine.sensor.saturated_from - mine.sensor.black_level
+    bright = np.minimum(mine.level - mine.sensor.black_level, room) - np.minimum(diffuse, room)
+    total = float(bright.sum())
+    steps: list[SigmaStep] = []
+    sigmas = _sweep(options)
+    for sigma in sigmas:
+        light = factor * mine.specular(sigma, threads=threads)[mine.sample]
+        steps.append(_match_area(light, diffuse, room, measured, total, sigma, options))
+        if progress is not None:
+            progress(len(steps) / len(sigmas))
+    reached = [step for step in steps if step.reached]
+    if not reached:
+        raise InputError(
+            f"section 4.3 does not converge: at no σ from {options.sigma_least:g} to {options.sigma_most:g} rad does "
+            f"the number of saturated pixels come within λ_s1 = {options.lambda_s1:g} of the {measured} measured; "
+            "raise --lambda-s1, or use the default method"
+        )
+    best = min(reached, key=lambda step: abs(step.brightness - 1.0))  # S_2
+    if abs(best.brightness - 1.0) > options.lambda_s2:
+        raise InputError(
+            f"section 4.3 does not converge: the total specular brightness comes no closer than "
+            f"{100.0 * abs(best.brightness - 1.0):.1f} % to the measured one (σ = {best.sigma:g} rad), and "
+            f"λ_s2 = {options.lambda_s2:g}; raise --lambda-s2, or use the default method"
+        )
+    return PaperSpecular(
+        R_s=best.R_s,
+        sigma=best.sigma,
+        image=samples.images[image].name,
+        saturated=measured,
+        steps=tuple(steps),
+        alike=tuple(
+            sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
+        ),
+    )
+
+
+def _sweep(options: PaperOptions) -> list[float]:
+    # from the start upwards, then the rest of the range below it
+    up = np.arange(options.sigma_start, options.sigma_most + 1e-9, options.sigma_step)
+    down = np.arange(
+        options.sigma_start - options.sigma_step, options.sigma_least - 1e-9, -options.sigma_step
+    )
+    return [float(round(value, 9)) for value in (*up, *down) if value > 0.0]
+
+
+def _match_area(
+    light: Float64,
+    diffuse: Float64,
+    room: float,
+    measured: int,
+    total: float,
+    sigma: float,
+    options: PaperOptions,
+) -> SigmaStep:
+    # rounding half up makes a pixel saturated from half a level below
+    needed = np.where(light > 0.0, (room - 0.5 - diffuse) / np.where(light > 0.0, light, 1.0), np.inf)
+    ordered = np.sort(needed)
+    r_s = options.R_s_start
+    iterations: list[tuple[float, int]] = []
+    reached = False
+    for _ in range(MOST_ITERATIONS):
+        simulated = int(np.searchsorted(ordered, r_s, side="right"))  # N_s
+        iterations.append((r_s, simulated))
+        if abs(measured - simulated) <= max(options.lambda_s1 * measured, 0.5):  # (8)
+            reached = True
+            break
+        # (9), (10); the ratio is not defined before any pixel is saturated
+        r_s *= 2.0 if simulated == 0 else measured / simulated
+        if r_s > MOST_R_S:
+            break
+    specular = np.minimum(diffuse + r_s * light, room) - np.minimum(diffuse, room)
+    ratio = float(specular.sum()) / total if total > 0.0 else math.inf
+    return SigmaStep(sigma=sigma, R_s=r_s, reached=reached, brightness=ratio, iterations=tuple(iterations))

@@ -1,0 +1,214 @@
+"""How well the model describes the images, and in words what they can and cannot tell."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.estimate.reflectance._estimate import Estimate, Interval
+from lightopt.estimate.reflectance._likelihood import predicted
+from lightopt.estimate.reflectance._likelihood_criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA
+from lightopt.estimate.reflectance._noise import image_noise
+from lightopt.estimate.reflectance._samples import Samples
+
+POOR_EPSILON = 0.02
+POOR_NOISE = 3.0
+MORE_NOISE = 1.5
+"""Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are worth a word."""
+
+WIDE_INTERVAL = 0.02
+STRONG_CORRELATION = 0.95
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """Residuals of the pixels that a fit looked at, in sensor levels of the images as they were delivered.
+
+    Attributes
+    ----------
+    rms
+        Of the unsaturated pixels [sensor level].
+    typical
+        Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
+    noise
+        What the rig's noise figures make of a typical pixel of a mean of so many frames, and the quantisation of its
+        levels [sensor level].
+    image_noise
+        What the images show: how far pixels are off the plane through their neighbours, typically [sensor level].
+    explained
+        Share of the variance of the unsaturated pixels beyond the noise that the model explains, 1 for all of it.
+    epsilon
+        Share of the pixels that the model would have left out if it could.
+    tau
+        Deviation beside the sensor's noise [sensor level].
+    saturated
+        Share of the observations that are saturated.
+    misfit
+        Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not looked at.
+    describes
+        Whether the model describes the images within that: else values are those of least squares, and intervals come
+        from the scatter between lights.
+    """
+
+    rms: float
+    typical: float
+    noise: float
+    image_noise: float
+    explained: float
+    epsilon: float
+    tau: float
+    saturated: float
+    misfit: float = 0.0
+    describes: bool = True
+
+    @property
+    def floor(self) -> float:
+        """Deviation of a typical pixel that no model explains, by the rig or by the images [sensor level]."""
+        return max(self.noise, self.image_noise)
+
+    @property
+    def poor(self) -> bool:
+        """Whether the model describes the images badly."""
+        return self.epsilon > POOR_EPSILON or self.typical > POOR_NOISE * self.floor
+
+    def as_dict(self) -> dict[str, float | bool]:
+        """JSON form."""
+        return {
+            name: value if isinstance(value, bool) else float(f"{value:.6g}")
+            for name, value in vars(self).items()
+        }
+
+
+def appraise(samples: Samples, found: Estimate, *, threads: int | None = None) -> Quality:
+    """Compare a fit with the pixels that it was made from; the result does not depend on the number of threads."""
+    sensor = samples.sensor
+    mean = mean_levels(samples, found, threads=threads)
+    level = samples.level.astype(np.float64)
+    seen = ~samples.saturated & (mean < sensor.saturated_from)
+    residual = (level - np.maximum(mean, 0.0))[seen]
+    frames = samples.facts.frames[samples.image[seen]]
+    variance = sensor.noise_variance(mean[seen] - sensor.black_level, frames=frames)
+    noise = math.sqrt(float(np.median(variance))) if seen.any() else 0.0
+    shown = image_noise(samples)
+    spread = float(np.var(level[seen])) - max(noise, shown) ** 2 if seen.any() else 0.0
+    missed = float(np.mean(residual**2)) - max(noise, shown) ** 2 if seen.any() else 0.0
+    return Quality(
+        rms=_rms(residual),
+        typical=1.4826 * float(np.median(np.abs(residual))) if seen.any() else 0.0,
+        noise=noise,
+        image_noise=shown,
+        explained=1.0 - max(missed, 0.0) / spread if spread > 0.0 else 1.0,
+        epsilon=found.unexplained,
+        tau=found.tau,
+        saturated=float(np.mean(samples.saturated)),
+        misfit=0.0 if found.lack_of_fit is None else found.lack_of_fit.ratio,
+        describes=found.describes,
+    )
+
+
+def mean_levels(samples: Samples, found: Estimate, *, threads: int | None = None) -> NDArray[np.float64]:
+    """Sensor levels, not clipped, that a fit predicts for the observations, shape (N,)."""
+    return predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
+
+
+def words(
+    found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool, placed: bool
+) -> tuple[str, ...]:
+    """What a person should know about a fit of R_s and σ beside its numbers.
+
+    Parameters
+    ----------
+    found, quality
+        The fit.
+    interval
+        95 % of R_s [grey level].
+    shorter
+        Whether the images have more than one exposure already.
+    placed
+        As for :func:`poor_fit`.
+    """
+    said: list[str] = list(poor_fit(found, quality, placed=placed))
+    if LOG_R_S in found.free and LOG_SIGMA in found.free:
+        low, high = interval or (found.R_s, found.R_s)
+        width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
+        correlation = found.correlation(LOG_R_S, LOG_SIGMA)
+        if quality.saturated == 0.0:
+            what = (
+                "images with highlights elsewhere on the part: other postures, or other places of the lights"
+            )
+        else:
+            what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
+        if math.isinf(width):
+            side = "upper" if high is None else "lower"
+            said.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
+        elif abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL and found.describes:
+            said.append(
+                f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s between {low:.4g} and "
+                f"{high:.4g}): add {what}"
+            )
+        if quality.saturated == 0.0:
+            said.append(
+                "no pixel is saturated: R_s and σ come from the flanks and the peak of the highlight alone"
+            )
+    return tuple(said)
+
+
+def poor_fit(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
+    """What to say where the model does not describe the images, or the rig file their noise.
+
+    Parameters
+    ----------
+    found, quality
+        The fit.
+    placed
+        Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
+    """
+    said: list[str] = []
+    if quality.image_noise > MORE_NOISE * quality.noise:
+        said.append(
+            f"the images show about {quality.image_noise:.2g} sensor levels of noise, the rig file's figures make "
+            f"{quality.noise:.2g}: give read_noise_levels and electrons_per_level of the sensor"
+        )
+    if not quality.describes:
+        badly = found.lack_of_fit is None or found.lack_of_fit.significant
+        left = (
+            f"the model describes these images badly: its best fit leaves {quality.misfit:.1f} times the noise "
+            f"({quality.rms:.3g} sensor levels rms)"
+            if badly
+            else f"what the model leaves of these images ({quality.rms:.3g} sensor levels rms) is not much more than "
+            "the noise, but neither noise nor dust"
+        )
+        said.append(
+            f"{left}. The values are those of least squares over all pixels, which predict such images best, and the "
+            f"intervals come from the scatter between {found.scatter}. {_reasons(found, placed=placed)}"
+        )
+    elif quality.poor:
+        said.append(
+            f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are unexplained, "
+            f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. "
+            f"{_reasons(found, placed=placed)}"
+        )
+    return tuple(said)
+
+
+def _reasons(found: Estimate, *, placed: bool) -> str:
+    # what else may be wrong, without what was fitted already
+    samples = found.criterion.samples
+    lights = set(samples.facts.light[samples.image].tolist())
+    reasons = ["another shape of the lobe or of the diffuse reflection", "dirt", "the mesh's normals"]
+    if not placed:
+        reasons.append("the part's place (--free shift)")
+    # of one light alone R_d and R_s are its gain
+    if len(lights) > 1 and not any(FIRST_GAIN <= p < found.criterion.size - 2 for p in found.free):
+        reasons.append("a light's gain (--free gain)")
+    if DARK not in found.free:
+        reasons.append("the dark level (--free dark)")
+    reasons.append("the number of points of the panels")
+    return f"Possible reasons: {', '.join(reasons)}"
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0

@@ -1,0 +1,314 @@
+"""What a fit hands on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lightopt.estimate.reflectance._cross_validation import LeftOut
+from lightopt.estimate.reflectance._estimate import Estimate, Interval
+from lightopt.estimate.reflectance._likelihood_criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._noise import MeasuredNoise
+from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
+from lightopt.estimate.reflectance._profile_intervals import profile_regions
+from lightopt.estimate.reflectance._quality import Quality
+from lightopt.estimate.reflectance._saturated_regions import PointsRow
+from lightopt.estimate.reflectance._warnings import unconverged
+from lightopt.estimate.registration import Placement, PlacementInFile, Registration
+from lightopt.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedValue:
+    """A coefficient with what is known of it.
+
+    Attributes
+    ----------
+    name
+        ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light stops
+        being saturated.
+    value
+        In the part file's unit.
+    standard_error
+        0, null in the JSON form, for a value that was held or by a method that knows none.
+    interval
+        95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value that was
+        held or by a method that knows none.
+    regions
+        Those that the interval joins where values between them are excluded; none where there is only one.
+    """
+
+    name: str
+    value: float
+    standard_error: float = 0.0
+    interval: Interval | None = None
+    regions: tuple[Interval, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        regions = {"regions_95": [_rounded(region) for region in self.regions]} if self.regions else {}
+        return {
+            "value": float(f"{self.value:.8g}"),
+            "standard_error": float(f"{self.standard_error:.4g}") if self.standard_error else None,
+            "interval_95": None if self.interval is None else _rounded(self.interval),
+            **regions,
+        }
+
+
+def _rounded(interval: Interval) -> list[float | None]:
+    return [None if end is None else float(f"{end:.8g}") for end in interval]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitResult:
+    """Fitted reflectance.
+
+    Attributes
+    ----------
+    kind
+        Which coefficients were asked for.
+    method
+        How.
+    points
+        Point lights per panel, or ``"auto"``.
+    values
+        R_d, R_s, σ and the saturated half-angle.
+    fitted
+        Names of those that were fitted and belong into the part file.
+    gains
+        Gain of each light as it belongs into the rig file, where gains were freed; the first light's is held.
+    dark
+        Black level as it belongs into the rig file [sensor level], where it was freed.
+    noise, write_noise
+        As the images show it, and whether it belongs into the rig file.
+    registration, in_file
+        Where the part was found to lie, where that was freed, and the same as it belongs into the part file.
+    first
+        A diffuse fit's first one, of the whole model, by which it knew where the highlights are; None in other fits.
+    correlation
+        Of ln R_s and ln σ; None where they were not both fitted.
+    observations, pixels
+        Number of levels looked at, and of pixels that they belong to.
+    quality
+        Residuals.
+    words
+        What a person should know.
+    estimate
+        Of the default method.
+    left_out
+        Validation, one entry per light.
+    rows
+        One per number of points that was tried.
+    paper
+        Record of the paper's procedure.
+    """
+
+    kind: Literal["diffuse", "specular"]
+    method: Literal["likelihood", "paper"]
+    points: int | Literal["auto"]
+    values: tuple[FittedValue, ...]
+    fitted: tuple[str, ...]
+    gains: Mapping[str, FittedValue] | None = None
+    dark: FittedValue | None = None
+    noise: MeasuredNoise | None = None
+    write_noise: bool = False
+    registration: Registration | None = None
+    in_file: PlacementInFile | None = None
+    first: Estimate | None = None
+    correlation: float | None = None
+    observations: int = 0
+    pixels: int = 0
+    quality: Quality | None = None
+    words: tuple[str, ...] = ()
+    estimate: Estimate | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    rows: tuple[PointsRow, ...] = ()
+    paper: PaperDiffuse | PaperSpecular | None = None
+
+    def value(self, name: str) -> float:
+        """A coefficient by name."""
+        return next(v.value for v in self.values if v.name == name)
+
+    @property
+    def converged(self) -> bool:
+        """Whether every fit, those of validation among them, and the search for the part's place did."""
+        fits = [found for found in (self.first, self.estimate) if found is not None]
+        placed = self.registration is None or self.registration.converged
+        validated = all(left.converged for left in self.left_out)
+        return placed and validated and not any(unconverged(found) for found in fits)
+
+    @property
+    def placement(self) -> Placement | None:
+        """Where the part was found to lie; None where it was taken as in its file."""
+        return None if self.registration is None else self.registration.placement
+
+    @property
+    def highlights(self) -> tuple[float, float] | None:
+        """R_s [grey level] and σ [rad] by which a diffuse fit knew where the highlights are; None in other fits."""
+        return None if self.first is None else (self.first.R_s, self.first.sigma)
+
+    @property
+    def not_left_out(self) -> tuple[str, ...]:
+        """What validation takes from all images, those of the light that is left out among them."""
+        freed = (
+            ("its own gain", self.gains),
+            ("the black level", self.dark),
+            ("the part's place", self.placement),
+        )
+        return tuple(name for name, value in freed if value is not None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form, without provenance."""
+        scan = () if self.estimate is None else self.estimate.scan
+        best = max((point.value for point in scan), default=0.0)
+        found = self.estimate
+        return {
+            "kind": self.kind,
+            "method": self.method,
+            "points": self.points,
+            "fitted": list(self.fitted),
+            "values": {v.name: v.as_dict() for v in self.values},
+            "highlights_by": None
+            if self.highlights is None
+            else {
+                "R_s": float(f"{self.highlights[0]:.6g}"),
+                "sigma_rad": float(f"{self.highlights[1]:.6g}"),
+            },
+            "correlation_ln_R_s_ln_sigma": self.correlation,
+            "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
+            "black_level": None if self.dark is None else self.dark.as_dict(),
+            "noise": None if self.noise is None else self.noise.as_dict(),
+            "placement": None if self.placement is None else self.placement.as_dict(),
+            "registration": None if self.registration is None else self.registration.as_dict(),
+            "criterion": None if found is None else ("likelihood" if found.describes else "least squares"),
+            "uncertainty_from": None if found is None else (found.scatter or "profile likelihood"),
+            "converged": self.converged,
+            "optima": [] if found is None else [optimum.as_dict() for optimum in found.optima],
+            "observations": self.observations,
+            "pixels": self.pixels,
+            "quality": None if self.quality is None else self.quality.as_dict(),
+            "warnings": list(self.words),
+            "ridge": [
+                {
+                    "sigma_rad": float(f"{point.sigma:.8g}"),
+                    "R_d": float(f"{point.R_d:.8g}"),
+                    "R_s": float(f"{point.R_s:.8g}"),
+                    "twice_log_likelihood_below_best": float(f"{2.0 * (best - point.value):.6g}"),
+                }
+                for point in scan
+            ],
+            "left_out": [left.as_dict() for left in self.left_out],
+            "not_left_out": list(self.not_left_out) if self.left_out else [],
+            "by_points": [row.as_dict() for row in self.rows],
+            "paper": None if self.paper is None else self.paper.as_dict(),
+        }
+
+
+def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Interval:
+    """An interval of a parameter as one of what it stands for; None for an infinite end."""
+    low, high = (value(end) if math.isfinite(end) else None for end in ends)
+    return low, high
+
+
+def interval_words(interval: Interval) -> str:
+    """An interval in words."""
+    low, high = interval
+    if low is None and high is None:
+        return "no bounds"
+    if high is None:
+        return f"from {low:.6g}, no upper bound"
+    if low is None:
+        return f"up to {high:.6g}, no lower bound"
+    return f"{low:.6g} to {high:.6g}"
+
+
+def joined_regions(values: Iterable[FittedValue]) -> tuple[str, ...]:
+    """What to say of values whose interval joins regions between which the images do not decide."""
+    several = [f"{v.name} {' or '.join(map(interval_words, v.regions))}" for v in values if v.regions]
+    if not several:
+        return ()
+    text = (
+        f"the images do not decide between separate ranges ({'; '.join(several)}): the 95 % intervals reach over all "
+        "of these, and values between them fit worse. Images under other lights, or at another exposure, may decide"
+    )
+    return (text,)
+
+
+def _fitted(
+    name: str, value: float, found: Estimate, place: int, of: Callable[[float], float], *, slope: float = 1.0
+) -> FittedValue:
+    # `of` makes the value of the parameter's coordinate, with about this slope
+    regions = tuple(bounded(ends, of) for ends in profile_regions(found, place))
+    return FittedValue(
+        name=name,
+        value=value,
+        standard_error=slope * found.standard_error(place),
+        interval=(regions[0][0], regions[-1][1]),
+        regions=regions if len(regions) > 1 else (),
+    )
+
+
+def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
+    """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals.
+
+    Parameters
+    ----------
+    found
+        The estimate.
+    full_scale
+        Grey level of a saturated pixel; the half-angle is that of a point light.
+    """
+    values: list[FittedValue] = []
+    for name, place, log in (("R_d", R_D, False), ("R_s", LOG_R_S, True), ("sigma_rad", LOG_SIGMA, True)):
+        value = math.exp(found.x[place]) if log else float(found.x[place])
+        if place not in found.free:
+            values.append(FittedValue(name=name, value=value))
+            continue
+        of, slope = (math.exp, value) if log else (float, 1.0)
+        values.append(_fitted(name, value, found, place, of, slope=slope))
+    over = math.log(max(found.R_s / full_scale, 1e-300))
+    if over > 0.0:
+        angle = found.sigma * math.sqrt(2.0 * over)
+        error = 0.0
+        if LOG_R_S in found.free and LOG_SIGMA in found.free:
+            # d ln(angle) = d ln σ + d ln R_s / (2·ln(wR_s / full scale))
+            a, b = found.standard_error(LOG_SIGMA), found.standard_error(LOG_R_S) / (2.0 * over)
+            error = angle * math.sqrt(
+                max(a * a + b * b + 2.0 * a * b * found.correlation(LOG_R_S, LOG_SIGMA), 0.0)
+            )
+        values.append(FittedValue(name="half_angle_rad", value=angle, standard_error=error))
+    return tuple(values)
+
+
+def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
+    """Gain of each light of a scene, its own times what was fitted; that of the light held has no error."""
+    gains: dict[str, FittedValue] = {}
+    for index, light in enumerate(scene.lights):
+        place = FIRST_GAIN + index
+        value = light.gain * math.exp(found.x[place])
+        if place not in found.free:
+            gains[light.name] = FittedValue(name=light.name, value=value)
+            continue
+        gains[light.name] = _fitted(
+            light.name, value, found, place, lambda end, own=light.gain: own * math.exp(end), slope=value
+        )
+    return gains
+
+
+def below_zero(dark: FittedValue | None) -> tuple[str, ...]:
+    """What to say of a black level that a rig file cannot hold."""
+    if dark is None or dark.value >= 0.0:
+        return ()
+    text = (
+        f"the black level that fits is {dark.value:.3g}, and a rig file knows none below 0: rig.fitted.yaml has 0, and "
+        "images predicted from it are that much too bright. The camera takes off more than its black: check its offset"
+    )
+    return (text,)
+
+
+def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
+    """Black level of the sensor [sensor level], its own plus what was fitted."""
+    black = scene.sensor.black_level
+    return _fitted("black_level", float(black + found.x[DARK]), found, DARK, lambda end: black + end)

@@ -1,0 +1,403 @@
+"""The pixels that a fit looks at, and what their geometry says of them: all that does not change while it is made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Observation
+from lightopt.geometry import RayCaster
+from lightopt.optics import Sensor
+from lightopt.rendering import (
+    UNLIT,
+    WHOLE,
+    LightLayer,
+    PosturePixels,
+    light_layer,
+    panel_verdict,
+    trace_pixels,
+)
+from lightopt.scene import Scene
+
+Float64 = NDArray[np.float64]
+
+FIRST_OCTAVE_RAD = 0.001
+OCTAVES = 11
+"""Pixels are kept by octave of the least angle between normal and half vector: up to 1 mrad, 2 mrad, … so that a lobe
+of any width has its flanks looked at."""
+
+BLOCKS = 24
+"""Pieces along the longer side of the image: what the model gets wrong is taken as alike within each of them."""
+
+UNLIT_SHARE = 0.25
+"""Pixels that no light reaches tell the dark level; this share of an octave's budget is plenty."""
+
+Progress = Callable[[float], None]
+"""Called with the share that is done, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleGroup:
+    """Pixels of one posture under one light.
+
+    Attributes
+    ----------
+    light
+        Index in the scene.
+    posture
+        Of the part.
+    layer
+        Their light per unit of reflectance; None for pixels that no light reaches.
+    row, column
+        Shape (n,).
+    weight
+        Pixels of the image that each stands for, shape (n,).
+    """
+
+    light: int
+    posture: Posture
+    layer: LightLayer | None
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    weight: Float64
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageFacts:
+    """What the kernels must know of each image; arrays of shape (images,).
+
+    Attributes
+    ----------
+    factor
+        Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
+    light
+        Index of the light in the scene.
+    half_width
+        How far from a level the signal may have been [sensor level].
+    frames
+        Number of frames that the image is the mean of, as float64.
+    """
+
+    factor: Float64
+    light: NDArray[np.int32]
+    half_width: Float64
+    frames: Float64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Pixels (n) and what was measured there (N observations: a pixel has one per exposure).
+
+    Attributes
+    ----------
+    groups
+        The pixels, group after group.
+    diffuse
+        Light per unit of R_d, 0 where none arrives, shape (n,).
+    deflection
+        Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
+    weight
+        Pixels of the image that each stands for, shape (n,).
+    block
+        Piece of the image that each pixel lies in, one number per posture and piece, shape (n,).
+    sample
+        Pixel of each observation, shape (N,).
+    image
+        Image of each observation, shape (N,).
+    level
+        Sensor level, shape (N,).
+    saturated
+        Where `level` is only a lower bound, shape (N,).
+    images
+        The images.
+    facts
+        Of the images.
+    lights
+        Names of the scene's lights.
+    sensor
+        Of the camera.
+    """
+
+    groups: tuple[SampleGroup, ...]
+    diffuse: Float64
+    deflection: Float64
+    weight: Float64
+    block: NDArray[np.int32]
+    sample: NDArray[np.int32]
+    image: NDArray[np.int32]
+    level: NDArray[np.float32]
+    saturated: NDArray[np.bool_]
+    images: tuple[Observation, ...]
+    facts: ImageFacts
+    lights: tuple[str, ...]
+    sensor: Sensor
+
+    def keep(self, where: NDArray[np.bool_]) -> Samples:
+        """Only the observations marked in `where`, shape (N,); the pixels stay."""
+        return replace(
+            self,
+            sample=self.sample[where],
+            image=self.image[where],
+            level=self.level[where],
+            saturated=self.saturated[where],
+        )
+
+    def remeasured(
+        self, levels: Sequence[NDArray[np.float32]], saturated: Sequence[NDArray[np.bool_]]
+    ) -> Samples:
+        """The same pixels of other images of the same lights, postures and exposures; one array per image."""
+        rows = np.concatenate([group.row for group in self.groups])[self.sample]
+        columns = np.concatenate([group.column for group in self.groups])[self.sample]
+        stack, flags = np.stack(levels), np.stack(saturated)
+        return replace(
+            self,
+            level=stack[self.image, rows, columns],
+            saturated=flags[self.image, rows, columns],
+        )
+
+    def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
+        """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
+        parts = [
+            np.zeros(len(group)) if group.layer is None else group.layer.specular(sigma, threads=threads)
+            for group in self.groups
+        ]
+        return np.concatenate(parts)
+
+
+def collect_samples(
+    scene: Scene,
+    observations: Sequence[Observation],
+    *,
+    caster: RayCaster,
+    budget: int,
+    uniform: bool = False,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Samples:
+    """Choose pixels by their geometry alone and look up what was measured there.
+
+    Parameters
+    ----------
+    scene
+        With the postures and lights of the observations.
+    observations
+        The images.
+    caster
+        Of the scene's part.
+    budget
+        Most pixels per octave of the deflection, per light and posture.
+    uniform
+        Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
+    threads
+        Number of threads; the result does not depend on it.
+    progress
+        Called as postures and lights are done.
+
+    Raises
+    ------
+    InputError
+        No pixel is left.
+    """
+    names = [light.name for light in scene.lights]
+    groups: list[SampleGroup] = []
+    wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})
+    pixels: PosturePixels | None = None
+    for done, (posture, light) in enumerate(wanted):
+        if pixels is None or pixels.posture != scene.postures[posture]:
+            pixels = trace_pixels(scene, scene.postures[posture], caster, threads=threads)
+        groups += _choose(pixels, posture, light, caster, budget, uniform, threads)
+        if progress is not None:
+            progress((done + 1) / len(wanted))
+    return _assemble(scene, groups, observations)
+
+
+def thinned(samples: Samples, budget: int) -> Samples:
+    """At most `budget` of the pixels per octave, light and posture, with the observations that there are of them."""
+    groups: list[SampleGroup] = []
+    kept: list[NDArray[np.intp]] = []
+    start = 0
+    for group in samples.groups:
+        keep, share = _by_octave(
+            samples.deflection[start : start + len(group)], budget, (len(groups), group.light)
+        )
+        kept.append(start + keep)
+        start += len(group)
+        groups.append(
+            replace(
+                group,
+                layer=None if group.layer is None else group.layer.take(keep),
+                row=group.row[keep],
+                column=group.column[keep],
+                weight=group.weight[keep] / share,
+            )
+        )
+    pixels = np.concatenate(kept)
+    place = np.full(start, -1, np.int32)
+    place[pixels] = np.arange(len(pixels), dtype=np.int32)
+    left = samples.keep(place[samples.sample] >= 0)
+    return replace(
+        left,
+        groups=tuple(groups),
+        diffuse=samples.diffuse[pixels],
+        deflection=samples.deflection[pixels],
+        weight=np.concatenate([group.weight for group in groups]),
+        block=samples.block[pixels],
+        sample=place[left.sample],
+    )
+
+
+def evenly_lit(samples: Samples, caster: RayCaster, *, threads: int | None = None) -> Samples:
+    """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again.
+
+    Parameters
+    ----------
+    samples
+        Under point lights.
+    caster
+        Of the part that the samples are of.
+    threads
+        Number of threads; the light does not depend on it.
+    """
+    groups = tuple(
+        group
+        if group.layer is None
+        else replace(
+            group,
+            layer=light_layer(
+                group.layer.surface, replace(group.layer.light, points="auto"), caster, threads=threads
+            ),
+        )
+        for group in samples.groups
+    )
+    diffuse = [np.zeros(len(group)) if group.layer is None else group.layer.diffuse for group in groups]
+    return replace(samples, groups=groups, diffuse=np.concatenate(diffuse))
+
+
+def _choose(
+    pixels: PosturePixels,
+    posture: int,
+    light: int,
+    caster: RayCaster,
+    budget: int,
+    uniform: bool,
+    threads: int | None,
+) -> list[SampleGroup]:
+    panel = pixels.view.lights[light]
+    verdict = panel_verdict(pixels, panel, caster, threads=threads)
+    whole = np.flatnonzero(pixels.clean & (verdict == WHOLE))
+    unlit = np.flatnonzero(pixels.clean & (verdict == UNLIT))
+    layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
+    angle = np.zeros(len(whole)) if uniform else layer.deflection
+    keep, share = _by_octave(angle, budget, (posture, light))
+    few, few_share = _by_octave(
+        np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, light)
+    )
+    lit = layer.take(keep)
+    return [
+        SampleGroup(
+            light=light,
+            posture=pixels.posture,
+            layer=layer_,
+            row=pixels.row[index],
+            column=pixels.column[index],
+            weight=1.0 / kept,
+        )
+        for layer_, index, kept in ((lit, whole[keep], share), (None, unlit[few], few_share))
+        if len(index)
+    ]
+
+
+def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> tuple[NDArray[np.intp], Float64]:
+    # at most `budget` of each octave, by a draw that only depends on light and posture, and the share that was drawn
+    octave = np.clip(np.ceil(np.log2(np.maximum(deflection, 1e-9) / FIRST_OCTAVE_RAD)), 0, OCTAVES).astype(
+        int
+    )
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=seed))
+    chosen: list[NDArray[np.intp]] = []
+    shares = np.ones(OCTAVES + 1)
+    for value in range(OCTAVES + 1):
+        index = np.flatnonzero(octave == value)
+        chosen.append(index if len(index) <= budget else rng.choice(index, budget, replace=False))
+        shares[value] = len(chosen[-1]) / max(1, len(index))
+    kept = np.sort(np.concatenate(chosen))
+    return kept, shares[octave[kept]]
+
+
+def _assemble(scene: Scene, groups: Sequence[SampleGroup], observations: Sequence[Observation]) -> Samples:
+    names = tuple(light.name for light in scene.lights)
+    if not any(group.layer is not None for group in groups):
+        raise InputError(
+            "no pixel of the images shows a surface that a panel lights wholly, away from silhouettes, creases and "
+            "edges of shadows; check the part's placement and the rig's lights"
+        )
+    scale = scene.sensor.max_level / scene.reflectance.full_scale
+    facts = ImageFacts(
+        factor=np.array([scale * o.exposure for o in observations]),
+        light=np.array([names.index(o.light) for o in observations], dtype=np.int32),
+        half_width=np.array([o.half_width for o in observations]),
+        frames=np.array([float(o.frames) for o in observations]),
+    )
+    return _flatten(groups, tuple(observations), facts, names, scene.sensor)
+
+
+def _flatten(
+    groups: Sequence[SampleGroup],
+    images: tuple[Observation, ...],
+    facts: ImageFacts,
+    lights: tuple[str, ...],
+    sensor: Sensor,
+) -> Samples:
+    sample: list[NDArray[np.int32]] = []
+    image: list[NDArray[np.int32]] = []
+    level: list[NDArray[np.float32]] = []
+    saturated: list[NDArray[np.bool_]] = []
+    start = 0
+    for group in groups:
+        index = np.arange(start, start + len(group), dtype=np.int32)
+        start += len(group)
+        for number, seen in enumerate(images):
+            if seen.posture != group.posture or facts.light[number] != group.light:
+                continue
+            sample.append(index)
+            image.append(np.full(len(group), number, np.int32))
+            level.append(seen.levels[group.row, group.column])
+            saturated.append(seen.saturated[group.row, group.column])
+    no_light = [(np.zeros(len(g)), np.full(len(g), np.pi)) for g in groups]
+    layers = [
+        empty if g.layer is None else (g.layer.diffuse, g.layer.deflection)
+        for g, empty in zip(groups, no_light, strict=True)
+    ]
+    return Samples(
+        groups=tuple(groups),
+        diffuse=np.concatenate([d for d, _ in layers]),
+        deflection=np.concatenate([a for _, a in layers]),
+        weight=np.concatenate([group.weight for group in groups]),
+        block=_blocks(groups, images),
+        sample=np.concatenate(sample),
+        image=np.concatenate(image),
+        level=np.concatenate(level),
+        saturated=np.concatenate(saturated),
+        images=images,
+        facts=facts,
+        lights=lights,
+        sensor=sensor,
+    )
+
+
+def _blocks(groups: Sequence[SampleGroup], images: Sequence[Observation]) -> NDArray[np.int32]:
+    postures = list(dict.fromkeys(image.posture for image in images))
+    rows, columns = images[0].levels.shape
+    side = max(1, math.ceil(max(rows, columns) / BLOCKS))
+    numbers = [
+        (postures.index(g.posture) * BLOCKS + g.row // side) * BLOCKS + g.column // side for g in groups
+    ]
+    return np.concatenate(numbers).astype(np.int32)

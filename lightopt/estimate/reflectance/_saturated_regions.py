@@ -1,0 +1,122 @@
+"""How area and perimeter of the saturated region compare with the measured ones (paper, section 4.4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._predict import predict_images
+from lightopt.estimate.registration import Observation
+from lightopt.geometry import RayCaster
+from lightopt.optics import saturated_region
+from lightopt.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointsRow:
+    """The fit with one number of points per panel: a row of the paper's Table 1.
+
+    Attributes
+    ----------
+    points
+        m, or ``"auto"``.
+    R_d, R_s
+        [grey level].
+    sigma
+        [rad].
+    area, measured_area
+        Saturated pixels of all images together, predicted and measured [px].
+    perimeter, measured_perimeter
+        Of the saturated regions of all images together [px].
+    likelihood
+        Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the greatest
+        reproduces the images best: area and perimeter of a noisy image hardly tell two numbers of points apart.
+    """
+
+    points: int | Literal["auto"]
+    R_d: float
+    R_s: float
+    sigma: float
+    area: int
+    measured_area: int
+    perimeter: float
+    measured_perimeter: float
+    likelihood: float | None
+
+    @property
+    def misfit(self) -> float:
+        """Relative deviations of area and perimeter, added: what section 4.4 of the paper looks at."""
+        area = abs(self.area - self.measured_area) / max(self.measured_area, 1)
+        return area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "points": self.points,
+            "R_d": float(f"{self.R_d:.6g}"),
+            "R_s": float(f"{self.R_s:.6g}"),
+            "sigma_rad": float(f"{self.sigma:.6g}"),
+            "area_px": self.area,
+            "measured_area_px": self.measured_area,
+            "perimeter_px": round(self.perimeter, 1),
+            "measured_perimeter_px": round(self.measured_perimeter, 1),
+            "mean_log_likelihood": None if self.likelihood is None else float(f"{self.likelihood:.6g}"),
+        }
+
+
+def compare_regions(
+    scene: Scene,
+    x: NDArray[np.float64],
+    observations: tuple[Observation, ...],
+    *,
+    points: int | Literal["auto"],
+    caster: RayCaster,
+    likelihood: float | None = None,
+    threads: int | None = None,
+) -> PointsRow:
+    """Render all images with a fit and compare the saturated regions with the measured ones.
+
+    Both are taken from whole levels, since the camera delivers no others.
+
+    Parameters
+    ----------
+    scene
+        With the lights and postures of the images.
+    x
+        Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
+    observations
+        The images.
+    points
+        Of the panels.
+    caster
+        Of the scene's part.
+    likelihood
+        Mean log-likelihood of a level, for the row.
+    threads
+        Number of threads; the row does not depend on it.
+    """
+    top = scene.sensor.saturated_from
+    areas, perimeters = np.zeros(2), np.zeros(2)
+    for seen, levels, _ in predict_images(scene, x, observations, caster=caster, threads=threads):
+        delivered = np.clip(np.floor(levels + 0.5), 0.0, scene.sensor.max_level)
+        pair: tuple[NDArray[np.float32], NDArray[np.float32]] = delivered, seen.levels
+        for i, image in enumerate(pair):
+            region = saturated_region(image, top)
+            areas[i] += region.area
+            perimeters[i] += region.perimeter
+    return PointsRow(
+        points=points,
+        R_d=float(x[R_D]),
+        R_s=math.exp(x[LOG_R_S]),
+        sigma=math.exp(x[LOG_SIGMA]),
+        area=int(areas[0]),
+        measured_area=int(areas[1]),
+        perimeter=float(perimeters[0]),
+        measured_perimeter=float(perimeters[1]),
+        likelihood=likelihood,
+    )

@@ -1,0 +1,194 @@
+"""A rig, a part and images made ready: the scene as it was photographed, the part where it lies, the pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.estimate.reflectance._estimate import Freed
+from lightopt.estimate.reflectance._options import FitOptions, Points, Progress
+from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
+from lightopt.estimate.reflectance._search import rough_reflectance
+from lightopt.estimate.registration import (
+    Observation,
+    Placement,
+    PlacementInFile,
+    Registration,
+    observed_postures,
+    place_part,
+    placement_in_file,
+    read_observations,
+    register,
+)
+from lightopt.geometry import RayCaster
+from lightopt.images import ImageSet
+from lightopt.optics import Reflectance
+from lightopt.rendering import cast_rays_at
+from lightopt.scene import Scene, build_scene
+
+Float64 = NDArray[np.float64]
+
+MOST_PER_OCTAVE = 20_000
+PLACING_PER_OCTAVE = 800
+PAPER_PIXELS = 150_000
+"""Pixels per image that the paper's procedure counts."""
+
+
+@dataclass(frozen=True)
+class World:
+    """What is fitted to what: a scene, the rays of its part, the images, and where the part was found to lie.
+
+    Attributes
+    ----------
+    part
+        The part file.
+    scene, caster
+        With the part where it lies.
+    observations
+        The images.
+    registration, in_file
+        Where that is, as a move and in the words of the part file; None where the part was not registered.
+    """
+
+    part: PartConfig
+    scene: Scene
+    caster: RayCaster
+    observations: tuple[Observation, ...]
+    registration: Registration | None = None
+    in_file: PlacementInFile | None = None
+
+    @property
+    def placement(self) -> Placement | None:
+        """Where the part was found; None where it was not registered."""
+        return None if self.registration is None else self.registration.placement
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of the registration, in words."""
+        return () if self.registration is None else self.registration.warnings
+
+    @property
+    def held(self) -> Float64:
+        """R_d, R_s and σ of the part file."""
+        reflectance = self.scene.reflectance
+        return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
+
+
+def open_world(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    points: Points | None,
+    options: FitOptions,
+    progress: Progress | None,
+) -> World:
+    observations = read_observations(image_set, rig, part, threads=options.threads)
+    used = {o.light for o in observations}
+    names = [light.name for light in rig.lights if light.name in used]
+    scene = build_scene(
+        rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
+    )
+    world = World(part, scene, cast_rays_at(scene), observations)
+    if not options.shift:
+        return world
+    return _registered(world, options, progress)
+
+
+def find_part(
+    scene: Scene,
+    observations: Sequence[Observation],
+    *,
+    caster: RayCaster,
+    freed: Freed | None = None,
+    rough: bool = False,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Registration:
+    """Register the part, its place refined with a first fit of the reflectance.
+
+    Parameters
+    ----------
+    scene
+        The part where its file has it.
+    observations
+        The images.
+    caster
+        Of the scene's part.
+    freed
+        What the first fit may change.
+    rough
+        Whether a part of the pixels is enough.
+    threads
+        Number of threads; the result does not depend on it.
+    progress
+        Called as the search goes on.
+    """
+
+    def first_reflectance(moved: Scene) -> Reflectance:
+        samples = collect_samples(
+            moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
+        )
+        return rough_reflectance(samples, moved.reflectance, freed=freed, threads=threads)
+
+    return register(
+        scene,
+        observations,
+        caster=caster,
+        reflectance_at=first_reflectance,
+        rough=rough,
+        threads=threads,
+        progress=progress,
+    )
+
+
+def _registered(world: World, options: FitOptions, progress: Progress | None = None) -> World:
+    """The same images, with the part where they show it; its place refined with a first fit of the reflectance.
+
+    Parameters
+    ----------
+    world
+        With the part where its file has it.
+    options
+        How to fit.
+    progress
+        Called as the search goes on.
+    """
+    found = find_part(
+        world.scene,
+        world.observations,
+        caster=world.caster,
+        freed=Freed(gain=options.gain, dark=options.dark),
+        threads=options.threads,
+        progress=progress,
+    )
+    moved = place_part(world.scene, found.placement)
+    placement = world.part.placement
+    in_file = placement_in_file(
+        world.scene.mesh.vertices,
+        found.placement,
+        anchor=placement.anchor,
+        rotate_deg=placement.rotate_deg,
+        translate_mm=placement.translate_mm,
+        pivot=world.scene.pivot,
+    )
+    return replace(world, scene=moved, caster=cast_rays_at(moved), registration=found, in_file=in_file)
+
+
+def collect(
+    world: World, options: FitOptions, progress: Progress | None, *, uniform: bool = False
+) -> Samples:
+    pairs = len({(o.light, o.posture) for o in world.observations})
+    budget = max(20, min(MOST_PER_OCTAVE, options.pixels // (pairs * OCTAVES)))
+    return collect_samples(
+        world.scene,
+        world.observations,
+        caster=world.caster,
+        budget=PAPER_PIXELS if uniform else budget,
+        uniform=uniform,
+        threads=options.threads,
+        progress=None if progress is None else lambda share: progress("geometry", share),
+    )

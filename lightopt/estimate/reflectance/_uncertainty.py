@@ -1,0 +1,117 @@
+"""How sharply the likelihood tells its parameters, where the model is right and where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.estimate.reflectance._likelihood import Likelihood
+from lightopt.estimate.reflectance._likelihood_criterion import R_D
+from lightopt.estimate.reflectance._newton import bounds
+
+Float64 = NDArray[np.float64]
+
+STEP = 0.3
+"""Differences of the gradient are taken this many (conditional) standard errors to either side."""
+
+LONGEST_DIFFERENCE = 0.1
+"""But no logarithm is moved by more than this for it."""
+
+AT_BOUND = 1e-6
+LEAST_INFORMATION = 0.05
+"""A noise parameter about which the images tell less than this [nat] is as good as at its bound: whatever it is within
+what they allow, the others do not feel it."""
+
+BY_CHANCE, SURELY = 3.0, 6.0
+"""A variance between pieces of the image that is this many standard deviations above what chance makes of a right
+model begins to count, and counts wholly."""
+
+
+def told_by_images(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
+    """The free parameters without a noise τ that is nothing and a share ε of no pixels.
+
+    Those sit at their bounds, where the likelihood has no maximum: neither information nor scores mean anything there.
+
+    Parameters
+    ----------
+    likelihood, x
+        The maximum.
+    free
+        Places of the parameters that were fitted.
+    """
+    low, high = bounds(likelihood)
+    curvature = np.diag(likelihood.evaluate(x).curvature)
+    return [
+        place
+        for place in free
+        if place < likelihood.log_tau2
+        or (
+            low[place] + AT_BOUND < x[place] < high[place] - AT_BOUND and curvature[place] > LEAST_INFORMATION
+        )
+    ]
+
+
+def information(likelihood: Likelihood, x: Float64, places: Sequence[int]) -> Float64:
+    """Observed information: minus the Hessian of the log-likelihood along some parameters, shape (k, k)."""
+    index = np.asarray(places, dtype=np.intp)
+    curvature = np.diag(likelihood.evaluate(x).curvature)
+    result = np.zeros((len(index), len(index)))
+    for j, place in enumerate(index):
+        h = STEP / np.sqrt(max(float(curvature[place]), 1e-12))
+        if place != R_D:
+            h = min(h, LONGEST_DIFFERENCE)
+        ahead, behind = x.copy(), x.copy()
+        ahead[place] += h
+        behind[place] -= h
+        difference = likelihood.evaluate(behind).gradient - likelihood.evaluate(ahead).gradient
+        result[j] = difference[index] / (2.0 * h)
+    return 0.5 * (result + result.T)
+
+
+def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tuple[Float64, Float64]:
+    """Covariance of the free parameters if the model is right, and by how much their variances are larger if not.
+
+    The second is the variance from the scores of the pieces of the image (White 1982, doi:10.2307/1912526, summed as
+    for clusters of observations) over that of the first. A few dozen pieces carry a highlight, so that this ratio
+    scatters by tenths even where the model is right: only what is beyond that scatter counts.
+
+    Parameters
+    ----------
+    likelihood, x
+        The maximum.
+    free
+        Places of the parameters that were fitted.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise that the images do not tell.
+    """
+    told = told_by_images(likelihood, x, free)
+    rows = [list(free).index(place) for place in told]
+    inner = _inverse(information(likelihood, x, told))
+    gradients, curvatures = likelihood.by_piece(x)
+    moves = gradients[:, told] @ inner
+    pieces = len(moves)
+    measured = np.sum(moves**2, axis=0) * (pieces / max(1, pieces - len(told)))
+    # what each piece adds to the variance if the model is right: (C·I_b·C)_kk
+    part = curvatures[:, told][:, :, told]
+    expected = np.maximum(np.einsum("ik,bij,jk->bk", inner, part, inner), 0.0)
+    total = np.maximum(expected.sum(axis=0), 1e-300)
+    chance = np.sqrt(2.0 * np.sum(expected**2, axis=0)) / total
+    beyond = measured / np.maximum(np.diag(inner), 1e-300) - 1.0
+    weight = np.clip((beyond / np.maximum(chance, 1e-300) - BY_CHANCE) / (SURELY - BY_CHANCE), 0.0, 1.0)
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(rows, rows)] = inner
+    inflation = np.ones(len(free))
+    inflation[rows] = 1.0 + weight * np.maximum(beyond, 0.0)
+    return covariance, inflation
+
+
+def _inverse(matrix: Float64) -> Float64:
+    scale = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-12))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    inverse = (vectors / np.maximum(values, 1e-10)) @ vectors.T
+    return inverse / np.outer(scale, scale)

@@ -1,0 +1,287 @@
+"""Refuse images that do not show this part on this rig, and say what would fit better."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.estimate.reflectance._estimate import Estimate
+from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
+from lightopt.estimate.reflectance._quality import Quality
+from lightopt.estimate.reflectance._samples import Samples, collect_samples, thinned
+from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.reflectance._setup import World, find_part
+from lightopt.estimate.registration import FLIPS, Agreement, Observation, PoseFrame, agreement, place_part
+from lightopt.rendering import cast_rays_at
+from lightopt.scene import Scene
+
+Float64 = NDArray[np.float64]
+
+LEAST_SHIFT_PX = 0.5
+LEAST_EXPLAINED = 0.5
+"""A part is said to be displaced when moving it by half a pixel or more takes away half of the squared residual beyond
+the noise: a wrong reflectance is not blamed on the place."""
+
+LEAST_MISSED = 0.1
+"""Residuals beyond the noise count from this share of its variance on."""
+
+LEAST_CERTAIN = 3.0
+"""And when the displacement is so many of its standard errors."""
+
+BUDGET = 250
+"""Pixels per octave, light and posture that are compared at both places."""
+
+LEVEL_CAP = 0.15
+"""Residuals count as at most this share of the sensor's full scale, dust and all."""
+
+TRIAL_LIGHTS = 6
+"""Lights whose images the part is looked for in."""
+
+FLIP_BUDGET = 150
+MOST_LIGHTS = 8
+"""Lights are only exchanged with each other, in trials, where there are no more than these."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Displacement:
+    """Where else the part may lie.
+
+    Attributes
+    ----------
+    pixels, mm, turn
+        Shift of its middle, in the image [px] and on the stage [mm], and its turn [rad].
+    explains
+        Share of the mean squared residual beyond the noise that is gone with the part there.
+    posture
+        Whose images alone say so; None where those of all postures do.
+    """
+
+    pixels: float
+    mm: float
+    turn: float
+    explains: float
+    posture: Posture | None = None
+
+    @property
+    def words(self) -> str:
+        """What is displaced, by how much, and what to do."""
+        moved = (
+            f"with the part shifted by {self.pixels:.1f} px ({self.mm:.2f} mm) and turned by "
+            f"{math.degrees(self.turn):.1f}°, the model explains {100.0 * self.explains:.0f} % of what the fit misses"
+        )
+        if self.posture is None:
+            return f"{moved}. Use --free shift, or correct the part's placement or the camera"
+        return (
+            f"in posture {self.posture}, {moved}, but no one place on the stage explains the images of all postures: "
+            "correct the camera's distance, angles or roll, or the zero of the stage's axes"
+        )
+
+
+def refuse_other_images(
+    world: World,
+    samples: Samples,
+    found: Estimate,
+    quality: Quality,
+    *,
+    threads: int | None = None,
+) -> bool:
+    """Refuse images that do not show this part on this rig where its file has it.
+
+    Parameters
+    ----------
+    world
+        What was fitted to what.
+    samples, found, quality
+        The fit.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Returns
+    -------
+    bool
+        Whether the part's place is no reason for a poor fit: it was fitted, or no other place explains what is missed.
+
+    Raises
+    ------
+    InputError
+        With what would fit better: the part displaced, mirrored or turned images, exchanged lights.
+    """
+    if quality.describes and not quality.poor:
+        return world.registration is not None
+    excluded = True
+    if world.registration is None:
+        shift, excluded = find_displacement(world, samples, quality, threads=threads)
+        if shift is not None:
+            raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
+    own = _agreement(samples, found, threads)
+    if not own.foreign:
+        return excluded
+    hint = (
+        _what_fits_better(samples, quality.floor**2, threads)
+        or "check that rig, part, placement and postures are those of the images"
+    )
+    raise InputError(
+        f"the images do not look like this part on this rig: {100.0 * quality.epsilon:.0f} % of the pixels are "
+        f"unexplained, and the residual is {own.residual:.3g} sensor levels rms where noise makes {quality.floor:.2g} "
+        f"and the model {own.level:.3g}; {hint}"
+    )
+
+
+def find_displacement(
+    world: World, samples: Samples, quality: Quality, *, threads: int | None = None
+) -> tuple[Displacement | None, bool]:
+    """Where else the part may lie; None where that explains too little of the residual, or nothing for certain.
+
+    And whether no other place explains it, which nobody knows where the search did not converge.
+
+    Where no place explains the images of all postures, those of the first are looked at alone: a camera or a stage that
+    is off moves the part in each posture another way. Parameters as for :func:`refuse_other_images`.
+    """
+    found, excluded = _displacement(world.scene, world.observations, samples, quality, threads)
+    postures = list(dict.fromkeys(o.posture for o in world.observations))
+    if found is not None or len(postures) < 2:
+        return found, excluded
+    mine = [o for o in world.observations if o.posture == postures[0]]
+    alike = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
+    found, _ = _displacement(world.scene, mine, samples.keep(alike), quality, threads)
+    return None if found is None else replace(found, posture=postures[0]), excluded
+
+
+def _displacement(
+    scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality, threads: int | None
+) -> tuple[Displacement | None, bool]:
+    # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one. And
+    # whether the place is excluded as a reason
+    try:
+        registration = find_part(
+            scene, _of_some_lights(observations), caster=cast_rays_at(scene), rough=True, threads=threads
+        )
+    except InputError:  # a trial: those few lights show nothing
+        return None, False
+    frame, place = PoseFrame.of(scene), registration.placement
+    pose = frame.pose(place)
+    turn = float(pose[2])
+    mm = math.hypot(pose[0], pose[1])
+    pixels = mm / frame.pixel
+    certain = np.abs(pose) > LEAST_CERTAIN * np.array(registration.pose_errors)
+    excluded = registration.converged
+    if not certain.any() or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
+        return None, excluded
+    moved = place_part(scene, place)
+    there = collect_samples(moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads)
+    # the same fit at both places: what another reflectance explains is not blamed on the place
+    here = thinned(samples, BUDGET)
+    noise = quality.floor**2
+    before, after = (_missed(some, noise, threads) for some in (here, there))
+    explains = _explained(before, after, noise)
+    if explains <= LEAST_EXPLAINED:
+        return None, excluded
+    return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=explains), False
+
+
+def _of_some_lights(observations: Sequence[Observation]) -> list[Observation]:
+    # picked at random, since rigs list rings of lights in turns: a place is found, not measured
+    lights = list(dict.fromkeys(o.light for o in observations))
+    some = np.random.default_rng(0).permutation(len(lights))[:TRIAL_LIGHTS]
+    return [o for o in observations if lights.index(o.light) in some]
+
+
+def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Float64, Float64]:
+    # measured and predicted, clipped where the camera clips
+    return clipped_levels(
+        samples, predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
+    )
+
+
+def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
+    """Mean square of residuals beyond the noise's [sensor level²], shape (2,).
+
+    Each up to a cap, which dust does not move, and whole, which highlights of few pixels do. Fitted anew, since a
+    reflectance that was fitted to misplaced or flipped images is another one. Not the likelihood: where a dark part has
+    no highlight, that takes those of the images for dust. Over all pixels alike, since flipped images have their
+    highlights where few pixels were chosen.
+    """
+    found = estimate(samples, threads=threads)
+    weight = samples.weight[samples.sample]
+    square = np.square(np.subtract(*_levels(samples, found, threads)))
+    none = np.zeros(len(samples.diffuse))
+    dull = np.square(np.subtract(*clipped_levels(samples, predicted(samples, none, found.x))))
+    cap = (LEVEL_CAP * samples.sensor.max_level) ** 2
+    # a highlight that lies where the images have none is worse than none at all
+    capped = min(float(np.average(np.minimum(some, cap), weights=weight)) for some in (square, dull))
+    whole = min(float(np.average(some, weights=weight)) for some in (square, dull))
+    return np.maximum(np.array([capped, whole]) - noise, 0.0)
+
+
+def _explained(before: Float64, after: Float64, noise: float) -> float:
+    # share of what was missed that is gone, by the measure that says more; one that is lost in the noise says nothing
+    worth = before > LEAST_MISSED * noise
+    return float(np.max(1.0 - after[worth] / before[worth], initial=0.0))
+
+
+def _agreement(samples: Samples, found: Estimate, threads: int | None) -> Agreement:
+    level, model = _levels(samples, found, threads)
+    black = samples.sensor.black_level
+    frames = samples.facts.frames[samples.image]
+    noise = np.sqrt(samples.sensor.noise_variance(model - black, frames=frames))
+    return agreement(level - black, model - black, noise)
+
+
+def _what_fits_better(samples: Samples, noise: float, threads: int | None) -> str | None:
+    few = thinned(samples, FLIP_BUDGET)
+    own = _missed(few, noise, threads)
+    gone = {
+        f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise, threads), noise)
+        for name, (flip, remedy) in FLIPS.items()
+    }
+    swaps, share = _swaps(few, own, noise, threads)
+    if swaps:
+        exchanged = " and ".join(f"{a} and {b} exchanged" for a, b in swaps)
+        gone[f"with {exchanged}: check which light is plugged in where"] = share
+    name = max(gone, key=lambda key: gone[key])
+    return f"they fit far better {name}" if gone[name] > LEAST_EXPLAINED else None
+
+
+def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
+    levels = [image.levels[flip] for image in samples.images]
+    saturated = [image.saturated[flip] for image in samples.images]
+    return samples.remeasured(levels, saturated)
+
+
+def _swaps(
+    samples: Samples, own: Float64, noise: float, threads: int | None
+) -> tuple[list[tuple[str, str]], float]:
+    # pairs of lights whose images fit better exchanged, the best first, and the share of what is missed that is gone
+    swaps: list[tuple[str, str]] = []
+    gone = 0.0
+    seen = {image.light for image in samples.images}
+    lights = [light for light in samples.lights if light in seen]
+    while 2 <= len(lights) <= MOST_LIGHTS:
+        shares = {
+            pair: _explained(own, _missed(_exchanged(samples, [*swaps, pair]), noise, threads), noise)
+            for pair in itertools.combinations(lights, 2)
+        }
+        best = max(shares, key=lambda pair: shares[pair])
+        if shares[best] <= gone:
+            break
+        swaps.append(best)
+        gone = shares[best]
+        lights = [light for light in lights if light not in best]
+    return swaps, gone
+
+
+def _exchanged(samples: Samples, pairs: list[tuple[str, str]]) -> Samples:
+    other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
+    by_key = {(image.light, image.posture, image.exposure): image for image in samples.images}
+    taken = [
+        by_key.get((other.get(image.light, image.light), image.posture, image.exposure), image)
+        for image in samples.images
+    ]
+    return samples.remeasured([image.levels for image in taken], [image.saturated for image in taken])

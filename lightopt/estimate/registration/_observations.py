@@ -1,0 +1,226 @@
+"""What the camera measured: the images of a set, checked against the rig that they are said to come from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.errors import InputError, counted
+from lightopt.core.threads import in_threads
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration._dark_frames import dark_levels, frames_of
+from lightopt.images import ImageEntry, ImageSet
+from lightopt.optics import Sensor
+from lightopt.scene import build_sensor
+
+ANGLE_TOLERANCE_DEG = 0.01
+"""A light that the manifest has this far from where the rig has it was elsewhere."""
+
+PNG_HALF_WIDTH = 0.5
+EXR_HALF_WIDTH = 0.05
+"""A level q says that the signal was between q − h and q + h [sensor level]: half a level of a quantised PNG, and for
+an EXR, which is not quantised, so little that it says the value itself."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """One image.
+
+    Attributes
+    ----------
+    light
+        Name of the light.
+    posture
+        Of the part.
+    exposure
+        At which `levels` were taken; 1 for a linear EXR.
+    levels
+        Sensor levels, black level included, shape (height, width): as delivered, minus what the set's frames without
+        light show above black; or from an EXR.
+    saturated
+        Where `levels` are only a lower bound, same shape.
+    half_width
+        How far from a level the signal may have been [sensor level].
+    source
+        The file.
+    frames
+        How many frames it is the mean of.
+    subtracted
+        What of the frames without light was taken off `levels` [sensor level], shape (height, width) or the same for
+        all pixels: so much below the sensor's saturation level they are saturated.
+    """
+
+    light: str
+    posture: Posture
+    exposure: float
+    levels: NDArray[np.float32]
+    saturated: NDArray[np.bool_]
+    half_width: float
+    source: Path
+    frames: int = 1
+    subtracted: NDArray[np.float32] | float = 0.0
+
+    @property
+    def name(self) -> str:
+        """How messages and tables call the image."""
+        exposure = "" if self.exposure == 1.0 else f" ×{self.exposure:g}"
+        return f"{self.light} {self.posture}{exposure}"
+
+
+def observed_postures(image_set: ImageSet) -> tuple[Posture, ...]:
+    """The postures of a set, each once, in its order."""
+    return tuple(dict.fromkeys(entry.posture for entry in image_set.images))
+
+
+def read_observations(
+    image_set: ImageSet, rig: RigConfig, part: PartConfig, *, threads: int | None = None
+) -> tuple[Observation, ...]:
+    """Read all images of a set: PNG with the manifest's exposure, EXR only where there is no PNG.
+
+    From the images of a set captured with frames without light those are subtracted.
+
+    Parameters
+    ----------
+    image_set
+        Rendered or captured.
+    rig, part
+        What the images are said to show.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Raises
+    ------
+    InputError
+        No images; lights, angles, bit depth, levels or sizes that are not the rig's. All problems at once.
+    """
+    problems = [*_manifest_problems(image_set, rig, part), *_light_problems(image_set.images, rig, image_set)]
+    if problems:
+        raise InputError(*problems)
+    width, height = rig.camera.resolution_px
+    entries = image_set.images
+    observations = tuple(
+        in_threads(
+            lambda i: _read(image_set, entries[i], build_sensor(rig.camera)), range(len(entries)), threads
+        )
+    )
+    other = [o for o in observations if o.levels.shape != (height, width)]
+    if other:
+        rows, columns = other[0].levels.shape
+        more = f" (and {counted(len(other) - 1, 'image')} more of another size)" if len(other) > 1 else ""
+        raise InputError(
+            f"{other[0].source}: {columns} × {rows} px, but the rig's camera has {width} × {height} px "
+            f"({rig.source.at('camera', 'resolution_px')}); give the rig that the images were taken with{more}"
+        )
+    return observations
+
+
+def _manifest_problems(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> Iterable[str]:
+    manifest, sensor = image_set.manifest, rig.camera.sensor
+    where = image_set.folder
+    if not manifest.images:
+        yield f"{where}: the image set lists no images; expected at least one"
+    if manifest.bit_depth != sensor.bit_depth:
+        yield (
+            f"{where}: images of {manifest.bit_depth} bits, but the rig's sensor has {sensor.bit_depth} "
+            f"({rig.source.at('camera', 'sensor', 'bit_depth')})"
+        )
+        return
+    full = 2**sensor.bit_depth - 1
+    saturation = full if sensor.saturation_level is None else sensor.saturation_level
+    if manifest.saturation_level is not None and manifest.saturated_from != saturation:
+        yield (
+            f"{where}: saturated from level {manifest.saturated_from:g}, but the rig says {saturation:g} "
+            f"({rig.source.at('camera', 'sensor', 'saturation_level')}); correct whichever is wrong"
+        )
+    if manifest.black_level not in (0.0, sensor.black_level):
+        yield (
+            f"{where}: black level {manifest.black_level:g}, but the rig says {sensor.black_level:g} "
+            f"({rig.source.at('camera', 'sensor', 'black_level')}); correct whichever is wrong"
+        )
+    if manifest.full_scale != part.reflectance.full_scale:
+        yield (
+            f"{where}: full scale {manifest.full_scale:g}, but the part's reflectance is in levels of "
+            f"{part.reflectance.full_scale:g} ({part.source.at('reflectance', 'full_scale')})"
+        )
+
+
+def _light_problems(images: Iterable[ImageEntry], rig: RigConfig, image_set: ImageSet) -> Iterable[str]:
+    lights = {light.name: light for light in rig.lights}
+    said: set[tuple[object, ...]] = set()
+    for entry in images:
+        key = (entry.light, entry.light_elevation_deg, entry.light_azimuth_deg)
+        if key in said:
+            continue
+        said.add(key)
+        if entry.light not in lights:
+            yield f'{image_set.folder}: light "{entry.light}" is not in {rig.source.path}; it has {", ".join(lights)}'
+            continue
+        light = lights[entry.light]
+        turn = math.remainder(entry.light_azimuth_deg - light.azimuth_deg, 360.0)
+        tilt = entry.light_elevation_deg - light.elevation_deg
+        if max(abs(turn), abs(tilt)) > ANGLE_TOLERANCE_DEG:
+            index = list(lights).index(entry.light)
+            yield (
+                f"{image_set.folder}: {entry.light} stood at elevation {entry.light_elevation_deg:g}°, azimuth "
+                f"{entry.light_azimuth_deg:g}°, but {rig.source.at('lights', index)} has {light.elevation_deg:g}°, "
+                f"{light.azimuth_deg:g}°; give the rig that the images were taken with"
+            )
+
+
+def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation:
+    image = image_set.load(entry)
+    manifest = image_set.manifest
+    if image.sensor is not None:
+        levels, subtracted = _above_dark(image_set, entry, image.sensor, sensor)
+        return Observation(
+            light=entry.light,
+            posture=entry.posture,
+            exposure=entry.held_exposure,
+            levels=levels,
+            saturated=image.saturated,
+            half_width=PNG_HALF_WIDTH,
+            source=image_set.path(entry.png or ""),
+            frames=frames_of(entry),
+            subtracted=subtracted,
+        )
+    scale = manifest.max_level / manifest.full_scale
+    levels = (image.levels * scale + manifest.black_level).astype(np.float32)
+    if manifest.kind != "captured":
+        # whether a foreign file was clipped is not known: saturated levels only say that they are at least that
+        scale_at_exposure = manifest.saturated_from - manifest.black_level
+        ceiling = manifest.black_level + scale_at_exposure / entry.held_exposure
+        levels = np.where(image.saturated, np.minimum(levels, np.float32(ceiling)), levels)
+    return Observation(
+        light=entry.light,
+        posture=entry.posture,
+        exposure=1.0,
+        levels=levels,
+        saturated=image.saturated,
+        half_width=EXR_HALF_WIDTH,
+        source=image_set.path(entry.exr or ""),
+    )
+
+
+def _above_dark(
+    image_set: ImageSet, entry: ImageEntry, delivered: NDArray[Any], sensor: Sensor
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | float]:
+    """Sensor levels less what the panel did not light, and that; saturated ones stay lower bounds, zeros upper ones."""
+    dark = dark_levels(image_set, entry, sensor)
+    if dark is None:
+        return delivered.astype(np.float32), 0.0
+    if dark.shape != delivered.shape:
+        raise InputError(
+            f"{image_set.path(entry.png or '')}: {delivered.shape[1]} × {delivered.shape[0]} px, but its frame without "
+            f"light has {dark.shape[1]} × {dark.shape[0]} px; capture both again"
+        )
+    subtracted = dark - sensor.black_level
+    levels = np.minimum(delivered, math.ceil(sensor.saturated_from)) - subtracted
+    levels = np.where(delivered == 0, np.minimum(levels, 0.0), levels)
+    return levels.astype(np.float32), subtracted.astype(np.float32)

@@ -1,0 +1,165 @@
+"""Levels of single pixels under any placement and reflectance of the part: what finding the part compares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.transforms import Posture, rotation_z
+from lightopt.estimate.registration._observations import Observation
+from lightopt.geometry import RayCaster
+from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_verdict, trace_samples
+from lightopt.scene import PartView, Scene, view_from_part
+
+Float64 = NDArray[np.float64]
+
+_LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
+_SHIFTS = np.array([0.6180339887498949, 0.4142135623730951])
+"""Additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelSet:
+    """Pixels of one posture and what was measured there.
+
+    Attributes
+    ----------
+    posture
+        Of the part.
+    row, column
+        Shape (n,).
+    images
+        The images of the posture.
+    levels
+        Sensor levels above black, one row per image, shape (images, n).
+    saturated
+        Where those are lower bounds, same shape.
+    rays
+        Of each pixel: 1 for one at its centre, more for a mean over its area.
+    """
+
+    posture: Posture
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    images: tuple[Observation, ...]
+    levels: Float64
+    saturated: NDArray[np.bool_]
+    rays: int = 1
+
+    @staticmethod
+    def look_up(
+        posture: Posture,
+        row: NDArray[np.int32],
+        column: NDArray[np.int32],
+        images: Sequence[Observation],
+        black: float,
+        *,
+        rays: int = 1,
+    ) -> PixelSet:
+        """What the images of a posture have at some pixels."""
+        return PixelSet(
+            posture=posture,
+            row=row,
+            column=column,
+            images=tuple(images),
+            levels=np.stack([image.levels[row, column] - black for image in images]).astype(np.float64),
+            saturated=np.stack([image.saturated[row, column] for image in images]),
+            rays=rays,
+        )
+
+    @property
+    def positions(self) -> tuple[Float64, Float64]:
+        """Columns and rows of the rays [px], pixel after pixel; shape (n · rays,)."""
+        if self.rays == 1:
+            return self.column.astype(np.float64) + 0.5, self.row.astype(np.float64) + 0.5
+        # a lattice shifted from pixel to pixel: an edge along rows meets its rays one after another and not in threes
+        x, y = (np.arange(self.rays)[:, None] * _LATTICE).T
+        along, down = (np.arange(len(self.row))[:, None] * _SHIFTS).T[:, :, None]
+        return (self.column[:, None] + (x + along) % 1.0).ravel(), (
+            self.row[:, None] + (y + down) % 1.0
+        ).ravel()
+
+
+def view_of_placed(scene: Scene, posture: Posture, x: float, y: float, turn: float) -> PartView:
+    """Camera and lights as a part sees them that was shifted by x, y [mm] and turned [rad] on the stage.
+
+    The part's own frame stays, so that one ray caster serves all placements.
+    """
+    view = view_from_part(scene, posture)
+    # x_placed = pivot + R·(x − pivot) + t, inverted
+    back = rotation_z(turn).T
+    shift = scene.pivot - back @ (scene.pivot + np.array([x, y, 0.0]))
+    return PartView(
+        camera=view.camera.moved(back, shift),
+        lights=tuple(light.moved(back, shift) for light in view.lights),
+        rotation=view.rotation,
+        translation=view.translation,
+    )
+
+
+def light_at(
+    scene: Scene,
+    pixels: PixelSet,
+    view: PartView,
+    caster: RayCaster,
+    *,
+    sigmas: Sequence[float] = (),
+    threads: int | None = None,
+) -> tuple[Float64, Float64]:
+    """Diffuse and specular light of each pixel under the light of each image, per unit of R_d and R_s.
+
+    Arrays of shape (images, n) and (sigmas, images, n); 0 where a ray misses the part or no light arrives, NaN where
+    only some of a panel is seen.
+
+    Parameters
+    ----------
+    scene
+        For the names of the lights.
+    pixels
+        The pixels.
+    view
+        From :func:`view_of_placed`.
+    caster
+        Of the part, in its own frame.
+    sigmas
+        Widths of the lobe [rad].
+    threads
+        Number of threads; the result does not depend on it.
+    """
+    columns, rows = pixels.positions
+    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns, rows)
+    some = PosturePixels(
+        posture=pixels.posture,
+        view=view,
+        row=np.floor(rows[hits.ray]).astype(np.int32),
+        column=np.floor(columns[hits.ray]).astype(np.int32),
+        surface=surface,
+        clean=surface.front,
+        shape=(scene.camera.height, scene.camera.width),
+    )
+    light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
+    names = [panel.name for panel in scene.lights]
+    for name in dict.fromkeys(image.light for image in pixels.images):
+        panel = view.lights[names.index(name)]
+        verdict = panel_verdict(some, panel, caster, threads=threads)
+        whole = np.flatnonzero(verdict == WHOLE)
+        layer = light_layer(surface.take(whole), panel, caster, threads=threads)
+        known = np.where((verdict == WHOLE) | (verdict == UNLIT), 0.0, np.nan)
+        found = np.stack([known] * (1 + len(sigmas)))
+        found[0, whole] = layer.diffuse
+        for number, sigma in enumerate(sigmas):
+            found[1 + number, whole] = layer.specular(sigma, threads=threads)
+        for i, image in enumerate(pixels.images):
+            if image.light == name:
+                light[:, i, hits.ray] = found
+    if pixels.rays > 1:
+        light = light.reshape(*light.shape[:2], len(pixels.row), -1).mean(axis=3)
+    return light[0], light[1:]
+
+
+def sensor_scale(scene: Scene, image: Observation) -> float:
+    """Sensor levels per grey level at exposure 1."""
+    return image.exposure * scene.sensor.max_level / scene.reflectance.full_scale

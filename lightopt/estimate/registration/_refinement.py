@@ -1,0 +1,338 @@
+"""What registration compares in its last stages: the light of inner pixels and of the outline under any placement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.least_squares import Limits
+from lightopt.estimate.registration._observations import Observation
+from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
+from lightopt.estimate.registration._placement import Placement, place_part
+from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.geometry import RayCaster
+from lightopt.rendering import PosturePixels, trace_pixels
+from lightopt.scene import Scene
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+INNER_PIXELS, FIRST_INNER_PIXELS = 12_000, 3_000
+OUTLINE_PIXELS = 800
+"""Pixels per posture: away from silhouettes and creases, also in the first stage, and across silhouettes."""
+
+MOST_ENTRIES = 15_000_000
+"""Entries of the matrix of slopes; with many images fewer pixels of each are looked at."""
+
+OUTLINE_HALF_WIDTH_PX = 2
+OUTLINE_RAYS = 9
+"""Rays of a pixel that the outline crosses."""
+
+OUTLINE_SHARE = 0.3
+"""An edge pixel is this share of the contrast off its prediction, since images are sampled at points or blurred."""
+
+OUTLINE_PX = 0.3
+"""What the outline alone determines is known to about this, however many pixels it crosses: they are off together."""
+
+LEAST_CORRELATION = 0.5
+"""An outline is used where predicted and measured levels across it correlate by more than this."""
+
+CLEAR = 3.5
+"""Only pixels are looked at that the model has this many standard deviations clear of black and of saturation."""
+
+GAIN_SPREAD = 0.3
+DARK_SPREAD = 3.0
+"""Lights are about as bright as the rig says, within this share, and black is as black within these sensor levels: only
+images that say so move them."""
+
+POSE, R_D, R_S, SIGMA, GAINS = slice(0, 3), 3, 4, 5, 6
+"""Parameters: pose, ln R_d, ln R_s, ln σ, ln of each light's gain, dark level [sensor level]."""
+
+_INNER_STEP = 0.5
+_OUTLINE_STEP = 0.7
+"""Differences are taken so far to both sides [px]: an outline must cross some rays; and over much less, the facets of a
+round part would seem to determine its turn."""
+
+_SIGMA_STEP = 0.003
+
+_SAME_PLACE_PX = 0.1
+_SAME_LOG_SIGMA = 0.02
+"""Derivatives by the pose, which take six times the light, are kept for parameters so near to where they were taken."""
+
+
+def choose_pixels(
+    scene: Scene,
+    images: Sequence[Observation],
+    placement: Placement,
+    *,
+    outline: bool,
+    few: bool = False,
+    threads: int | None = None,
+) -> tuple[list[PixelSet], list[PixelSet]]:
+    """Inner pixels, and pixels across the outline where asked for; one set per posture that shows any.
+
+    Parameters
+    ----------
+    scene
+        The part where its file has it.
+    images
+        Of all postures.
+    placement
+        About where the part lies.
+    outline
+        Whether to choose pixels across the outline.
+    few
+        Whether for the first stage or a rough place.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+    placed = place_part(scene, placement)
+    caster = RayCaster(placed.mesh.vertices, placed.mesh.faces)
+    inner: list[PixelSet] = []
+    edges: list[PixelSet] = []
+    most = FIRST_INNER_PIXELS if few else INNER_PIXELS
+    budget = max(200, min(most, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 1))))
+    for posture in dict.fromkeys(o.posture for o in images):
+        mine = [o for o in images if o.posture == posture]
+        pixels = trace_pixels(placed, posture, caster, threads=threads)
+        clean = _some(np.flatnonzero(pixels.clean), budget)
+        if len(clean):
+            inner.append(
+                PixelSet.look_up(
+                    posture, pixels.row[clean], pixels.column[clean], mine, scene.sensor.black_level
+                )
+            )
+        if outline:
+            row, column = _across_outline(pixels)
+            if len(row):
+                edges.append(
+                    PixelSet.look_up(posture, row, column, mine, scene.sensor.black_level, rays=OUTLINE_RAYS)
+                )
+    return inner, edges
+
+
+def _some(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    if len(index) <= most:
+        return index
+    return np.sort(np.random.default_rng(0).choice(index, most, replace=False))
+
+
+def _across_outline(pixels: PosturePixels) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    from scipy import ndimage  # takes long to load, and a capture seldom needs it
+
+    shows = np.zeros(pixels.shape, np.bool_)
+    shows[pixels.row, pixels.column] = True
+    reach = OUTLINE_HALF_WIDTH_PX
+    wide: Bool = np.asarray(ndimage.binary_dilation(shows, iterations=reach), np.bool_)
+    # the image's border is no outline
+    narrow: Bool = np.asarray(ndimage.binary_erosion(shows, iterations=reach, border_value=1), np.bool_)
+    index = _some(np.flatnonzero(wide & ~narrow), OUTLINE_PIXELS)
+    row, column = np.unravel_index(index, pixels.shape)
+    return row.astype(np.int32), column.astype(np.int32)
+
+
+class Refinement:
+    """The problem of registration's last stages, for :func:`lightopt.core.least_squares.solve`.
+
+    Which pixels count is decided once, by what the model predicts at the start.
+
+    Parameters
+    ----------
+    scene
+        The part where its file has it.
+    frame
+        Of its poses.
+    inner, edges
+        From :func:`choose_pixels`.
+    start
+        Parameters to begin with, shape (K,).
+    caster
+        Of the scene's part.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        frame: PoseFrame,
+        inner: Sequence[PixelSet],
+        edges: Sequence[PixelSet],
+        start: Float64,
+        *,
+        caster: RayCaster,
+        threads: int | None = None,
+    ) -> None:
+        self._scene, self._frame, self._caster, self._threads = scene, frame, caster, threads
+        self._sets = [*inner, *edges]
+        self._light = _joined([_number(scene, p) for p in self._sets]).astype(np.intp)
+        self._scale = _joined([_each(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets])
+        self._measured = _joined([p.levels.ravel() for p in self._sets])
+        frames = _joined([_each(p, [float(o.frames) for o in p.images]) for p in self._sets])
+        taken = _joined([_subtracted(p) for p in self._sets])
+        self.correlated = _flags([np.full(p.levels.size, p.rays > 1) for p in self._sets])
+        self.weight = np.ones(len(self._measured))
+        self._last: tuple[Float64, Float64] | None = None
+        self._changes: tuple[Placement, float, list[Float64]] | None = None
+        self._used = np.ones(len(self._measured), np.bool_)
+        self._noise = np.ones(len(self._measured))
+        sensor = scene.sensor
+        self._top = sensor.saturated_from - sensor.black_level - taken
+        here = self._levels(start)
+        noise = np.sqrt(sensor.noise_variance(np.where(np.isfinite(here), here, 0.0), frames=frames))
+        full = _flags([p.saturated.ravel() for p in self._sets])
+        inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
+        # a pixel that half a pixel further has no prediction, beside a shadow, has no slope: it would pull nowhere, and
+        # the cost would jump where it is lost
+        lost = np.isnan(np.concatenate(self._change_by_pose(start))).any(axis=0)
+        self._used = np.isfinite(here) & ~full & (self.correlated | (inside & ~lost))
+        self._noise = noise
+        if len(edges):
+            self._weigh_outline(start, here)
+
+    def residuals(self, x: Float64) -> Float64:
+        """Measured minus predicted in standard deviations, shape (n,); NaN where nothing is predicted."""
+        return np.where(self._used, (self._measured - self._levels(x)) / self._noise, np.nan)
+
+    def slopes(self, x: Float64) -> Float64:
+        """Derivatives of the predictions, in standard deviations, shape (n, K)."""
+        light, spread = self._light_at(x), np.exp(x[[R_D, R_S]])
+        gain = self._scale * np.exp(x[GAINS:-1])[self._light]
+        found = np.zeros((len(self._measured), len(x)))
+        found[:, R_D] = gain * spread[0] * light[0]
+        found[:, R_S] = gain * spread[1] * light[1]
+        found[:, SIGMA] = gain * spread[1] * (light[2] - light[3]) / (2.0 * _SIGMA_STEP)
+        found[np.arange(len(found)), GAINS + self._light] = found[:, R_D] + found[:, R_S]
+        found[:, -1] = 1.0
+        for axis, change in enumerate(self._change_by_pose(x)):
+            found[:, axis] = gain * (spread[0] * change[0] + spread[1] * change[1])
+        return found / self._noise[:, None]
+
+    def _change_by_pose(self, x: Float64) -> list[Float64]:
+        # of the light per unit of R_d and of R_s with x, y and turn, each of shape (2, n)
+        place = self._frame.placement(x[POSE])
+        if self._changes is not None:
+            at, log_sigma, known = self._changes
+            moved = self._frame.distance_px(at, place)
+            if moved < _SAME_PLACE_PX and abs(x[SIGMA] - log_sigma) < _SAME_LOG_SIGMA:
+                return known
+        steps = self._frame.pixel_steps
+        width = np.where(self.correlated, _OUTLINE_STEP, _INNER_STEP)
+        found: list[Float64] = []
+        for axis, off in enumerate(np.eye(3)):
+            ahead, behind = (self._light_at(x, sign * off * steps) for sign in (1.0, -1.0))
+            found.append((ahead - behind) / (2.0 * width * steps[axis]))
+        self._changes = place, float(x[SIGMA]), found
+        return found
+
+    def _levels(self, x: Float64) -> Float64:
+        light = self._light_at(x)
+        gain = self._scale * np.exp(x[GAINS:-1])[self._light]
+        return np.minimum(
+            gain * (math.exp(x[R_D]) * light[0] + math.exp(x[R_S]) * light[1]) + x[-1], self._top
+        )
+
+    def _light_at(self, x: Float64, off: Float64 | None = None) -> Float64:
+        # per unit of R_d, and of R_s at σ and to both sides of it, shape (4, n); moved, at σ alone, shape (2, n)
+        if off is None and self._last is not None and np.array_equal(self._last[0], x):
+            return self._last[1]
+        sigma = math.exp(x[SIGMA])
+        sigmas = [sigma]
+        if off is None:
+            sigmas += [sigma * math.exp(_SIGMA_STEP), sigma * math.exp(-_SIGMA_STEP)]
+        parts: list[Float64] = []
+        for pixels in self._sets:
+            width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
+            place = self._frame.placement(x[POSE] + (0.0 if off is None else width * off))
+            view = view_of_placed(self._scene, pixels.posture, place.x, place.y, place.turn)
+            diffuse, specular = light_at(
+                self._scene, pixels, view, self._caster, sigmas=sigmas, threads=self._threads
+            )
+            parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
+        found = np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
+        if off is None:
+            self._last = x.copy(), found
+        return found
+
+    def _weigh_outline(self, start: Float64, here: Float64) -> None:
+        # an outline that the images show counts as much as one that is known to OUTLINE_PX
+        edge = self.correlated & self._used
+        contrast = np.zeros(len(here))
+        begin = 0
+        for pixels in self._sets:
+            size = pixels.levels.size
+            if pixels.rays > 1:
+                mine = here[begin : begin + size].reshape(pixels.levels.shape)
+                bright = [float(np.median(row[row > 0.0])) if np.any(row > 0.0) else 0.0 for row in mine]
+                contrast[begin : begin + size] = _each(pixels, bright)
+            begin += size
+        edge &= contrast > CLEAR * self._noise
+        self._noise = np.where(edge, np.hypot(OUTLINE_SHARE * contrast, self._noise), self._noise)
+        self._used &= edge | ~self.correlated
+        self.weight = np.where(self.correlated, 0.0, 1.0)
+        if not edge.any():
+            return
+        predicted, seen = here[edge] / contrast[edge], self._measured[edge] / contrast[edge]
+        seen = np.clip(seen, 0.0, 3.0)
+        spread = float(np.std(predicted) * np.std(seen))
+        alike = float(np.mean((predicted - predicted.mean()) * (seen - seen.mean())))
+        if spread <= 0.0 or alike < LEAST_CORRELATION * spread:
+            self._used &= ~self.correlated
+            return
+        slopes = np.where(edge[:, None], self.slopes(start)[:, :2], 0.0) * self._frame.pixel
+        slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+        most = float(np.linalg.eigvalsh(slopes.T @ slopes)[-1])
+        if most > 0.0:
+            self.weight = np.where(self.correlated, min(1.0, 1.0 / (OUTLINE_PX**2 * most)), 1.0)
+
+
+def _joined(parts: Sequence[Float64]) -> Float64:
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _flags(parts: Sequence[Bool]) -> Bool:
+    return np.concatenate(parts) if parts else np.zeros(0, np.bool_)
+
+
+def _each(pixels: PixelSet, values: Sequence[float]) -> Float64:
+    return np.repeat(np.asarray(values, np.float64), len(pixels.row))
+
+
+def _number(scene: Scene, pixels: PixelSet) -> Float64:
+    names = [light.name for light in scene.lights]
+    return _each(pixels, [names.index(o.light) for o in pixels.images])
+
+
+def _subtracted(pixels: PixelSet) -> Float64:
+    return np.concatenate(
+        [
+            np.broadcast_to(np.float64(o.subtracted), o.levels.shape)[pixels.row, pixels.column]
+            for o in pixels.images
+        ]
+    )
+
+
+def start_parameters(scene: Scene, frame: PoseFrame, placement: Placement) -> Float64:
+    """Parameters with the scene's reflectance, gains of 1 and no dark level, shape (K,)."""
+    own = scene.reflectance
+    of_surface = [math.log(max(own.R_d, 0.1)), math.log(max(own.R_s, 1e-3)), math.log(own.sigma)]
+    return np.array([*frame.pose(placement), *of_surface, *np.zeros(len(scene.lights)), 0.0])
+
+
+def limits_of(scene: Scene, frame: PoseFrame, start: Float64) -> Limits:
+    """Where the parameters may go: around nominal poses, around the reflectance at the start."""
+    lights = len(scene.lights)
+    nominal = start.copy()
+    nominal[POSE] = 0.0
+    nominal[GAINS:] = 0.0
+    steps = 3.0 * frame.pixel_steps
+    return Limits(
+        nominal=nominal,
+        reach=np.array([*frame.reach, 4.0, 6.0, 1.5, *[math.log(4.0)] * lights, 10.0 * DARK_SPREAD]),
+        step=np.array([*steps, 0.5, 1.0, 0.3, *[0.3] * lights, DARK_SPREAD]),
+        prior=np.array([np.inf, np.inf, np.inf, 2.0, 3.0, 1.0, *[GAIN_SPREAD] * lights, DARK_SPREAD]),
+        resolution=np.array([*frame.resolution, *[np.inf] * (lights + 4)]),
+    )

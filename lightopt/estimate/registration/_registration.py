@@ -1,0 +1,284 @@
+"""Registration: where on the stage the part lies, from its images.
+
+A shifted and turned part is not a shifted and turned image: its normals turn under lights that stay. So the part is
+moved, and its pixels are traced anew. A search by outline and diffuse light comes first, then robust least squares over
+the light of the part's inner pixels, and over its outline where those do not determine the place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.least_squares import Solution, solve
+from lightopt.estimate.registration._coarse_search import (
+    coarse_pixels,
+    refuse_useless_images,
+    search_placement,
+)
+from lightopt.estimate.registration._observations import Observation
+from lightopt.estimate.registration._placement import Placement, place_part
+from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.estimate.registration._refinement import (
+    OUTLINE_PX,
+    POSE,
+    Refinement,
+    choose_pixels,
+    limits_of,
+    start_parameters,
+)
+from lightopt.estimate.registration._revolution import hidden_turns
+from lightopt.geometry import RayCaster
+from lightopt.optics import Reflectance
+from lightopt.scene import Scene
+
+Float64 = NDArray[np.float64]
+
+STAGES = 4
+"""Pixels are chosen anew where the part moved, so many times at most."""
+
+OUTLINE_STAGES = 2
+"""Of the stages, so many use the outline at least, once it is used: more than :data:`STAGES` where it is late."""
+
+STAGE_ITERATIONS = 15
+"""Steps of each: images that show this part take about ten, others never settle."""
+
+SETTLED_PX = 0.5
+"""A part that moved by less than this keeps its pixels."""
+
+ALONG_AXIS = 0.9
+"""A direction is named by a parameter that has this share of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Registration:
+    """Where the part lies, and how surely.
+
+    Attributes
+    ----------
+    placement
+        With standard errors and what of it the images determine.
+    pose_errors
+        Standard errors of the shift of the part's middle in x and y [mm] and of the turn about it [rad]; those of the
+        placement are larger where the part lies off the stage's axis.
+    converged
+        Whether a further step would change nothing, the part kept its place in the last stage, and the place is none of
+        the furthest allowed.
+    iterations
+        Steps of the least squares.
+    cost_before, cost_after
+        Robust cost per pixel of the last stage's pixels where it began and where it ended.
+    outline
+        Whether the outline was used along.
+    warnings
+        In words: directions that the images do not determine, or a search that did not converge.
+    """
+
+    placement: Placement
+    pose_errors: tuple[float, float, float]
+    converged: bool = True
+    iterations: int = 0
+    cost_before: float = 0.0
+    cost_after: float = 0.0
+    outline: bool = False
+    warnings: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, bool | int | float]:
+        """JSON form of how the search went; the place itself is the placement's."""
+        return {
+            "converged": self.converged,
+            "iterations": self.iterations,
+            "cost_per_pixel_before": float(f"{self.cost_before:.6g}"),
+            "cost_per_pixel_after": float(f"{self.cost_after:.6g}"),
+            "by_outline": self.outline,
+        }
+
+
+def register(
+    scene: Scene,
+    observations: Sequence[Observation],
+    *,
+    caster: RayCaster,
+    reflectance_at: Callable[[Scene], Reflectance] | None = None,
+    rough: bool = False,
+    threads: int | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Registration:
+    """Find the part's place on the stage.
+
+    Parameters
+    ----------
+    scene
+        The part where its file has it, with the lights and postures of the observations.
+    observations
+        The images.
+    caster
+        Of the scene's part.
+    reflectance_at
+        A reflectance for the refinement, given the scene with the part about where it lies; that of the scene by
+        default.
+    rough
+        Whether a part of the pixels is enough: for words on where the part lies.
+    threads
+        Number of threads; the result does not depend on it.
+    progress
+        Called with what is going on and the share of it that is done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        No pixel to use: the part is outside the view, or all images are saturated or black.
+    """
+
+    def stage(name: str) -> Callable[[float], None] | None:
+        return None if progress is None else partial(progress, name)
+
+    sets = coarse_pixels(scene, observations)
+    refuse_useless_images(scene, sets, observations, caster=caster, threads=threads)
+    start = search_placement(scene, sets, caster=caster, threads=threads, progress=stage("finding the part"))
+    if reflectance_at is not None:
+        scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
+    return refine_placement(
+        scene,
+        observations,
+        start,
+        caster=caster,
+        rough=rough,
+        threads=threads,
+        progress=stage("refining the part's place"),
+    )
+
+
+def refine_placement(
+    scene: Scene,
+    observations: Sequence[Observation],
+    start: Placement,
+    *,
+    caster: RayCaster,
+    rough: bool = False,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Registration:
+    """Refine a placement that is good to about a pixel, highlights included; to a small part of a pixel.
+
+    R_d, R_s, σ, the lights' gains and the dark level are adjusted along, since those of a misplaced part are never
+    quite right. A pixel counts by the sensor's variance of its level. Which pixels count at all is decided by the model
+    and not by what noise made of them: those just below saturation that are not saturated are the darker ones.
+
+    Parameters
+    ----------
+    scene
+        The part where its file has it, with a reflectance that is about right.
+    observations
+        The images.
+    start
+        Where to begin.
+    caster
+        Of the scene's part.
+    rough
+        Whether all stages have as few pixels as the first.
+    threads
+        Number of threads; the result does not depend on it.
+    progress
+        Called as the refinement goes on.
+    """
+    frame = PoseFrame.of(scene)
+    x = start_parameters(scene, frame, start)
+    limits = limits_of(scene, frame, x)
+    solution: Solution | None = None
+    outline = False
+    iterations, moved = 0, math.inf
+    number, stages = 0, STAGES
+    while number < stages:
+        inner, edges = choose_pixels(
+            scene,
+            observations,
+            frame.placement(x[POSE]),
+            outline=outline,
+            few=rough or number == 0,
+            threads=threads,
+        )
+        if number == 0:
+            hidden = hidden_turns(scene, frame, inner, x[POSE], caster=caster)
+            limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
+        problem = Refinement(scene, frame, inner, edges, x, caster=caster, threads=threads)
+        solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
+        iterations += solution.iterations
+        moved = frame.distance_px(frame.placement(x[POSE]), frame.placement(solution.x[POSE]))
+        if progress is not None:
+            progress((number + 1) / (STAGES + OUTLINE_STAGES))
+        if not outline and np.any(solution.errors[POSE] > OUTLINE_PX * frame.pixel_steps):
+            # the inner pixels do not determine the place well enough: begin again, with the outline
+            outline = True
+            x = np.concatenate([frame.pose(start), solution.x[3:]])
+            stages = max(stages, number + 1 + OUTLINE_STAGES)
+        else:
+            x = solution.x
+            if number > 0 and moved < SETTLED_PX:
+                break
+        number += 1
+    assert solution is not None
+    return _registration(solution, frame, iterations, moved, outline=outline)
+
+
+def _registration(
+    solution: Solution, frame: PoseFrame, iterations: int, moved: float, *, outline: bool
+) -> Registration:
+    # `moved` by so much in the last stage [px]
+    directions = solution.undetermined[:, POSE]
+    share = np.sum(np.square(directions), axis=0)
+    # exactly as in the part file, not but for rounding
+    pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[POSE])
+    words = _undetermined_words(directions, share)
+    known, errors = share <= ALONG_AXIS, solution.errors[POSE]
+    converged = solution.converged
+    if len(directions) < 3:
+        if solution.at_limit[POSE].any():
+            converged = False
+            limit = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
+            word = f"the part was looked for up to {limit} from where its file has it, and seems to lie further off; "
+            words = (*words, word + "correct its placement in the part file")
+        elif not converged:
+            word = f"the search for the part's place did not converge; the place is the best of {iterations} steps, "
+            words = (*words, word + "and its errors may be larger than stated")
+        elif moved >= SETTLED_PX:
+            converged = False
+            word = f"the search for the part's place did not converge: its last stage moved it by {moved:.1f} px, "
+            words = (*words, word + "and its errors may be larger than stated")
+    return Registration(
+        placement=replace(
+            frame.placement(pose, solution.covariance[POSE, POSE]),
+            observable=(bool(known[0]), bool(known[1]), bool(known[2])),
+        ),
+        pose_errors=(float(errors[0]), float(errors[1]), float(errors[2])),
+        converged=converged or len(directions) == 3,
+        iterations=iterations,
+        cost_before=solution.cost_before,
+        cost_after=solution.cost_after,
+        outline=outline,
+        warnings=words,
+    )
+
+
+def _undetermined_words(directions: Float64, share: Float64) -> tuple[str, ...]:
+    # one line for each direction in which the images do not determine the place
+    end = "cannot be determined from these images; assumed as in the part file"
+    if len(directions) == 3:
+        return (f"where the part lies {end}",)
+    names = ("the shift along x", "the shift along y", "the turn about the rotary axis")
+    named = [name for name, s in zip(names, share, strict=True) if s > ALONG_AXIS]
+    if len(named) == len(directions):
+        return tuple(f"{name} {end}" for name in named)
+    words: list[str] = []
+    for x, y, turn in directions:
+        angle = math.degrees(math.atan2(y, x)) % 180.0
+        along = f"the shift along {angle:.0f}° from x"
+        words.append(
+            f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a turn {end}"
+        )
+    return tuple(words)

@@ -1,0 +1,166 @@
+"""Whether what the images show of a part is a body of revolution, so that its turn shows nowhere.
+
+The facets of its mesh turn with the model, the part has none: where nothing but facets determines a turn, the turn is
+undetermined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.transforms import rotation_z
+from lightopt.estimate.registration._pixels import PixelSet, view_of_placed
+from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.geometry import RayCaster
+from lightopt.rendering import trace_samples
+from lightopt.scene import Scene
+
+Float64 = NDArray[np.float64]
+
+TURNS = np.concatenate([np.radians([1.9, 3.7, 6.0, 11.0]), np.radians(137.50776) * np.arange(5, 17)])
+"""Turns to compare [rad]: within the reach of a registration, and all round, by the golden angle."""
+
+DEPTH_FACTOR = 3.0
+"""Facets of a body of revolution are off it by up to one chord error, two of them by up to 1.7 (measured, 24 to 720
+sections); those of spheres of even triangles by up to 2.6."""
+
+NORMAL_FACTOR = 0.5
+"""Interpolated normals are off by up to a third of the angle that a facet spans about the axis (measured likewise)."""
+
+CURVED_FACTOR = 0.15
+"""And, where facets are of unequal shapes, by up to a tenth of the angle between the normals of their corners (measured
+on a torus and on fillets of a knob as they are found in the wild)."""
+
+LEAST_DEPTH_PX, LEAST_ANGLE = 0.1, math.radians(0.05)
+"""Differences of depth [px] and of normals [rad] up to these are none: light depends on normals, on depth by parallax
+alone."""
+
+AXIS_PRIOR = 1e-4
+"""Weight of the part's middle for the axis, against normals: flat surface has no axis of its own."""
+
+
+def hidden_turns(
+    scene: Scene, frame: PoseFrame, sets: Sequence[PixelSet], pose: Float64, *, caster: RayCaster
+) -> Float64:
+    """Directions of poses, shape (u, 3), u = 0 or 1, in which a turn changes nothing but facets at the given pixels.
+
+    The part is turned about its middle, and about the axis to which its normals point. A pixel sees the same surface
+    where its depth along the normal and its normal differ by no more than two facets may be off a common body of
+    revolution: r (1 − cos Δφ/2) of their azimuthal extent Δφ; Δφ/2, or a share of the angle between the normals of
+    their corners. One pixel that sees more, such as a flat, a key, a hole, or nothing, makes the turn visible.
+
+    Parameters
+    ----------
+    scene
+        The part where its file has it.
+    frame
+        Of its poses.
+    sets
+        Pixels off creases and silhouettes, one set per posture.
+    pose
+        Of the part, shape (3,).
+    caster
+        Of the scene's part.
+    """
+    if not sets or scene.mesh.normals is None:
+        return np.zeros((0, 3))
+    pixels = [_Pixels(scene, frame, one, caster) for one in sets]
+    nominal = [one.trace(pose) for one in pixels]
+    fitted = _axis(np.concatenate([n.points for n in nominal]), np.concatenate([n.normals for n in nominal]))
+    # normals of coarse facets are less exact than the bounding box, unless that is of an odd number of sections
+    for axis in (np.zeros(2), fitted):
+        if not any(_changes(pixels, nominal, pose, axis, float(turn)) for turn in TURNS):
+            return np.array([[axis[1], -axis[0], 1.0]])
+    return np.zeros((0, 3))
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """What n pixels see: points from the part's middle and normals, axes of the part; how far off facets may be.
+
+    `depth` is the chord error [mm], `angle` the azimuthal extent, `bend` the greatest difference of corners' normals
+    [rad] of the facets, shape (n,).
+    """
+
+    points: Float64
+    normals: Float64
+    depth: Float64
+    angle: Float64
+    bend: Float64
+
+    def turned(self, about: Float64, foot: Float64) -> _Surface:
+        """Turned about the vertical axis through a point."""
+        return replace(self, points=(self.points - foot) @ about.T + foot, normals=self.normals @ about.T)
+
+
+def _differ(before: _Surface, after: _Surface, least_depth: float) -> bool:
+    # whether any pixel sees more than other facets of the same body of revolution
+    if len(after.points) != len(before.points):
+        return True
+    slope = np.hypot(before.normals[:, 0], before.normals[:, 1])
+    depth = DEPTH_FACTOR * slope * np.minimum(before.depth, after.depth)
+    angle = NORMAL_FACTOR * slope * np.minimum(before.angle, after.angle)
+    angle += CURVED_FACTOR * np.minimum(before.bend, after.bend)
+    off = np.abs(np.einsum("ij,ij->i", after.points - before.points, before.normals))
+    differ = np.linalg.norm(after.normals - before.normals, axis=1)
+    return bool(np.any((off > depth + least_depth) | (differ > angle + LEAST_ANGLE)))
+
+
+class _Pixels:
+    """Pixels of one posture, and what they see of the part in any pose."""
+
+    def __init__(self, scene: Scene, frame: PoseFrame, pixels: PixelSet, caster: RayCaster) -> None:
+        self._scene, self._frame, self._pixels, self._caster = scene, frame, pixels, caster
+        self.pixel = frame.pixel
+        self._middle = np.array([*(scene.pivot[:2] + frame.middle), 0.0])
+
+    def trace(self, pose: Float64) -> _Surface:
+        """Of the pixels that see the part at all."""
+        place = self._frame.placement(pose)
+        view = view_of_placed(self._scene, self._pixels.posture, place.x, place.y, place.turn)
+        hits, surface = trace_samples(self._caster, self._scene.mesh, view.camera, *self._pixels.positions)
+        return _Surface(surface.points - self._middle, surface.normals, *self._facets(hits.face))
+
+    def _facets(self, face: NDArray[np.int32]) -> tuple[Float64, Float64, Float64]:
+        # of facets: chord error r (1 − cos Δφ/2) [mm], azimuthal extent Δφ [rad], and how far their normals bend [rad]
+        mesh = self._scene.mesh
+        assert mesh.normals is not None
+        normals = mesh.normals[mesh.faces[face]]
+        corners = (mesh.vertices[mesh.faces[face]] - self._middle)[:, :, :2]
+        radius = np.linalg.norm(corners, axis=2)
+        # a corner on the axis has no azimuth
+        off = radius > 1e-6 * self._frame.radius
+        unit = corners / np.where(off, radius, 1.0)[:, :, None]
+        angle, bend = np.zeros(len(face)), np.zeros(len(face))
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            cosine = np.clip(np.einsum("ij,ij->i", unit[:, a], unit[:, b]), -1.0, 1.0)
+            angle = np.maximum(angle, np.where(off[:, a] & off[:, b], np.arccos(cosine), 0.0))
+            bend = np.maximum(bend, np.linalg.norm(normals[:, a] - normals[:, b], axis=1))
+        return radius.max(axis=1, initial=0.0) * (1.0 - np.cos(0.5 * angle)), angle, bend
+
+
+def _changes(
+    pixels: Sequence[_Pixels], nominal: Sequence[_Surface], pose: Float64, axis: Float64, turn: float
+) -> bool:
+    # whether a turn about an axis of the part, x and y from its middle, changes more than facets
+    about, foot = rotation_z(turn), np.array([*axis, 0.0])
+    # the axis stays where the pose has it
+    shift = rotation_z(float(pose[2])) @ (foot - about @ foot)
+    turned = pose + np.array([shift[0], shift[1], turn])
+    return any(
+        _differ(before, one.trace(turned).turned(about, foot), LEAST_DEPTH_PX * one.pixel)
+        for one, before in zip(pixels, nominal, strict=True)
+    )
+
+
+def _axis(points: Float64, normals: Float64) -> Float64:
+    # least squares: the vertical axis next to the lines along the normals [mm]
+    across = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
+    moment = np.einsum("ij,ij->i", across, points[:, :2])
+    prior = AXIS_PRIOR * max(len(points), 1) * np.eye(2)
+    return np.linalg.solve(across.T @ across + prior, across.T @ moment)

@@ -1,0 +1,250 @@
+"""Faceted files (STL, PLY, OBJ, GLB) as triangles in the file's unit; the one module that calls trimesh.
+
+trimesh reads the numbers, but for those of binary STL: they are one array, and trimesh takes longer to load than most
+commands have to compute. What it would pass over in silence (a file cut off, counts that disagree with the
+header, an index out of range) is found here first, so that the message can say what is wrong with the file.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
+from lightopt.geometry._soup import Soup, check_budget
+
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attributes", "<u2")])
+
+
+def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
+    """Triangles of a binary or ASCII STL file.
+
+    Raises
+    ------
+    InputError
+        The file is cut off, is no STL, or has more than `max_triangles`.
+    """
+    claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
+    is_binary = len(data) == 84 + 50 * claimed
+    # the header of a binary file may begin with solid as well; text holds no zeros
+    is_text = re.match(rb"\s*solid\b", data[:200], re.IGNORECASE) is not None and b"\0" not in data[:500]
+    if not is_binary and not is_text:
+        raise InputError(_no_binary_stl(name, data, claimed))
+    if is_binary:
+        check_budget(name, claimed, max_triangles)
+        if not claimed:
+            raise InputError(f"{name}: the binary STL file has no triangles")
+        vertices = np.frombuffer(data, _STL_TRIANGLE, offset=84)["vertices"].reshape(-1, 3)
+        return Soup(
+            vertices.astype(np.float64), np.arange(3 * claimed).reshape(-1, 3), None, "binary STL", True
+        )
+    from trimesh.exchange.stl import load_stl
+
+    claimed = _check_ascii_stl(name, data)
+    check_budget(name, claimed, max_triangles)
+    loaded = _trimesh(name, "STL", lambda: load_stl(io.BytesIO(data)))
+    parts = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
+    soup = _joined(name, parts, "ASCII STL", repeats_vertices=True)
+    if len(soup.faces) != claimed:
+        raise InputError(
+            f"{name}: {claimed} triangles in the ASCII STL file, but only {len(soup.faces)} could be read"
+        )
+    return soup
+
+
+def _no_binary_stl(name: str, data: bytes, claimed: int) -> str:
+    if len(data) < 84:
+        return f"{name}: not an STL file: {len(data)} bytes, a binary STL has a header of 84"
+    return (
+        f"{name}: its header says {claimed:,} triangles ({84 + 50 * claimed:,} bytes), but the file has "
+        f"{len(data):,} bytes: a binary STL file that is cut off, or none. Export or copy it again"
+    )
+
+
+def _check_ascii_stl(name: str, data: bytes) -> int:
+    """Count the triangles of an ASCII STL file and check that it is complete."""
+    begun = len(re.findall(rb"^\s*facet\b", data, re.MULTILINE | re.IGNORECASE))
+    ended = len(re.findall(rb"^\s*endfacet\b", data, re.MULTILINE | re.IGNORECASE))
+    vertices = len(re.findall(rb"^\s*vertex\b", data, re.MULTILINE | re.IGNORECASE))
+    closed = re.search(rb"^\s*endsolid\b[^\n]*\s*\Z", data[-1000:], re.MULTILINE | re.IGNORECASE)
+    if begun != ended or vertices != 3 * begun or closed is None:
+        raise InputError(
+            f"{name}: the ASCII STL file is cut off or damaged: {begun} facets begin, {ended} end, "
+            f"{vertices} vertices{'' if closed else ', no endsolid at the end'}. Export or copy it again"
+        )
+    if not begun:
+        raise InputError(f"{name}: the ASCII STL file has no triangles")
+    return begun
+
+
+def read_ply(name: str, data: bytes, max_triangles: int) -> Soup:
+    """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept.
+
+    Raises
+    ------
+    InputError
+        The file is cut off, is no PLY, or has more than `max_triangles`.
+    """
+    from trimesh.exchange.ply import load_ply
+
+    end = re.search(rb"^end_header[ \t]*\r?\n", data, re.MULTILINE)
+    if not data.startswith(b"ply") or end is None:
+        raise InputError(f"{name}: not a PLY file, or cut off in its header: expected 'ply' … 'end_header'")
+    header = data[: end.end()].decode("ascii", "replace")
+    counts = {key: int(n) for key, n in re.findall(r"^element\s+(\w+)\s+(\d+)", header, re.MULTILINE)}
+    check_budget(name, counts.get("face", 0), max_triangles)
+    is_ascii = re.search(r"^format\s+ascii", header, re.MULTILINE) is not None
+    if is_ascii:
+        rows = len(data[end.end() :].splitlines())
+        if rows < sum(counts.values()):
+            raise InputError(
+                f"{name}: the PLY header announces {sum(counts.values()):,} lines ({_listed(counts)}), the "
+                f"file has {rows:,}: cut off. Export or copy it again"
+            )
+    kind = "ASCII PLY" if is_ascii else "binary PLY"
+    loaded = _trimesh(
+        name,
+        f"{kind} ({_listed(counts)})",
+        lambda: load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True),
+    )
+    if "faces" not in loaded:
+        raise InputError(f"{name}: the {kind} file has no triangles ({_listed(counts)})")
+    soup = _joined(name, [loaded], kind, repeats_vertices=False)
+    if len(soup.vertices) != counts.get("vertex", 0) or len(soup.faces) < counts.get("face", 0):
+        raise InputError(
+            f"{name}: the PLY header announces {_listed(counts)}; found {len(soup.vertices)} vertices and "
+            f"{len(soup.faces)} triangles. The file is damaged; export it again"
+        )
+    return soup
+
+
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{key} {n:,}" for key, n in counts.items())
+
+
+def read_obj(name: str, data: bytes, max_triangles: int) -> Soup:
+    """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them.
+
+    Raises
+    ------
+    InputError
+        A face has fewer than three vertices or one numbered 0, the file is no OBJ, or has more than
+        `max_triangles`.
+    """
+    from trimesh.exchange.obj import load_obj
+
+    check_budget(name, len(re.findall(rb"^f\s", data, re.MULTILINE)), max_triangles)
+    checks = (
+        (rb"^f(?:[ \t]+[\d/-]+){0,2}[ \t]*\r?$", "a face with fewer than three vertices"),
+        (rb"^f\b[^\n]*[ \t]0+(?=[/\s]|\Z)", "a face that uses vertex 0, OBJ counts from 1"),
+    )
+    for pattern, what in checks:
+        found = re.search(pattern, data, re.MULTILINE)
+        if found is not None:
+            line = data.count(b"\n", 0, found.start()) + 1
+            raise InputError(
+                f"{name}, line {line}: {what}: {found.group().decode('ascii', 'replace').strip()!r}. "
+                "The file is cut off or damaged; export or copy it again"
+            )
+    loaded = _trimesh(name, "OBJ", lambda: load_obj(io.BytesIO(data), skip_materials=True))
+    parts = list(loaded.get("geometry", {}).values())
+    if not parts:
+        raise InputError(f"{name}: the OBJ file has no triangles")
+    seams = re.search(rb"^vt\s", data, re.MULTILINE) is not None
+    return _joined(name, parts, "OBJ", repeats_vertices=seams)
+
+
+def read_glb(name: str, data: bytes, max_triangles: int) -> Soup:
+    """Triangles of a binary glTF 2.0 file [m], all nodes of the scene in place, turned from Y up to Z up.
+
+    glTF is Y up by its specification: (x, y, z) becomes (x, −z, y).
+
+    Raises
+    ------
+    InputError
+        The file is cut off, is no GLB, or has more than `max_triangles`.
+    """
+    import trimesh
+
+    tree, _ = split_glb(name, data)
+    count = glb_triangle_count(name, tree)
+    check_budget(name, count, max_triangles)
+    attributes = [p["attributes"] for mesh in tree.get("meshes", []) for p in mesh["primitives"]]
+    has_normals = all("NORMAL" in a for a in attributes)
+    seams = any(key.startswith("TEXCOORD") for a in attributes for key in a)
+    scene = _trimesh(
+        name,
+        "GLB",
+        lambda: trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False, skip_materials=True),
+    )
+    parts: list[dict[str, Any]] = []
+    for node in sorted(scene.graph.nodes_geometry):
+        matrix, key = scene.graph[node]
+        geometry = scene.geometry[key]
+        if isinstance(geometry, trimesh.Trimesh):
+            normals = np.asarray(geometry.vertex_normals) if has_normals else None
+            parts.append(placed(matrix, np.asarray(geometry.vertices), np.asarray(geometry.faces), normals))
+    if not parts:
+        raise InputError(f"{name}: the GLB file has no triangles in its scene")
+    soup = _joined(name, parts, "GLB", repeats_vertices=seams)
+    z_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    normals = None if soup.normals is None else soup.normals @ z_up.T
+    return Soup(
+        soup.vertices @ z_up.T, soup.faces, normals, soup.format, soup.repeats_vertices, soup.warnings
+    )
+
+
+def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
+    try:
+        return read()
+    except MemoryError:
+        raise
+    except Exception as error:  # a damaged file can make trimesh raise anything
+        raise InputError(
+            f"{name}: could not be read as {kind}: {error}. The file is cut off, damaged or of another "
+            "format; export or copy it again"
+        ) from error
+
+
+def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> Soup:
+    vertices: list[NDArray[np.float64]] = []
+    faces: list[NDArray[np.int64]] = []
+    normals: list[NDArray[np.float64]] = []
+    start = 0
+    for part in parts:
+        vertices.append(np.asarray(part["vertices"], dtype=np.float64))
+        if vertices[-1].ndim != 2 or vertices[-1].shape[1] != 3:
+            raise InputError(
+                f"{name}: the {kind} file has vertices of {vertices[-1].shape[-1]} coordinates, expected 3. "
+                "The file is damaged; export or copy it again"
+            )
+        faces.append(_fans(np.asarray(part["faces"], dtype=np.int64)) + start)
+        if part.get("vertex_normals") is not None:
+            normals.append(np.asarray(part["vertex_normals"], dtype=np.float64))
+        start += len(vertices[-1])
+    complete = len(normals) == len(parts)
+    warnings = ()
+    if normals and not complete:
+        warnings = (
+            f"{len(normals)} of {len(parts)} pieces of the {kind} file carry vertex normals: not used",
+        )
+    return Soup(
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        np.concatenate(normals) if complete else None,
+        kind,
+        repeats_vertices,
+        warnings,
+    )
+
+
+def _fans(polygons: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles (0, k, k+1) of polygons with the same number of corners, shape (m, 3)."""
+    corners = polygons.shape[1]
+    return np.stack([polygons[:, (0, k, k + 1)] for k in range(1, corners - 1)], axis=1).reshape(-1, 3)

@@ -1,0 +1,215 @@
+"""Vertex normals: smooth ones for faceted formats, and those that a file carries."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.kernels import kernel
+from lightopt.geometry._topology import EdgePairs, merge_rows
+from lightopt.geometry._triangle_mesh import TriangleMesh
+
+# Facet normals of coordinates in float64 are good to about this [rad].
+_ANGLE_ROUNDING = 1e-9
+
+# Components of one normal written twice in float32 or with six decimals differ by less.
+_SAME_NORMAL = 1e-5
+
+
+def smooth_normals(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], pairs: EdgePairs, *, crease_angle: float
+) -> tuple[TriangleMesh, int]:
+    """Mesh with angle-weighted vertex normals, split where the surface bends by more than the crease angle.
+
+    The corners at a vertex that are connected through edges of two faces bent by at most the crease angle
+    share one normal; every other edge is sharp. Weights are the corners' angles (Thürmer and Wüthrich,
+    Computing vertex normals from polygonal facets, J. Graphics Tools 3, 1998), so the normal does not depend
+    on how the surface is cut.
+
+    Parameters
+    ----------
+    vertices
+        Positions without coinciding ones [mm], shape (n, 3).
+    faces
+        Vertex indices with an agreeing winding, shape (m, 3).
+    pairs
+        Edges of these faces.
+    crease_angle
+        Largest angle between the normals of two faces across a smooth edge [rad].
+
+    Returns
+    -------
+    tuple
+        The mesh, and the number of normals that cancelled out and became those of a face.
+    """
+    corners = vertices[faces]
+    flat = _unit_cross(corners)
+    smooth = ~pairs.same_direction & (_bends(flat, pairs) <= crease_angle + _ANGLE_ROUNDING)
+    group = _join_corners(3 * len(faces), pairs.corners[smooth])
+    members = np.flatnonzero(group == np.arange(len(group), dtype=np.int32))
+    number = np.empty(len(group), dtype=np.int32)
+    number[members] = np.arange(len(members), dtype=np.int32)
+    new_faces = number[group].reshape(-1, 3)
+    summed = _sum_by_angle(corners, flat, new_faces, len(members))
+    normals, cancelled = _unit_or(summed, flat[members // 3])
+    return TriangleMesh(vertices[faces.reshape(-1)[members]], new_faces, normals), cancelled
+
+
+def carried_normals(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    pairs: EdgePairs,
+    normals: NDArray[np.float64],
+    *,
+    crease_angle: float | None,
+) -> tuple[TriangleMesh, tuple[str, ...], int]:
+    """Mesh with the normals that its file carries, vertices of equal position and normal merged.
+
+    The file's normals are kept even where they are smooth across an edge sharper than the crease angle (a
+    coarse sphere with exact normals needs that); as many programs average them over true creases, a warning
+    counts such edges.
+
+    Parameters
+    ----------
+    vertices
+        Positions as in the file [mm], shape (n, 3).
+    faces
+        Vertex indices after repair, shape (m, 3).
+    pairs
+        Edges of these faces, coinciding vertices taken as one.
+    normals
+        Vertex normals as in the file, shape (n, 3).
+    crease_angle
+        Largest bend of an edge that is expected to be smooth [rad]; None trusts the normals everywhere.
+
+    Returns
+    -------
+    tuple
+        The mesh, warnings about normals that had to be replaced or turned, and the number of vertices merged.
+    """
+    # triangle edges are long against rounding, so sums over the faces around a vertex tell its outside
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outside = np.zeros_like(vertices)
+    for axis in range(3):
+        weights = np.repeat(cross[:, axis], 3)
+        outside[:, axis] = np.bincount(faces.reshape(-1), weights=weights, minlength=len(vertices))
+    flat = _unit_cross(corners)
+    any_flat = np.zeros_like(vertices)
+    any_flat[faces.reshape(-1)] = np.repeat(flat, 3, axis=0)
+    unit, _ = _unit_or(outside, any_flat, least=0.0)
+    used = np.zeros(len(vertices), dtype=np.bool_)
+    used[faces] = True
+    given = np.where(np.isfinite(normals).all(axis=1, keepdims=True), normals, 0.0)
+    given, _ = _unit_or(given, np.zeros_like(given))
+    missing = used & ~given.any(axis=1)
+    given[missing] = unit[missing]
+    inward = used & (np.einsum("ij,ij->i", given, unit) < 0.0)
+    given[inward] *= -1.0
+    warnings: list[str] = []
+    if missing.any():
+        warnings.append(
+            f"{np.count_nonzero(missing)} of {np.count_nonzero(used)} vertex normals were zero or not "
+            "finite: taken from the faces"
+        )
+    if inward.any():
+        warnings.append(
+            f"{np.count_nonzero(inward)} of {np.count_nonzero(used)} vertex normals pointed into the part: "
+            "turned"
+        )
+    if crease_angle is not None:
+        warnings += _smeared_creases(given[faces.reshape(-1)], flat, pairs, crease_angle)
+    first, number = merge_rows(np.concatenate([vertices, given], axis=1)[used])
+    compact = np.full(len(vertices), -1, dtype=np.int32)
+    compact[used] = number
+    keep = np.flatnonzero(used)[first]
+    merged = int(np.count_nonzero(used)) - len(first)
+    return TriangleMesh(vertices[keep], compact[faces], given[keep]), tuple(warnings), merged
+
+
+def _smeared_creases(
+    at_corners: NDArray[np.float64], flat: NDArray[np.float64], pairs: EdgePairs, crease_angle: float
+) -> list[str]:
+    sharp = pairs.corners[_bends(flat, pairs) > crease_angle + _ANGLE_ROUNDING]
+    c, d = sharp[:, 0], sharp[:, 1]
+    level = (np.abs(at_corners[c] - at_corners[_next(d)]) < _SAME_NORMAL).all(axis=1)
+    level &= (np.abs(at_corners[d] - at_corners[_next(c)]) < _SAME_NORMAL).all(axis=1)
+    if not level.any():
+        return []
+    message = (
+        f"the file's vertex normals are smooth across {np.count_nonzero(level)} of {len(sharp)} edges bent "
+        f"by more than the crease angle ({np.degrees(crease_angle):g}°): kept; for sharp creases save it "
+        "without normals"
+    )
+    return [message]
+
+
+def _bends(flat: NDArray[np.float64], pairs: EdgePairs) -> NDArray[np.float64]:
+    """Angle between the facets' normals across each edge [rad], shape (e,)."""
+    a, b = flat[pairs.corners[:, 0] // 3], flat[pairs.corners[:, 1] // 3]
+    # the sine from the cross product and the cosine from the dot product: accurate near 0 and near π
+    sine = np.cross(a, b)
+    return np.arctan2(np.sqrt(np.einsum("ij,ij->i", sine, sine)), np.einsum("ij,ij->i", a, b))
+
+
+def _next(corners: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Corner after each corner in its face."""
+    return corners - corners % 3 + (corners + 1) % 3
+
+
+def _unit_cross(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return cross / np.sqrt(np.einsum("ij,ij->i", cross, cross))[:, None]
+
+
+def _unit_or(
+    vectors: NDArray[np.float64], fallback: NDArray[np.float64], *, least: float = 1e-9
+) -> tuple[NDArray[np.float64], int]:
+    """Vectors at unit length, the fallback where they are too short, and the number of those."""
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    short = length <= least
+    return np.where(short[:, None], fallback, vectors / np.where(short, 1.0, length)[:, None]), int(
+        short.sum()
+    )
+
+
+@kernel
+def _join_corners(corner_count: int, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Lowest corner of the group that each corner belongs to (union-find with path halving)."""
+    parent = np.arange(corner_count).astype(np.int32)
+    for e in range(len(pairs)):
+        c, d = pairs[e, 0], pairs[e, 1]
+        # the faces run along the edge in opposite directions: the start in one is the end in the other
+        _join(parent, c, d - d % 3 + (d + 1) % 3)
+        _join(parent, d, c - c % 3 + (c + 1) % 3)
+    for x in range(corner_count):
+        parent[x] = parent[parent[x]]
+    return parent
+
+
+@kernel
+def _join(parent: NDArray[np.int32], x: int, y: int) -> None:
+    while parent[x] != x:
+        parent[x] = parent[parent[x]]
+        x = parent[x]
+    while parent[y] != y:
+        parent[y] = parent[parent[y]]
+        y = parent[y]
+    parent[max(x, y)] = min(x, y)
+
+
+@kernel
+def _sum_by_angle(
+    corners: NDArray[np.float64], flat: NDArray[np.float64], faces: NDArray[np.int32], vertex_count: int
+) -> NDArray[np.float64]:
+    total = np.zeros((vertex_count, 3))
+    for f in range(len(faces)):
+        for k in range(3):
+            here, after, before = corners[f, k], corners[f, (k + 1) % 3], corners[f, (k + 2) % 3]
+            ux, uy, uz = after[0] - here[0], after[1] - here[1], after[2] - here[2]
+            vx, vy, vz = before[0] - here[0], before[1] - here[1], before[2] - here[2]
+            cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            angle = np.arctan2(np.sqrt(cx * cx + cy * cy + cz * cz), ux * vx + uy * vy + uz * vz)
+            for axis in range(3):
+                total[faces[f, k], axis] += angle * flat[f, axis]
+    return total

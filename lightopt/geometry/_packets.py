@@ -1,0 +1,244 @@
+"""Embree's own functions, of the library that the embreex wheel brings, called by kernels; shadow rays in packets.
+
+embreex asks Embree for one ray after another. Shadow rays that follow each other take much the same way through the
+hierarchy, and Embree takes as many of them at once as the processor has lanes. The answers are the same.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import embreex
+import numpy as np
+from embreex import rtcore_scene  # noqa: F401  # pyright: ignore[reportUnusedImport]  # loads the library
+from numpy.typing import NDArray
+
+from lightopt.core.kernels import call_address, kernel
+
+Float32 = NDArray[np.float32]
+
+_POINTER, _INT, _UNSIGNED, _SIZE = ctypes.c_void_p, ctypes.c_int, ctypes.c_uint, ctypes.c_size_t
+_FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
+    "rtcNewDevice": (_POINTER, [ctypes.c_char_p]),
+    "rtcGetDeviceError": (_INT, [_POINTER]),
+    "rtcGetDeviceProperty": (ctypes.c_ssize_t, [_POINTER, _INT]),
+    "rtcNewScene": (_POINTER, [_POINTER]),
+    "rtcReleaseScene": (None, [_POINTER]),
+    "rtcCommitScene": (None, [_POINTER]),
+    "rtcSetSceneFlags": (None, [_POINTER, _INT]),
+    "rtcNewGeometry": (_POINTER, [_POINTER, _INT]),
+    "rtcReleaseGeometry": (None, [_POINTER]),
+    "rtcCommitGeometry": (None, [_POINTER]),
+    "rtcAttachGeometry": (_UNSIGNED, [_POINTER, _POINTER]),
+    "rtcSetSharedGeometryBuffer": (
+        None,
+        [_POINTER, _INT, _UNSIGNED, _INT, _POINTER, _SIZE, _SIZE, _SIZE],
+    ),
+}
+
+_MAJOR = 4
+"""Version of Embree whose functions these are."""
+
+# numbers of its headers
+_TRIANGLES = 0
+_INDEX, _VERTEX = 0, 1
+_UINT3, _FLOAT3 = 0x5003, 0x9003
+_ROBUST = 4
+_COHERENT = 1 << 16
+_ALL_FEATURES = 0xFFFFFFFF
+_VERSION_MAJOR = 1
+_NATIVE_WIDTHS = ((16, 34), (8, 33), (4, 32))
+"""Rays of a packet, and the property of a device that says whether the processor has so many lanes."""
+
+# a packet is rows of one number of each ray: origin, nearest distance, direction, time, furthest distance, mask,
+# number, flags; then, of what it hits, normal, coordinates, triangle, geometry, instances
+_ROWS = 36
+_FURTHEST, _MASK, _TRIANGLE, _GEOMETRY = 8, 9, 17, 18
+_ALIGNMENT = 64
+
+
+@kernel
+def _aligned(count: int) -> Float32:
+    # so many zeros, aligned as packets have to be
+    raw = np.zeros(count + _ALIGNMENT // 4, np.float32)
+    begin = (-raw.ctypes.data % _ALIGNMENT) // 4
+    return raw[begin : begin + count]
+
+
+@kernel
+def _blocked(
+    function: int, scene: int, arguments: int, width: int, origins: Float32, directions: Float32
+) -> NDArray[np.int32]:
+    # 0 where anything lies within the length of a direction, −1 where nothing does
+    n = len(origins)
+    found = np.empty(n, np.int32)
+    ray = _aligned(_ROWS * width)
+    valid = _aligned(width).view(np.int32)
+    ray.view(np.int32)[_MASK * width : (_MASK + 1) * width] = -1
+    for first in range(0, n, width):
+        for j in range(width):
+            i = min(first + j, n - 1)
+            valid[j] = -1 if first + j < n else 0
+            for axis in range(3):
+                ray[axis * width + j] = origins[i, axis]
+                ray[(4 + axis) * width + j] = directions[i, axis]
+            ray[_FURTHEST * width + j] = 1.0
+        call_address(function, valid.ctypes.data, scene, ray.ctypes.data, arguments)
+        for j in range(min(width, n - first)):
+            # Embree's sign for a ray that is blocked
+            found[first + j] = 0 if ray[_FURTHEST * width + j] < 0.0 else -1
+    return found
+
+
+@kernel
+def _nearest(
+    function: int, scene: int, arguments: int, origins: Float32, directions: Float32
+) -> NDArray[np.int32]:
+    # the triangle that each ray meets first, −1 where none
+    n = len(origins)
+    found = np.empty(n, np.int32)
+    ray = _aligned(_ROWS)
+    number = ray.view(np.int32)
+    number[_MASK] = -1
+    for i in range(n):
+        for axis in range(3):
+            ray[axis] = origins[i, axis]
+            ray[4 + axis] = directions[i, axis]
+        ray[_FURTHEST] = np.inf
+        number[_GEOMETRY] = -1
+        # a function of three pointers; the fourth is not looked at
+        call_address(function, scene, ray.ctypes.data, arguments, arguments)
+        found[i] = number[_TRIANGLE] if number[_GEOMETRY] != -1 else -1
+    return found
+
+
+class PacketScene:
+    """A hierarchy over triangles, asked through Embree's own functions.
+
+    Parameters
+    ----------
+    vertices
+        Shape (n, 3).
+    faces
+        Vertex indices, shape (m, 3).
+    """
+
+    def __init__(self, vertices: Float32, faces: NDArray[np.int32]) -> None:
+        library, device, width = _embree(os.getpid())
+        self._library, self._width = library, width
+        # Embree reads these arrays as long as the scene is there, and 16 bytes at each vertex
+        self._vertices = np.zeros(3 * len(vertices) + 4, np.float32)
+        self._vertices[:-4] = vertices.ravel()
+        self._faces = np.ascontiguousarray(faces, np.int32)
+        self._arguments = np.zeros(2 * _ALIGNMENT // 4, np.uint32)
+        begin = (-self._arguments.ctypes.data % _ALIGNMENT) // 4
+        self._arguments[begin : begin + 2] = _COHERENT, _ALL_FEATURES
+        self._argument_address = self._arguments.ctypes.data + 4 * begin
+        geometry = library.rtcNewGeometry(device, _TRIANGLES)
+        self._share(geometry, _VERTEX, _FLOAT3, self._vertices, len(vertices))
+        self._share(geometry, _INDEX, _UINT3, self._faces, len(faces))
+        library.rtcCommitGeometry(geometry)
+        self._scene: int = library.rtcNewScene(device)
+        library.rtcSetSceneFlags(self._scene, _ROBUST)
+        library.rtcAttachGeometry(self._scene, geometry)
+        library.rtcReleaseGeometry(geometry)
+        library.rtcCommitScene(self._scene)
+        if error := library.rtcGetDeviceError(device):
+            raise MemoryError(
+                f"Embree's error {error} while it built a hierarchy over {len(faces):,} triangles"
+            )
+
+    def _share(self, geometry: int, kind: int, form: int, data: NDArray[Any], count: int) -> None:
+        self._library.rtcSetSharedGeometryBuffer(geometry, kind, 0, form, data.ctypes.data, 0, 12, count)
+
+    def __del__(self) -> None:
+        if scene := getattr(self, "_scene", None):
+            self._library.rtcReleaseScene(scene)
+
+    def first_hit(self, origins: Float32, directions: Float32) -> NDArray[np.int32]:
+        """Index of the first triangle that each ray meets, −1 where none; shape (k,).
+
+        One after another: of triangles that share an edge which a ray meets, a packet takes one or the other by what
+        else is in it.
+        """
+        function = _address(self._library.rtcIntersect1)
+        return _nearest(function, self._scene, self._argument_address, origins, directions)
+
+    def occluded(self, origins: Float32, directions: Float32) -> NDArray[np.int32]:
+        """0 where anything lies within the length of a direction, −1 where nothing does; shape (k,)."""
+        function = _address(getattr(self._library, f"rtcOccluded{self._width}"))
+        return _blocked(function, self._scene, self._argument_address, self._width, origins, directions)
+
+
+def _address(function: Any) -> int:
+    address = ctypes.cast(function, ctypes.c_void_p).value
+    assert address is not None
+    return address
+
+
+def packet_scene(vertices: Float32, faces: NDArray[np.int32]) -> PacketScene | None:
+    """A hierarchy to be asked with packets; None where this Embree or processor takes none.
+
+    Parameters
+    ----------
+    vertices
+        Shape (n, 3).
+    faces
+        Vertex indices, shape (m, 3).
+    """
+    return PacketScene(vertices, faces) if _works(os.getpid()) else None
+
+
+@cache
+def _works(_process: int) -> bool:
+    """Whether the library is the expected one: one triangle, one ray through it, one beside it, twice."""
+    triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    origins = np.array([[0.2, 0.2, 0.5], [0.8, 0.8, 0.5]], np.float32)
+    down = np.array([[0, 0, -1], [0, 0, -1]], np.float32)
+    try:
+        scene = PacketScene(triangle, np.array([[0, 1, 2]], np.int32))
+        answers = scene.first_hit(origins, down).tolist(), scene.occluded(origins, down).tolist()
+    except (OSError, AttributeError, NotImplementedError):  # no function of that name; numba compiles nothing
+        return False
+    return answers == ([0, -1], [0, -1])
+
+
+_LOADING = threading.Lock()
+
+
+@cache
+def _embree(_process: int) -> tuple[Any, int, int]:
+    # library, device and rays of a packet; of each process its own, since threads of a device do not survive a fork
+    with _LOADING:
+        library = ctypes.CDLL(str(_library_path()))
+        for name, (result, arguments) in _FUNCTIONS.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, arguments
+        device = library.rtcNewDevice(None)
+        if not device:
+            raise OSError(f"Embree makes no device: error {library.rtcGetDeviceError(None)}")
+        major = library.rtcGetDeviceProperty(device, _VERSION_MAJOR)
+        if major != _MAJOR:
+            raise OSError(f"Embree {major}, expected {_MAJOR}")
+        widths = [width for width, native in _NATIVE_WIDTHS if library.rtcGetDeviceProperty(device, native)]
+        if not widths:
+            raise OSError("Embree takes no packets on this processor")
+        return library, device, widths[0]
+
+
+def _library_path() -> Path:
+    package = Path(embreex.__file__).parent
+    places = (
+        (package.parent / "embreex.libs", "libembree4*.so*"),
+        (package.parent / "embreex.libs", "embree4*.dll"),
+        (package / ".dylibs", "libembree4*.dylib"),
+    )
+    found = [path for folder, pattern in places for path in sorted(folder.glob(pattern))]
+    if not found:
+        raise OSError(f"no Embree library beside {package}")
+    return found[0]

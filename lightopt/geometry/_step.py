@@ -1,0 +1,198 @@
+"""STEP files as triangles with the CAD surface's normals, through a worker process around cascadio."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.core.units import step_units_mm, unit_name
+from lightopt.geometry import _step_worker
+from lightopt.geometry._glb import glb_triangle_count, parse_glb, split_glb
+from lightopt.geometry._soup import Soup, check_budget
+
+_LARGEST_MM, _SMALLEST_MM = 1000.0, 0.1
+_MM_PER_GLB_UNIT = 1000.0
+
+# The first pass only has to learn the size, in a time that does not depend on the unit: relative to the
+# edges.
+_COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
+
+
+@dataclass(frozen=True)
+class StepLimits:
+    """How finely a STEP file is tessellated, and what that may cost.
+
+    Parameters
+    ----------
+    chord_tolerance_mm
+        Largest distance between triangle and surface [mm].
+    angular_tolerance
+        Largest angle between neighbouring tangents along an edge [rad].
+    timeout_s
+        Time for both passes together [s].
+    memory_gb
+        Address space of the worker [10⁹ bytes]; not limited on Windows.
+    """
+
+    chord_tolerance_mm: float
+    angular_tolerance: float
+    timeout_s: float
+    memory_gb: float
+
+
+def read_step(
+    path: Path, data: bytes, *, unit_mm: float | None, limits: StepLimits, max_triangles: int
+) -> Soup:
+    """Triangles of a STEP file [mm], Z up, all solids of an assembly in place.
+
+    The file declares its unit; a unit that the caller gives has to be the same. A first, coarse tessellation
+    learns the size, so that a unit mistake ends in a message and not in hours of tessellating.
+
+    Raises
+    ------
+    InputError
+        The file is cut off or not STEP, its unit is another one, the part is over 1 m or under 0.1 mm, a
+        limit was reached, or there are more than `max_triangles`.
+    """
+    name = str(path)
+    if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
+        raise InputError(
+            f"{name}: not a STEP file: expected it to begin with ISO-10303-21, found {data[:20]!r}"
+        )
+    if b"END-ISO-10303-21" not in data[-2000:]:
+        raise InputError(
+            f"{name}: the STEP file is cut off: {len(data):,} bytes without END-ISO-10303-21 at the end. "
+            "Export or copy it again"
+        )
+    if unit_mm is not None:
+        _check_unit(name, data, unit_mm)
+    deadline = time.monotonic() + limits.timeout_s
+    coarse, _ = _tessellate(path, (_COARSE_LINEAR, _COARSE_ANGULAR, True), limits, deadline)
+    _check_size(name, parse_glb(name, coarse), declared_unit_mm(data))
+    tolerances = (limits.chord_tolerance_mm, limits.angular_tolerance, False)
+    fine, said = _tessellate(path, tolerances, limits, deadline)
+    check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
+    parts = parse_glb(name, fine)
+    starts = np.cumsum([0] + [len(part["vertices"]) for part in parts])
+    return Soup(
+        np.concatenate([part["vertices"] for part in parts]) * _MM_PER_GLB_UNIT,
+        np.concatenate([part["faces"] + start for part, start in zip(parts, starts, strict=False)]),
+        np.concatenate([part["vertex_normals"] for part in parts]),
+        "STEP",
+        repeats_vertices=True,
+        warnings=(f"the CAD kernel reported while reading the STEP file: {said}",) if said else (),
+    )
+
+
+def declared_unit_mm(data: bytes) -> float | None:
+    """Millimetres in the length unit that a STEP file declares; None where it declares none, or several."""
+    declared = step_units_mm(data)
+    return next(iter(declared)) if len(declared) == 1 else None
+
+
+def _check_unit(name: str, data: bytes, unit_mm: float) -> None:
+    declared = declared_unit_mm(data)
+    if declared is None:
+        raise InputError(
+            f"{name}: the STEP file declares no length unit, several, or an unknown one, so whether it is "
+            f"{unit_name(unit_mm)} cannot be told; leave the unit out to take the file as it is"
+        )
+    if abs(declared - unit_mm) > 1e-9 * unit_mm:
+        raise InputError(
+            f"{name}: the STEP file declares {unit_name(declared)}, the part says {unit_name(unit_mm)}; "
+            f"leave the unit out to take the file's, or export the part again in {unit_name(unit_mm)} if "
+            "the file is wrong"
+        )
+
+
+def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float | None) -> None:
+    if not parts:
+        raise InputError(f"{name}: the STEP file has no surfaces or solids, or they could not be tessellated")
+    low = np.min([part["vertices"].min(axis=0) for part in parts], axis=0)
+    high = np.max([part["vertices"].max(axis=0) for part in parts], axis=0)
+    size = (high - low) * _MM_PER_GLB_UNIT
+    largest = float(size.max())
+    if _SMALLEST_MM <= largest <= _LARGEST_MM:
+        return
+    unit = "" if declared is None else f" (the file declares {unit_name(declared)})"
+    factors = (1000.0, 25.4) if largest > _LARGEST_MM else (1e-3, 1 / 25.4)
+    likely = " or ".join(
+        f"{largest / factor:.3g} mm with a unit mistake of {1000 if factor in (1000.0, 1e-3) else 25.4:g}"
+        for factor in factors
+    )
+    raise InputError(
+        f"{name}: the part is {size[0]:.4g} × {size[1]:.4g} × {size[2]:.4g} mm{unit}; expected its largest "
+        f"side between {_SMALLEST_MM} mm and {_LARGEST_MM:g} mm. It would be {likely}: export it in its true "
+        "unit"
+    )
+
+
+def _tessellate(
+    path: Path, tolerances: tuple[float, float, bool], limits: StepLimits, deadline: float
+) -> tuple[bytes, str]:
+    """GLB written by the worker process, and what the CAD kernel complained about."""
+    linear, angular, relative = tolerances
+    what = f"{'coarse' if relative else 'fine'} tessellation (" + (
+        "to learn the size)"
+        if relative
+        else f"chord tolerance {limits.chord_tolerance_mm:g} mm, {angular:g} rad)"
+    )
+    with tempfile.TemporaryDirectory(prefix="lightopt-step-") as folder:
+        glb = Path(folder) / "part.glb"
+        command = [
+            sys.executable,
+            _step_worker.__file__,
+            str(path.resolve()),
+            str(glb),
+            repr(linear),
+            repr(angular),
+            "1" if relative else "0",
+            str(int(limits.memory_gb * 1e9)),
+        ]
+        try:
+            done = subprocess.run(  # noqa: S603  our own worker, no shell
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                timeout=max(0.01, deadline - time.monotonic()),
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise InputError(
+                f"{path}: {what} was stopped after {limits.timeout_s:g} s in all. Use a coarser "
+                "mesh.chord_tolerance_mm, simplify the part, or export it as STL"
+            ) from error
+        if done.returncode == 0 and glb.is_file():
+            return glb.read_bytes(), _last_line(done.stdout)
+    said = f" ({_last_line(done.stdout)})" if done.stdout.strip() else ""
+    if done.returncode == _step_worker.EXIT_READ:
+        raise InputError(
+            f"{path}: the STEP file could not be read{said}. Export it again (AP203, AP214 or AP242)"
+        )
+    if done.returncode == _step_worker.EXIT_MEMORY:
+        raise InputError(
+            f"{path}: {what} needs more than {limits.memory_gb:g} GB of memory. Use a coarser "
+            "mesh.chord_tolerance_mm, or simplify the part"
+        )
+    raise InputError(
+        f"{path}: {what} ended with status {done.returncode}{said}: the CAD kernel crashed on this file or "
+        f"reached the memory limit of {limits.memory_gb:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
+        "part as STL"
+    )
+
+
+def _last_line(output: bytes) -> str:
+    text = re.sub(r"\x1b\[[0-9;]*m", "", output.decode("utf-8", "replace"))
+    lines = [line.strip(" *\t") for line in text.splitlines() if line.strip(" *\t\r")]
+    return lines[-1] if lines else ""

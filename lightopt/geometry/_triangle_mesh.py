@@ -1,0 +1,148 @@
+"""The triangle mesh that everything above casts rays at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.core.kernels import kernel
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """A triangle mesh with one normal per vertex, or none for facet shading.
+
+    Faces are counterclockwise seen from outside. Vertices are split where the normal jumps (at a crease), so
+    two faces that share a vertex also share its normal. Arrays of the right type are not copied; they are
+    read-only here.
+
+    Parameters
+    ----------
+    vertices
+        Positions in the part file's frame [mm], shape (n, 3).
+    faces
+        Vertex indices, shape (m, 3), int32.
+    normals
+        Unit outward normals of the surface at the vertices, same frame, shape (n, 3); None shades flat
+        facets.
+
+    Raises
+    ------
+    InputError
+        A shape is wrong, a coordinate is not finite, an index is out of range, or a normal is not of unit
+        length.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        vertices = _rows_of_three("vertices", self.vertices)
+        faces = np.asarray(self.faces)
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+            raise InputError(
+                f"mesh faces: expected integers of shape (m, 3), found {faces.dtype} {faces.shape}"
+            )
+        if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+            raise InputError(
+                f"mesh faces: vertex indices from {faces.min()} to {faces.max()} for {len(vertices)} vertices"
+            )
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", _read_only(np.ascontiguousarray(faces, dtype=np.int32)))
+        if self.normals is None:
+            return
+        normals = _rows_of_three("normals", self.normals)
+        if normals.shape != vertices.shape:
+            raise InputError(f"mesh normals: expected shape {vertices.shape}, found {normals.shape}")
+        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+        if np.any(np.abs(length - 1.0) > 1e-6):
+            worst = int(np.argmax(np.abs(length - 1.0)))
+            raise InputError(
+                f"mesh normals: expected unit length, found {length[worst]:.6g} at vertex {worst}"
+            )
+        object.__setattr__(self, "normals", normals)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lowest and highest corner of the bounding box of all vertices [mm], shape (2, 3)."""
+        if not len(self.vertices):
+            raise InputError("mesh: no vertices, so no bounding box")
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+
+def face_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Outward unit normals of the facets, part file's frame, shape (m, 3); zero for faces without area."""
+    cross = _cross(mesh.vertices, mesh.faces)
+    length = np.sqrt(np.einsum("ij,ij->i", cross, cross))
+    return cross / np.where(length > 0.0, length, 1.0)[:, None]
+
+
+def face_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Areas of the flat facets [mm²], shape (m,)."""
+    cross = _cross(mesh.vertices, mesh.faces)
+    return 0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross))
+
+
+def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike) -> TriangleMesh:
+    """Mesh after the rigid motion p' = R·p + t; normals are turned with it.
+
+    Parameters
+    ----------
+    mesh
+        Mesh to move.
+    rotation
+        Rotation matrix R, shape (3, 3).
+    translation
+        Translation t [mm], shape (3,).
+
+    Raises
+    ------
+    InputError
+        R is not a rotation (a scaling or a mirror would falsify normals and winding), or t is not finite.
+    """
+    R = np.asarray(rotation, dtype=np.float64)
+    t = np.asarray(translation, dtype=np.float64)
+    if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
+        raise InputError(f"mesh rotation: expected a rotation matrix of shape (3, 3), found {R.tolist()}")
+    if t.shape != (3,) or not np.isfinite(t).all():
+        raise InputError(f"mesh translation: expected three finite numbers in mm, found {t.tolist()}")
+    normals = None if mesh.normals is None else mesh.normals @ R.T
+    return TriangleMesh(mesh.vertices @ R.T + t, mesh.faces, normals)
+
+
+@kernel
+def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    # normals as long as twice the areas
+    result = np.empty((len(faces), 3))
+    for i in range(len(faces)):
+        a, b, c = vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        result[i, 0] = uy * vz - uz * vy
+        result[i, 1] = uz * vx - ux * vz
+        result[i, 2] = ux * vy - uy * vx
+    return result
+
+
+def _rows_of_three(name: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"mesh {name}: expected shape (n, 3), found {array.shape}")
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        raise InputError(
+            f"mesh {name}: {np.count_nonzero(~finite)} rows are not finite, the first is row "
+            f"{int(np.argmin(finite))}"
+        )
+    return _read_only(array)
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    view = array.view()
+    view.flags.writeable = False
+    return view

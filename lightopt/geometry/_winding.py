@@ -1,0 +1,210 @@
+"""Make all faces of a surface wind the same way, and closed surfaces face outwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import counted
+from lightopt.core.kernels import kernel
+from lightopt.geometry._topology import EdgePairs, edge_pairs
+from lightopt.geometry._triangle_mesh import TriangleMesh
+
+# Closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside.
+_NO_VOLUME = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Repaired:
+    """Faces with a winding that agrees across every edge of two faces.
+
+    Parameters
+    ----------
+    faces
+        Vertex indices, shape (m, 3).
+    pairs
+        Their edges.
+    components
+        Number of surfaces connected through edges of two faces.
+    warnings
+        What was turned, with numbers.
+    """
+
+    faces: NDArray[np.int32]
+    pairs: EdgePairs
+    components: int
+    warnings: tuple[str, ...]
+
+
+def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Repaired:
+    """Turn the faces that wind against their neighbours, then the closed surfaces that are inside out.
+
+    Of each connected surface the smaller share is turned. A closed surface of negative volume is turned
+    unless it lies inside another one: then it is a cavity and faces the right way.
+
+    Parameters
+    ----------
+    vertices
+        Positions without coinciding ones [mm], shape (n, 3).
+    faces
+        Vertex indices, all of them with an area, shape (m, 3).
+    """
+    pairs = edge_pairs(faces)
+    label, turn = _flood(len(faces), pairs.corners, pairs.same_direction)
+    components = int(label.max()) + 1
+    size = np.bincount(label, minlength=components)
+    minority = np.bincount(label, weights=turn, minlength=components) * 2 > size
+    turn = turn ^ minority[label]
+    warnings: list[str] = []
+    if turn.any():
+        warnings.append(
+            f"{np.count_nonzero(turn)} of {len(faces)} triangles wound against their neighbours: turned"
+        )
+        faces = _turned(faces, turn)
+        pairs = edge_pairs(faces)
+    twisted = pairs.corners[pairs.same_direction, 0] // 3
+    if len(twisted):
+        warnings.append(
+            f"{counted(len(twisted), 'edge')} between triangles whose winding cannot be made to agree (a one-sided "
+            "surface): kept"
+        )
+    is_open = np.bincount(label, weights=pairs.rim, minlength=components) > 0
+    is_open[label[twisted]] = True
+    inside_out = _inside_out(vertices, faces, label, ~is_open)
+    if inside_out.any():
+        turn = inside_out[label]
+        warnings.append(
+            f"{counted(int(np.count_nonzero(inside_out)), 'closed surface')} "
+            f"({counted(int(np.count_nonzero(turn)), 'triangle')}) inside out: turned"
+        )
+        faces = _turned(faces, turn)
+        pairs = edge_pairs(faces)
+    return Repaired(faces, pairs, components, tuple(warnings))
+
+
+def _turned(faces: NDArray[np.int32], turn: NDArray[np.bool_]) -> NDArray[np.int32]:
+    return np.where(turn[:, None], faces[:, (0, 2, 1)], faces)
+
+
+def _inside_out(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    label: NDArray[np.int32],
+    closed: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    # the volume of a closed surface does not depend on the origin, its rounding error does
+    corners = (vertices - vertices.mean(axis=0))[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    volume = np.bincount(
+        label, weights=np.einsum("ij,ij->i", corners[:, 0], cross) / 6.0, minlength=len(closed)
+    )
+    area = np.bincount(
+        label, weights=0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross)), minlength=len(closed)
+    )
+    result = closed & (volume < -_NO_VOLUME * area**1.5)
+    if not result.any() or np.count_nonzero(closed) == 1:
+        return result
+    low, high = np.full((len(closed), 3), np.inf), np.full((len(closed), 3), -np.inf)
+    np.minimum.at(low, label, corners.min(axis=1))
+    np.maximum.at(high, label, corners.max(axis=1))
+    in_closed = closed[label]
+    for c in np.flatnonzero(result):
+        around = closed & (low <= low[c]).all(axis=1) & (high >= high[c]).all(axis=1)
+        around[c] = False
+        if not around.any():
+            continue
+        point = corners[int(np.argmax(label == c)), 0]
+        others = corners[in_closed & around[label]]
+        result[c] = abs(winding_number(others, point)) < 0.5
+    return result
+
+
+@kernel
+def _flood(
+    face_count: int, corners: NDArray[np.int32], same_direction: NDArray[np.bool_]
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Label connected faces; turn[f] tells whether f winds against the first face of its surface."""
+    neighbour = np.full((face_count, 3), -1, dtype=np.int32)
+    against = np.zeros((face_count, 3), dtype=np.bool_)
+    for e in range(len(corners)):
+        c, d = corners[e, 0], corners[e, 1]
+        neighbour[c // 3, c % 3] = d // 3
+        neighbour[d // 3, d % 3] = c // 3
+        against[c // 3, c % 3] = same_direction[e]
+        against[d // 3, d % 3] = same_direction[e]
+    label = np.full(face_count, -1, dtype=np.int32)
+    turn = np.zeros(face_count, dtype=np.bool_)
+    queue = np.empty(face_count, dtype=np.int32)
+    component = 0
+    for seed in range(face_count):
+        if label[seed] >= 0:
+            continue
+        label[seed] = component
+        queue[0] = seed
+        head, tail = 0, 1
+        while head < tail:
+            f = queue[head]
+            head += 1
+            for k in range(3):
+                g = neighbour[f, k]
+                if g >= 0 and label[g] < 0:
+                    label[g] = component
+                    turn[g] = turn[f] ^ against[f, k]
+                    queue[tail] = g
+                    tail += 1
+        component += 1
+    return label, turn
+
+
+def points_inside(points: NDArray[np.float64], mesh: TriangleMesh) -> NDArray[np.bool_]:
+    """Whether points lie inside a surface: one that is mostly closed, around which it winds more than half a time.
+
+    Parameters
+    ----------
+    points
+        [mm], shape (k, 3), frame of the mesh.
+    mesh
+        Its faces wind alike, whichever way.
+
+    Returns
+    -------
+    ndarray
+        Shape (k,).
+    """
+    low, high = mesh.bounds
+    inside = np.all((points >= low) & (points <= high), axis=1)
+    if inside.any():
+        triangles = mesh.vertices[mesh.faces]
+        for i in np.flatnonzero(inside):
+            inside[i] = abs(winding_number(triangles, points[i])) > 0.5
+    return inside
+
+
+@kernel
+def winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+    """How often closed surfaces surround a point.
+
+    Solid angles by van Oosterom and Strackee 1983, doi:10.1109/TBME.1983.325207, eq. 8.
+
+    Parameters
+    ----------
+    triangles
+        Corners [mm], shape (m, 3, 3).
+    point
+        [mm], shape (3,).
+    """
+    x, y, z = point[0], point[1], point[2]
+    total = 0.0
+    for t in range(len(triangles)):
+        ax, ay, az = triangles[t, 0, 0] - x, triangles[t, 0, 1] - y, triangles[t, 0, 2] - z
+        bx, by, bz = triangles[t, 1, 0] - x, triangles[t, 1, 1] - y, triangles[t, 1, 2] - z
+        cx, cy, cz = triangles[t, 2, 0] - x, triangles[t, 2, 1] - y, triangles[t, 2, 2] - z
+        la = np.sqrt(ax * ax + ay * ay + az * az)
+        lb = np.sqrt(bx * bx + by * by + bz * bz)
+        lc = np.sqrt(cx * cx + cy * cy + cz * cz)
+        over = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
+        total += 2.0 * np.arctan2(over, la * lb * lc + ab * lc + bc * la + ca * lb)
+    return total / (4.0 * np.pi)

@@ -1,0 +1,126 @@
+"""Where saturated regions of several images overlap (paper, figure 11): the table by pairs of lights, and the map."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.images._manifest import ImageEntry
+from lightopt.images._names import posture_folder
+from lightopt.images._png import write_png
+from lightopt.images._reader import ImageSet
+
+ONE_COLOUR = (70, 110, 190)
+SEVERAL_COLOUR = (230, 60, 40)
+GREY_SHARE = 0.45
+"""The images' mean is shown this dim under the colours."""
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Saturated regions of the images of one posture at one exposure.
+
+    Attributes
+    ----------
+    posture
+        Of the part.
+    exposure
+        Of the images.
+    saturated
+        Pixels saturated under each light.
+    pairs
+        Pixels saturated under both lights of a pair.
+    count
+        Number of images in which each pixel is saturated, shape (height, width).
+    mean
+        Mean of the levels, as a share of full scale clipped to 1, shape (height, width).
+    """
+
+    posture: Posture
+    exposure: float
+    saturated: Mapping[str, int]
+    pairs: Mapping[tuple[str, str], int]
+    count: NDArray[np.uint8]
+    mean: NDArray[np.float32]
+
+    @property
+    def pixels(self) -> int:
+        """Pixels that are saturated in two images or more."""
+        return int((self.count >= 2).sum())
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "posture": self.posture.as_dict(),
+            "exposure": self.exposure,
+            "saturated_px": dict(self.saturated),
+            "overlap_px": [{"lights": list(pair), "px": pixels} for pair, pixels in self.pairs.items()],
+            "saturated_in_two_or_more_px": self.pixels,
+        }
+
+
+def find_overlaps(images: ImageSet) -> tuple[Overlap, ...]:
+    """The overlaps of every posture and exposure of an image set, rendered or captured.
+
+    Raises
+    ------
+    InputError
+        A posture with fewer than two lights, or with images of different sizes.
+    """
+    groups: dict[tuple[Posture, float], list[ImageEntry]] = {}
+    for entry in images.manifest.images:
+        groups.setdefault((entry.posture, entry.exposure), []).append(entry)
+    if not groups:
+        raise InputError(f"{images.folder}: the set has no images; expected two lights or more per posture")
+    return tuple(_overlap(images, *key, entries) for key, entries in groups.items())
+
+
+def _overlap(images: ImageSet, posture: Posture, exposure: float, entries: list[ImageEntry]) -> Overlap:
+    where = f"{images.folder}: posture {posture}, exposure {exposure:g}"
+    if len(entries) < 2:
+        raise InputError(f"{where}: expected images under two lights or more, found one ({entries[0].light})")
+    masks: dict[str, NDArray[np.bool_]] = {}
+    total: NDArray[np.float64] | None = None
+    full = images.manifest.full_scale / exposure
+    for entry in entries:
+        image = images.load(entry)
+        masks[entry.light] = image.saturated
+        share = np.clip(image.levels / full, 0.0, 1.0).astype(np.float64)
+        if total is not None and total.shape != share.shape:
+            raise InputError(
+                f"{where}: {entry.light} is {share.shape[1]} × {share.shape[0]} px, the images before it are "
+                f"{total.shape[1]} × {total.shape[0]}; expected images of one camera"
+            )
+        total = share if total is None else total + share
+    assert total is not None
+    return Overlap(
+        posture=posture,
+        exposure=exposure,
+        saturated={light: int(mask.sum()) for light, mask in masks.items()},
+        pairs={(a, b): int((masks[a] & masks[b]).sum()) for a, b in itertools.combinations(masks, 2)},
+        count=np.stack(list(masks.values())).sum(axis=0).astype(np.uint8),
+        mean=(total / len(entries)).astype(np.float32),
+    )
+
+
+def overlap_map_name(posture: Posture, exposure: float = 1.0) -> str:
+    """File of the map of a posture and exposure, relative to the folder that it is written to."""
+    suffix = "" if exposure == 1 else f"_x{exposure:.6g}"
+    return f"{posture_folder(posture)}/overlap{suffix}.png"
+
+
+def write_overlap_map(overlap: Overlap, path: Path, *, overwrite: bool) -> str:
+    """Draw where no image is saturated (grey), one is (blue), and several are (red); returns the SHA-256."""
+    grey = np.round(255.0 * GREY_SHARE * overlap.mean).astype(np.uint8)
+    picture = np.repeat(grey[..., None], 3, axis=2)
+    picture[overlap.count == 1] = ONE_COLOUR
+    picture[overlap.count >= 2] = SEVERAL_COLOUR
+    return write_png(path, picture, metadata=overlap.as_dict(), overwrite=overwrite)

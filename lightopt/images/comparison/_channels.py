@@ -1,0 +1,206 @@
+"""The difference between two arrays of values, in numbers, and whether it is too large."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+
+PERCENTILES: Mapping[str, float] = MappingProxyType({"p50": 50, "p95": 95, "p99": 99, "p99_9": 99.9})
+"""Percentiles of |a − b| that are reported, by their key in reports."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """When a difference is too large.
+
+    Attributes
+    ----------
+    absolute, relative
+        A pixel differs where |a − b| > absolute + relative · |a|, a being the golden [level of the file, 1].
+    max_share
+        Share of pixels that may differ, 0 to 1: of those that are not background in both images, so that a small part
+        in a large frame is judged like a large one.
+    geometry_absolute
+        In geometry images and patch tables a value differs by more than this [mm; 1 for normals], nothing
+        relative.
+    min_iou
+        Least intersection over union of the saturated masks; not asked for when None.
+    saturation
+        Level from which a pixel counts as saturated; what the file or its manifest says when None.
+
+    Raises
+    ------
+    InputError
+        When a threshold is negative, not finite, or a share above 1.
+    """
+
+    absolute: float = 0.05
+    relative: float = 0.001
+    max_share: float = 0.001
+    geometry_absolute: float = 0.001
+    min_iou: float | None = None
+    saturation: float | None = None
+
+    def __post_init__(self) -> None:
+        problems: list[str] = []
+        for name, value in asdict(self).items():
+            top = 1.0 if name in ("max_share", "min_iou") else math.inf
+            if value is not None and not (0 <= value <= top and math.isfinite(value)):
+                problems.append(f"threshold {name}: expected a number from 0 to {top:g}, found {value}")
+        if problems:
+            raise InputError(*problems)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelDifference:
+    """How one channel differs.
+
+    Attributes
+    ----------
+    name
+        The channel.
+    pixels, compared
+        Pixels of the image, and those whose values were compared: not background in both images.
+    max, rms, percentiles
+        Of |a − b| over the compared pixels where both are finite; None where there are none.
+    differing, share
+        Pixels beyond the thresholds, and their share of the compared pixels.
+    not_finite_a, not_finite_b
+        Pixels that are NaN or infinite.
+    saturated_a, saturated_b, iou
+        Saturated pixels, and intersection over union of the two masks (1 where both are empty); None for
+        channels that do not saturate.
+    reasons
+        Why the channel fails; empty when it passes.
+    """
+
+    name: str
+    pixels: int
+    compared: int
+    max: float | None
+    rms: float | None
+    percentiles: Mapping[str, float] | None
+    differing: int
+    share: float
+    not_finite_a: int
+    not_finite_b: int
+    saturated_a: int | None = None
+    saturated_b: int | None = None
+    iou: float | None = None
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the channel is close enough."""
+        return not self.reasons
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        percentiles = None if self.percentiles is None else dict(self.percentiles)
+        return {
+            **vars(self),
+            "percentiles": percentiles,
+            "reasons": list(self.reasons),
+            "passed": self.passed,
+        }
+
+
+def compare_arrays(
+    name: str,
+    a: NDArray[Any],
+    b: NDArray[Any],
+    *,
+    absolute: float,
+    relative: float,
+    max_share: float,
+    where: NDArray[np.bool_] | None = None,
+    saturation: tuple[float, float] | None = None,
+    min_iou: float | None = None,
+) -> ChannelDifference:
+    """Compare two arrays of numbers.
+
+    A NaN equals a NaN and an infinity the same infinity; any value that is not finite where the golden's is
+    fails.
+
+    Parameters
+    ----------
+    name
+        What the arrays are called in reports.
+    a, b
+        Golden and new values, of one shape.
+    absolute, relative, max_share, min_iou
+        See :class:`Thresholds`.
+    where
+        Which values to compare, boolean, same shape; all when None.
+    saturation
+        Levels from which `a` and `b` count as saturated; None for values that do not saturate.
+
+    Raises
+    ------
+    InputError
+        When the shapes differ.
+    """
+    if a.shape != b.shape:
+        raise InputError(f"{name}: different shapes: {a.shape} against {b.shape}")
+    chosen = np.ones(a.shape, np.bool_) if where is None else where
+    golden, new = a[chosen].astype(np.float64), b[chosen].astype(np.float64)
+    finite_a, finite_b = np.isfinite(golden), np.isfinite(new)
+    finite = finite_a & finite_b
+    distance = np.abs(golden[finite] - new[finite])
+    beyond = int((distance > absolute + relative * np.abs(golden[finite])).sum())
+    odd_a, odd_b = golden[~finite], new[~finite]
+    differing = beyond + int(((odd_a != odd_b) & ~(np.isnan(odd_a) & np.isnan(odd_b))).sum())
+    share = differing / golden.size if golden.size else 0.0
+
+    reasons: list[str] = []
+    if share > max_share:
+        reasons.append(
+            f"{name}: {share:.3%} of values ({differing} of {golden.size}) differ by more than "
+            f"{absolute:g} + {relative:.3g}·|golden|; allowed {max_share:.3%}"
+        )
+    if fresh := int((finite_a & ~finite_b).sum()):
+        reasons.append(f"{name}: {fresh} values are NaN or infinite where the golden's are finite")
+    masks: dict[str, Any] = {}
+    if saturation is not None:
+        masks = _compare_masks(a >= saturation[0], b >= saturation[1])
+        if min_iou is not None and masks["iou"] < min_iou:
+            reasons.append(
+                f"{name}: saturated areas overlap by {masks['iou']:.4f} (IoU); at least {min_iou:g} asked"
+            )
+    return ChannelDifference(
+        name=name,
+        pixels=int(a.size),
+        compared=int(golden.size),
+        **_statistics(distance),
+        differing=differing,
+        share=share,
+        not_finite_a=int((~finite_a).sum()),
+        not_finite_b=int((~finite_b).sum()),
+        **masks,
+        reasons=tuple(reasons),
+    )
+
+
+def _statistics(distance: NDArray[np.float64]) -> dict[str, Any]:
+    if not distance.size:
+        return {"max": None, "rms": None, "percentiles": None}
+    values = np.percentile(distance, list(PERCENTILES.values()))
+    return {
+        "max": float(distance.max()),
+        "rms": float(np.sqrt(np.mean(distance**2))),
+        "percentiles": dict(zip(PERCENTILES, values.tolist(), strict=True)),
+    }
+
+
+def _compare_masks(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> dict[str, Any]:
+    union = int((a | b).sum())
+    iou = int((a & b).sum()) / union if union else 1.0
+    return {"saturated_a": int(a.sum()), "saturated_b": int(b.sum()), "iou": iou}

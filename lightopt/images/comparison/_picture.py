@@ -1,0 +1,162 @@
+"""A picture of where two images differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.images import write_png
+from lightopt.images.comparison._load import LEVELS, LoadedFile, load_file
+
+_LOWER = (33, 102, 172)
+_EQUAL = (247, 247, 247)
+_HIGHER = (178, 24, 43)
+_ONLY_GOLDEN = (0, 150, 60)
+_ONLY_NEW = (255, 0, 255)
+_NOT_FINITE = (0, 0, 0)
+_SCALE_PERCENTILE = 99.9
+_LEAST_SCALE = 0.05
+
+
+@dataclass(frozen=True)
+class DifferencePicture:
+    """A difference picture that was written.
+
+    Attributes
+    ----------
+    path
+        The PNG.
+    channel
+        The channel shown.
+    scale
+        Difference of the full colours [level of the files]; larger ones look the same.
+    beyond_scale
+        Pixels whose difference is larger.
+    only_golden, only_new
+        Pixels saturated in one image alone, marked in colours of their own.
+    sha256
+        Of the PNG, in hex.
+    """
+
+    path: Path
+    channel: str
+    scale: float
+    beyond_scale: int
+    only_golden: int
+    only_new: int
+    sha256: str
+
+
+def difference_picture(
+    a: str | Path,
+    b: str | Path,
+    path: str | Path,
+    *,
+    channel: str | None = None,
+    scale: float | None = None,
+    saturation: float | None = None,
+    overwrite: bool = True,
+) -> DifferencePicture:
+    """Write a PNG of the signed difference new − golden: blue lower, white equal, red higher.
+
+    Pixels saturated only in the golden image are green, only in the new one magenta, values that are not
+    finite in either black. The numbers of the scale are in the file's metadata.
+
+    Parameters
+    ----------
+    a, b
+        Golden and new image, EXR or PNG.
+    path
+        The PNG to write.
+    channel
+        The channel to show; ``Y``, a PNG's levels, or the first one.
+    scale
+        Difference of the full colours [level of the files]; when not given, the 99.9th percentile of the
+        differences there are.
+    saturation
+        Level from which a pixel counts as saturated; what the files say when not given.
+    overwrite
+        Whether a file of other content may be replaced.
+
+    Raises
+    ------
+    InputError
+        When an image cannot be read, they differ in format or size, a channel is missing, the scale is not
+        above 0, the picture cannot be written, or one of other content is there and `overwrite` is False.
+    """
+    golden, new = load_file(Path(a)), load_file(Path(b))
+    if golden.kind != new.kind or golden.shape != new.shape:
+        raise InputError(
+            f"{a} and {b}: no difference to show between {golden.kind} of {golden.shape} "
+            f"and {new.kind} of {new.shape}"
+        )
+    name = _choose(golden, new, channel)
+    old, now = golden.channels[name].astype(np.float64), new.channels[name].astype(np.float64)
+    finite = np.isfinite(old) & np.isfinite(now)
+    signed = np.zeros(old.shape)
+    np.subtract(now, old, out=signed, where=finite)
+    if scale is None:
+        scale = _automatic_scale(signed)
+    elif not (scale > 0 and np.isfinite(scale)):
+        raise InputError(f"scale of the difference picture: expected a number above 0, found {scale}")
+    pixels = _diverging(signed / scale)
+    only_golden = only_new = np.zeros(old.shape, np.bool_)
+    if name in ("Y", LEVELS):
+        full_a = old >= (golden.saturation if saturation is None else saturation)
+        full_b = now >= (new.saturation if saturation is None else saturation)
+        only_golden, only_new = full_a & ~full_b, full_b & ~full_a
+    pixels[only_golden], pixels[only_new], pixels[~finite] = _ONLY_GOLDEN, _ONLY_NEW, _NOT_FINITE
+    facts: dict[str, Any] = {
+        "channel": name,
+        "scale": scale,
+        "beyond_scale": int((np.abs(signed) > scale).sum()),
+        "only_golden": int(only_golden.sum()),
+        "only_new": int(only_new.sum()),
+    }
+    metadata = {**facts, "picture": "difference", "colours": _legend(scale)}
+    digest = write_png(path, pixels, metadata=metadata, overwrite=overwrite)
+    return DifferencePicture(path=Path(path), sha256=digest, **facts)
+
+
+def _choose(golden: LoadedFile, new: LoadedFile, channel: str | None) -> str:
+    common = sorted(golden.channels.keys() & new.channels.keys())
+    if channel is None:
+        preferred = [name for name in ("Y", LEVELS) if name in common]
+        channel = (preferred + common)[0] if common else ""
+    if channel not in common:
+        raise InputError(f"no channel {channel!r} in both images; they share {', '.join(common) or 'none'}")
+    return channel
+
+
+def _automatic_scale(signed: NDArray[np.float64]) -> float:
+    distance = np.abs(signed[signed != 0])
+    return (
+        max(float(np.percentile(distance, _SCALE_PERCENTILE)), _LEAST_SCALE)
+        if distance.size
+        else _LEAST_SCALE
+    )
+
+
+def _diverging(relative: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) of differences relative to the scale, −1 to 1; beyond looks like the end."""
+    channels = [
+        np.interp(relative, [-1.0, 0.0, 1.0], [low, middle, high])
+        for low, middle, high in zip(_LOWER, _EQUAL, _HIGHER, strict=True)
+    ]
+    return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
+
+
+def _legend(scale: float) -> dict[str, Any]:
+    return {
+        f"{-scale:g} (new − golden) and below": _LOWER,
+        "0": _EQUAL,
+        f"{scale:g} and above": _HIGHER,
+        "saturated only in golden": _ONLY_GOLDEN,
+        "saturated only in new": _ONLY_NEW,
+        "not finite": _NOT_FINITE,
+    }

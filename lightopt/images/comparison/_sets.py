@@ -1,0 +1,184 @@
+"""Comparing two image sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import file_sha256
+from lightopt.core.transforms import Posture
+from lightopt.images import ImageSet, Manifest, read_image_set
+from lightopt.images.comparison._channels import Thresholds
+from lightopt.images.comparison._files import FileComparison, compare_files
+from lightopt.images.comparison._tables import compare_tables
+
+_DEFAULTS = Thresholds()
+_ANGLE_TOLERANCE_DEG = 1e-6
+
+
+@dataclass(frozen=True)
+class SetComparison:
+    """How two image sets differ.
+
+    Attributes
+    ----------
+    a, b
+        The golden and the new set.
+    files
+        The files of the golden set against their counterparts.
+    missing, extra
+        What only the golden set has, and only the new one. Missing fails, extra is reported.
+    reasons
+        Why the comparison fails, those of the files included; empty when it passes.
+    notes
+        What is worth knowing and fails nothing.
+    """
+
+    a: str
+    b: str
+    files: tuple[FileComparison, ...] = ()
+    missing: tuple[str, ...] = ()
+    extra: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the sets are close enough."""
+        return not self.reasons
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "a": self.a,
+            "b": self.b,
+            "passed": self.passed,
+            "reasons": list(self.reasons),
+            "notes": list(self.notes),
+            "missing": list(self.missing),
+            "extra": list(self.extra),
+            "files": [file.as_dict() for file in self.files],
+        }
+
+
+def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULTS) -> SetComparison:
+    """Compare two image sets, golden against new; images are matched by light, posture and exposure.
+
+    A file that is missing, damaged or changed since it was listed is a failed comparison with its reason.
+
+    Parameters
+    ----------
+    a, b
+        Folder or ``manifest.json`` of the golden and of the new set.
+    thresholds
+        When a difference is too large.
+
+    Raises
+    ------
+    InputError
+        When one of them is no image set, or its manifest is damaged.
+    """
+    problems: list[str] = []
+    golden, new = (_open(role, path, problems) for role, path in (("golden", a), ("new", b)))
+    if golden is None or new is None:
+        raise InputError(*problems)
+    reasons: list[str] = []
+    old, now = _listed(golden.manifest), _listed(new.manifest)
+    missing = tuple(label for label in old if label not in now)
+    extra = tuple(label for label in now if label not in old)
+    if not old:
+        reasons.append(f"golden set lists no files: {a}")
+    reasons += [f"new set lacks {label}" for label in missing]
+    reasons += _manifest_problems(golden.manifest, new.manifest)
+    files: list[FileComparison] = []
+    saturation = (golden.manifest.saturated_from, new.manifest.saturated_from)
+    black = (golden.manifest.black_level, new.manifest.black_level)
+    for label in (label for label in old if label in now):
+        for role, image_set, listed in (("golden", golden, old[label]), ("new", new, now[label])):
+            reasons += _changed(role, image_set, listed)
+        path_a, path_b = golden.path(old[label][0]), new.path(now[label][0])
+        if label == _PATCHES:
+            comparison = compare_tables(path_a, path_b, thresholds)
+        else:
+            comparison = _images(path_a, path_b, thresholds, saturation, black)
+        files.append(comparison)
+        reasons += [f"{label}: {reason}" for reason in comparison.reasons]
+    return SetComparison(
+        str(a),
+        str(b),
+        files=tuple(files),
+        missing=missing,
+        extra=extra,
+        reasons=tuple(reasons),
+        notes=tuple(_notes(golden.manifest, new.manifest)),
+    )
+
+
+def _open(role: str, path: str | Path, problems: list[str]) -> ImageSet | None:
+    try:
+        return read_image_set(path, verify=False)
+    except InputError as error:
+        problems.extend(f"{role} set: {message}" for message in error.messages)
+        return None
+
+
+def _images(
+    a: Path, b: Path, thresholds: Thresholds, saturation: tuple[float, float], black: tuple[float, float]
+) -> FileComparison:
+    try:
+        return compare_files(a, b, thresholds, saturation=saturation, black=black)
+    except InputError as error:
+        return FileComparison(str(a), str(b), reasons=error.messages)
+
+
+_PATCHES = "patch table"
+
+
+def _listed(manifest: Manifest) -> dict[str, tuple[str, str | None]]:
+    """Map what a set holds, in words, to the file and its SHA-256; an EXR that exposures share comes once."""
+    listed: dict[str, tuple[str, str | None]] = {}
+    for image in manifest.images:
+        what = f"{image.light} at {_words(image.posture)}"
+        if image.png is not None:
+            listed[f"{what}, exposure {image.exposure:.15g}, PNG"] = image.png, image.sha256.get("png")
+        if image.exr is not None:
+            listed.setdefault(f"{what}, EXR", (image.exr, image.sha256.get("exr")))
+    for geometry in manifest.geometry:
+        listed[f"geometry at {_words(geometry.posture)}"] = geometry.exr, geometry.sha256.get("exr")
+    if manifest.patches is not None:
+        listed[_PATCHES] = manifest.patches, manifest.files.get(manifest.patches)
+    return listed
+
+
+def _words(posture: Posture) -> str:
+    return f"posture ({posture.elevation_deg:.15g}°, {posture.rotation_deg:.15g}°)"
+
+
+def _changed(role: str, image_set: ImageSet, listed: tuple[str, str | None]) -> Iterator[str]:
+    path, digest = image_set.path(listed[0]), listed[1]
+    if digest is not None and path.is_file() and file_sha256(path) != digest.lower():
+        yield f"{role} file changed since its manifest was written: {path}"
+
+
+def _manifest_problems(golden: Manifest, new: Manifest) -> Iterator[str]:
+    for name in ("bit_depth", "full_scale", "black_level"):
+        old, now = getattr(golden, name), getattr(new, name)
+        if old != now:
+            yield f"different {name}: golden {old:g}, new {now:g}"
+    angles = {image.key: (image.light_elevation_deg, image.light_azimuth_deg) for image in golden.images}
+    for image in new.images:
+        old = angles.get(image.key)
+        now = (image.light_elevation_deg, image.light_azimuth_deg)
+        if old and max(abs(old[0] - now[0]), abs(old[1] - now[1])) > _ANGLE_TOLERANCE_DEG:
+            yield f"{image.light} at {_words(image.posture)} stood elsewhere: golden {old}°, new {now}°"
+
+
+def _notes(golden: Manifest, new: Manifest) -> Iterator[str]:
+    if golden.saturated_from != new.saturated_from:
+        yield f"different saturation_level: golden {golden.saturated_from:g}, new {new.saturated_from:g}"
+    for name, old, now in (("rig", golden.rig, new.rig), ("part", golden.part, new.part)):
+        if old and now and old.sha256 != now.sha256:
+            yield f"different {name} file: golden {old.file}, new {now.file}"

@@ -1,0 +1,210 @@
+"""The files of an inspection: defects as JSON, CSV and PLY, synthetic images and scores."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightopt.config import PartConfig, RigConfig, input_hashes
+from lightopt.core.provenance import provenance
+from lightopt.estimate.registration import Placement
+from lightopt.images import ImageSet, ResultFolder, posture_folder, write_exr, write_png
+from lightopt.inspection._calibration import Calibration
+from lightopt.inspection._defect_merging import KIND_COLOURS
+from lightopt.inspection._grey import grey_picture
+from lightopt.inspection._measure import to_file
+from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._regions import pixels_of
+from lightopt.inspection._results import InspectedPosture, Inspection
+from lightopt.inspection._verdict import Verdict
+
+DEFECTS_NAME, BATCH_NAME = "defects.json", "batch.json"
+TRUTH_NAME, REPORT_NAME = "truth.json", "report.html"
+FORMAT = "lightopt-defects/1"
+COLUMNS = (
+    *("number", "kind", "counts", "x_mm", "y_mm", "z_mm", "length_mm", "width_mm", "area_mm2", "score"),
+    *("greatest_contrast", "lights", "postures", "column_px", "row_px"),
+)
+
+
+def inspection_provenance(
+    rig: RigConfig,
+    part: PartConfig,
+    sets: Sequence[ImageSet],
+    options: InspectOptions,
+    *,
+    calibration: Calibration | None = None,
+    before: Sequence[ImageSet] = (),
+) -> dict[str, Any]:
+    """What an inspection depends on, in the layout of :mod:`lightopt.core.provenance`.
+
+    Parameters
+    ----------
+    rig, part, sets, options, calibration
+        Of the inspection.
+    before
+        The sets of its batch that were inspected before: a part that lies near one of them has its prediction.
+    """
+    inputs: dict[str, Any] = {
+        **input_hashes(rig, part),
+        "image_sets": [image_set.fingerprint for image_set in sets],
+    }
+    if before and options.shift:
+        inputs["after"] = [image_set.fingerprint for image_set in before]
+    if calibration is not None:
+        inputs["calibration"] = {"file": calibration.name, "sha256": calibration.sha256}
+    return provenance(inputs=inputs, options=options.as_dict())
+
+
+class InspectionFolder(ResultFolder):
+    """A folder that an inspection is written to.
+
+    Parameters
+    ----------
+    folder
+        Made where it does not exist.
+    made_from
+        From :func:`inspection_provenance`.
+    force
+        Whether files of an inspection of other inputs are replaced.
+
+    Raises
+    ------
+    InputError
+        The folder holds an inspection of other inputs, and `force` is False.
+    """
+
+    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
+        super().__init__(
+            folder,
+            made_from,
+            name=DEFECTS_NAME,
+            format=FORMAT,
+            what="an inspection",
+            also=(TRUTH_NAME,),
+            force=force,
+        )
+
+    @property
+    def made_from(self) -> Mapping[str, Any]:
+        """From :func:`inspection_provenance`."""
+        return self._made_from
+
+    def clear(self) -> None:
+        """Remove what an earlier inspection left here, and the folder where nothing else is in it."""
+        self._remove_earlier()
+        for folder in (*self.folder.glob("posture_*"), self.folder):
+            with suppress(OSError):  # something else is in it
+                folder.rmdir()
+
+    def write_posture(self, posture: InspectedPosture) -> None:
+        """Write the synthetic image of a posture as EXR and PNG, and its scores as EXR."""
+        folder = posture_folder(posture.view.posture)
+        facts = {"posture": posture.view.posture.as_dict()}
+        regions = posture.labels.astype(np.float32)
+        channels = {"score": posture.score, "region": regions}
+        write_exr(self.place(f"{folder}/score.exr"), channels, metadata=facts)
+        synthetic = posture.synthetic
+        if synthetic is None:
+            return
+        channels = {
+            "Y": synthetic.level,
+            "deviation.Y": synthetic.deviation,
+            "filled": synthetic.filled.astype(np.float32),
+            "mask": synthetic.mask.astype(np.float32),
+        }
+        write_exr(self.place(f"{folder}/synthetic.exr"), channels, metadata=facts)
+        shown = grey_picture(synthetic.level, synthetic.mask)
+        write_png(self.place(f"{folder}/synthetic.png"), shown.grey, metadata={**facts, **shown.as_dict()})
+
+    def write(self, result: Inspection, verdict: Verdict) -> list[Path]:
+        """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
+
+        Parameters
+        ----------
+        result
+            Of the inspection.
+        verdict
+            On it.
+        """
+        written = [
+            self.write_text("defects.csv", _table(result, verdict)),
+            self.write_text("defects.ply", _points(result)),
+        ]
+        return [self.finish({**result.as_dict(), **verdict.as_dict()}), *written]
+
+
+class BatchFolder(ResultFolder):
+    """The folder above those of several parts; takes what :class:`lightopt.images.ResultFolder` takes."""
+
+    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
+        super().__init__(
+            folder,
+            made_from,
+            name=BATCH_NAME,
+            format="lightopt-inspections/1",
+            what="inspections",
+            also=(TRUTH_NAME,),
+            force=force,
+        )
+
+
+def truth_text(summary: Mapping[str, Any]) -> str:
+    """``truth.json`` of what :func:`lightopt.inspection.summarise` says."""
+    return json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _table(result: Inspection, verdict: Verdict) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for defect in result.defects:
+        best = defect.best
+        writer.writerow(
+            [
+                defect.number,
+                best.kind,
+                "yes" if defect.number in verdict.counting else "no",
+                *(f"{x:.4f}" for x in (*best.position, *defect.size)),
+                f"{defect.area:.5f}",
+                f"{best.score:.2f}",
+                f"{defect.greatest_contrast:.4f}",
+                " ".join(defect.lights),
+                " ".join(f"{s.posture.elevation_deg:g}/{s.posture.rotation_deg:g}" for s in defect.sightings),
+                *(f"{x:.2f}" for x in best.centre_px),
+            ]
+        )
+    return text.getvalue()
+
+
+def _points(result: Inspection) -> str:
+    # surface points of all sightings in the mesh file's coordinates, coloured by kind
+    placement = result.placement or Placement()
+    regions = {p.view.posture: pixels_of(p.labels, len(p.sightings)) for p in result.postures}
+    lines: list[str] = []
+    for defect in result.defects:
+        red, green, blue = KIND_COLOURS[defect.best.kind]
+        for sighting in defect.sightings:
+            posture = next(p for p in result.postures if p.view.posture == sighting.posture)
+            row, column = regions[posture.view.posture][posture.sightings.index(sighting)]
+            world = posture.view.prediction.images.geometry.points[row, column].astype(np.float64)
+            for x, y, z in to_file(world, result.nominal, placement, sighting.posture):
+                lines.append(f"{x:.4f} {y:.4f} {z:.4f} {red} {green} {blue} {defect.number}")
+    head = [
+        "ply",
+        "format ascii 1.0",
+        "comment defects as points in the coordinates of the mesh file, mm",
+        f"element vertex {len(lines)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        *(f"property uchar {colour}" for colour in ("red", "green", "blue")),
+        "property int defect",
+        "end_header",
+    ]
+    return "\n".join([*head, *lines]) + "\n"

@@ -1,0 +1,222 @@
+"""Draw places for defects, evenly by area, and keep those where a defect lies whole and in the open."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.errors import InputError, counted
+from lightopt.defects import CatalogueEntry, PlacedDefect, tangent_direction
+from lightopt.geometry import SurfaceFinder, TriangleMesh, face_areas, surface_place
+from lightopt.inspection._random_defect_space import PixelMap, lies_in_the_open
+from lightopt.rendering import cast_rays_at, trace_pixels
+from lightopt.scene import Placement, Scene, build_catalogue, build_scene
+
+Float64 = NDArray[np.float64]
+
+TRIES = 48
+"""Places that are tried for each defect in a round."""
+
+ROUNDS = 8
+"""Rounds of tries for those that found no room."""
+
+MOST_DEFECTS = 500
+"""More than a part file may name."""
+
+GAP = 0.25
+"""Between the circles around two defects there is at least this share of their radii."""
+
+_POSITION_DIGITS = 4
+_ANGLE_DIGITS = 1
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScatteredDefect:
+    """A defect as a part file is to name it.
+
+    Attributes
+    ----------
+    name
+        That no other has.
+    entry
+        The kind of the catalogue.
+    at_mm
+        Centre in the mesh file's coordinates [mm].
+    direction_deg
+        Of its length, as part files count it [°].
+    """
+
+    name: str
+    entry: CatalogueEntry
+    at_mm: tuple[float, float, float]
+    direction_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Try:
+    """One place that is tried for a defect; part frame."""
+
+    at_mm: tuple[float, float, float]
+    direction_deg: float
+    defect: PlacedDefect
+
+
+def scatter_defects(
+    rig: RigConfig, part: PartConfig, *, count: int, seed: int, threads: int | None = None
+) -> tuple[ScatteredDefect, ...]:
+    """Strew defects over the surface that the camera sees in at least one of the part's postures.
+
+    The entries of the part's catalogue, or of the built-in one, take turns. Places are drawn evenly by area and
+    directions evenly all around; a place is taken where the defect is seen whole in one posture, off silhouettes,
+    creases and grazing views, and apart from those before it. The same files, count and seed give the same defects.
+
+    Parameters
+    ----------
+    rig, part
+        Configurations. The part's own defects are not looked at.
+    count
+        Number of defects, 1 to 500.
+    seed
+        Of the random numbers, 0 or more.
+    threads
+        Number of threads; all the machine's by default. The defects do not depend on it.
+
+    Raises
+    ------
+    InputError
+        Whatever is wrong with the files; a count or seed out of range; no room for so many defects.
+    """
+    problems: list[str] = []
+    if not 1 <= count <= MOST_DEFECTS:
+        problems.append(f"count: expected 1 to {MOST_DEFECTS} defects, found {count}")
+    if seed < 0:
+        problems.append(f"seed: expected 0 or more, found {seed}")
+    if problems:
+        raise InputError(*problems)
+    catalogue = build_catalogue(part)
+    scene = build_scene(rig, part, defects=False)
+    kinds = [catalogue[slot % len(catalogue)] for slot in range(count)]
+    rng = np.random.default_rng(seed)
+    chosen: list[_Try | None] = [None] * count
+    for _ in range(ROUNDS):
+        waiting = [slot for slot in range(count) if chosen[slot] is None]
+        if not waiting:
+            break
+        tries = _draw(scene, [kinds[slot] for slot in waiting], rng)
+        _take_apart(chosen, waiting, tries, _fits(scene, tries, threads))
+    if any(choice is None for choice in chosen):
+        lost = [entry.name for entry, choice in zip(kinds, chosen, strict=True) if choice is None]
+        raise InputError(
+            f"{part.source.path}: room for {count - len(lost)} of {counted(count, 'defect')}, each seen whole in a "
+            f"posture and apart from the others, was found in {TRIES * ROUNDS} tries each; none for "
+            f"{', '.join(dict.fromkeys(lost))}; ask for fewer, or give the part a defect_catalogue with smaller ones"
+        )
+    taken: dict[str, int] = {}
+    result: list[ScatteredDefect] = []
+    for entry, choice in zip(kinds, chosen, strict=True):
+        assert choice is not None
+        taken[entry.name] = taken.get(entry.name, 0) + 1
+        result.append(
+            ScatteredDefect(
+                name=f"{entry.name[:190]}-{taken[entry.name]}",
+                entry=entry,
+                at_mm=choice.at_mm,
+                direction_deg=choice.direction_deg,
+            )
+        )
+    return tuple(result)
+
+
+def _draw(scene: Scene, kinds: list[CatalogueEntry], rng: np.random.Generator) -> list[list[_Try]]:
+    # the tries of each defect; all random numbers are drawn whatever becomes of them
+    total = len(kinds) * TRIES
+    cumulative = np.cumsum(face_areas(scene.mesh))
+    faces = np.searchsorted(cumulative, rng.random(total) * cumulative[-1], side="right")
+    # evenly over a triangle: a parallelogram folded at its diagonal
+    u, v = rng.random(total), rng.random(total)
+    beyond = u + v > 1.0
+    u, v = np.where(beyond, 1.0 - u, u), np.where(beyond, 1.0 - v, v)
+    turns = np.round(rng.random(total) * 360.0, _ANGLE_DIGITS) % 360.0
+    tries: list[list[_Try]] = []
+    for slot, entry in enumerate(kinds):
+        numbers = range(slot * TRIES, (slot + 1) * TRIES)
+        tries.append(
+            [
+                _try(
+                    scene.mesh,
+                    scene.placement,
+                    entry,
+                    int(faces[i]),
+                    float(u[i]),
+                    float(v[i]),
+                    float(turns[i]),
+                )
+                for i in numbers
+            ]
+        )
+    return tries
+
+
+def _try(
+    mesh: TriangleMesh,
+    placement: Placement,
+    entry: CatalogueEntry,
+    face: int,
+    u: float,
+    v: float,
+    turn: float,
+) -> _Try:
+    place = surface_place(mesh, face, u, v)
+    # the file's digits are what a later reader has
+    rounded = np.round(placement.to_file(place.point), _POSITION_DIGITS) + 0.0
+    along = tangent_direction(
+        place.normal, math.radians(turn), x_axis=placement.rotation[:, 0], y_axis=placement.rotation[:, 1]
+    )
+    x, y, z = rounded.tolist()
+    defect = PlacedDefect(
+        name=entry.name, shape=entry.shape, position=place.point, normal=place.normal, along=along
+    )
+    return _Try((x, y, z), turn, defect)
+
+
+def _fits(scene: Scene, tries: list[list[_Try]], threads: int | None) -> list[list[bool]]:
+    # one posture at a time, so that the memory does not grow with their number
+    fits = [[False] * len(some) for some in tries]
+    caster = cast_rays_at(scene)
+    for posture in scene.postures:
+        pixels = PixelMap(trace_pixels(scene, posture, caster, threads=threads))
+        for slot, some in enumerate(tries):
+            for number, one in enumerate(some):
+                if not fits[slot][number]:
+                    fits[slot][number] = lies_in_the_open(one.defect, pixels)
+    # a place that a later reader would take for another, on the other side of an edge, is no place
+    finder = SurfaceFinder(scene.mesh)
+    for slot, some in enumerate(tries):
+        for number, one in enumerate(some):
+            if fits[slot][number]:
+                point = scene.placement.to_part(np.array(one.at_mm))
+                again = finder.nearest(point)
+                fits[slot][number] = bool(again.normal @ one.defect.normal > 1.0 - 1e-4)
+    return fits
+
+
+def _take_apart(
+    chosen: list[_Try | None], waiting: list[int], tries: list[list[_Try]], fits: list[list[bool]]
+) -> None:
+    # each defect that waits takes the first of its places that is apart from those taken
+    for slot, some, good in zip(waiting, tries, fits, strict=True):
+        free = (
+            one
+            for one, fit in zip(some, good, strict=True)
+            if fit and not any(other is not None and _meet(one.defect, other.defect) for other in chosen)
+        )
+        chosen[slot] = next(free, None)
+
+
+def _meet(one: PlacedDefect, other: PlacedDefect) -> bool:
+    radii = 0.5 * (one.shape.length + other.shape.length)
+    return float(np.linalg.norm(one.position - other.position)) < (1.0 + GAP) * radii

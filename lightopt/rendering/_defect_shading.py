@@ -1,0 +1,124 @@
+"""The samples of an image that lie in defects, which are shaded again: with their own normals and reflectances.
+
+Defects are microns deep. So a sample stays where it is, sees what it would see, and is in the shadows that it would be
+in, on a surface without defects; only its normal, R_d, R_s and σ are others. Where a turned normal faces away from the
+camera the sample keeps its diffuse light and has no highlight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.defects import PlacedDefect, mark_surface
+from lightopt.geometry import RayCaster
+from lightopt.optics import Reflectance
+from lightopt.rendering._converged import ConvergedPanel, PanelSight, shade_again
+from lightopt.rendering._points import shade_points
+from lightopt.rendering._surface import SurfacePoints
+from lightopt.scene import PanelLight
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DisturbedSamples:
+    """Samples of one reflectance that lie in defects, j of them.
+
+    Attributes
+    ----------
+    index
+        Of each among the samples of the surface, shape (j,).
+    label
+        Index of the defect, shape (j,).
+    surface
+        The points with the normals of the disturbed surface.
+    reflectance
+        Of all of them.
+    """
+
+    index: NDArray[np.intp]
+    label: NDArray[np.int32]
+    surface: SurfacePoints
+    reflectance: Reflectance
+
+    def light(
+        self,
+        panel: PanelLight | ConvergedPanel,
+        sight: PanelSight | None,
+        *,
+        sample: NDArray[np.intp],
+        shape: tuple[int, int],
+        caster: RayCaster | None,
+    ) -> tuple[Float64, Float64]:
+        """Diffuse and specular levels under a panel [grey level], two arrays of shape (j,).
+
+        Parameters
+        ----------
+        panel
+            Part frame.
+        sight
+            What the undisturbed surface sees of a converged panel, from :func:`shade_converged`.
+        sample, shape
+            As :func:`shade_converged` takes them, of all samples of the surface.
+        caster
+            For shadows; None for none.
+        """
+        r = self.reflectance
+        if isinstance(panel, ConvergedPanel):
+            assert sight is not None
+            diffuse, specular = shade_again(
+                self.surface,
+                panel,
+                index=self.index,
+                sight=sight,
+                sample=sample,
+                shape=shape,
+                reflectance=r,
+                caster=caster,
+            )
+        else:
+            assert panel.points != "auto"
+            diffuse, specular = shade_points(
+                self.surface, panel, points=panel.points, sigma=r.sigma, caster=caster
+            )
+        return r.R_d * diffuse, r.R_s * specular
+
+
+def disturbed_samples(
+    defects: Sequence[PlacedDefect], surface: SurfacePoints, reflectance: Reflectance
+) -> tuple[DisturbedSamples, ...]:
+    """The samples of a surface that lie in defects, sorted by what they reflect; none without defects.
+
+    Parameters
+    ----------
+    defects
+        Part frame.
+    surface
+        The undisturbed surface.
+    reflectance
+        Of it.
+    """
+    marks = mark_surface(defects, surface.points, surface.normals)
+    if marks is None:
+        return ()
+    factors = np.stack([marks.R_d_factor, marks.sigma_factor], axis=1)
+    different, group = np.unique(factors, axis=0, return_inverse=True)
+    # the back of a face is black, and has no defects
+    front = surface.front[marks.index]
+    groups: list[DisturbedSamples] = []
+    for number, (R_d_factor, sigma_factor) in enumerate(different.tolist()):
+        own = np.flatnonzero((group.ravel() == number) & front)
+        index = marks.index[own]
+        groups.append(
+            DisturbedSamples(
+                index=index,
+                label=marks.label[own],
+                surface=replace(surface.take(index), normals=marks.normals[own]),
+                reflectance=reflectance.changed(R_d_factor=R_d_factor, sigma_factor=sigma_factor),
+            )
+        )
+    return tuple(groups)

@@ -1,0 +1,147 @@
+"""What makes it pointless to render: panels inside the part, and a part that hardly a pixel sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.errors import InputError, counted
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster, points_inside
+from lightopt.rendering._surface import trace_hits
+from lightopt.scene import (
+    PartView,
+    Scene,
+    panel_grid,
+    pixel_footprint,
+    screen_window,
+    unit_hint,
+    view_from_part,
+)
+
+PANEL_POINTS = 25
+"""Points of a panel that are tried."""
+
+LEAST_PIXELS = 16
+"""A part that fewer pixels see, in the posture that shows it best, is no image of it."""
+
+BLOCK_RAYS = 65_536
+
+
+@dataclass(frozen=True, kw_only=True)
+class PanelInPart:
+    """A panel that is inside the part, wholly or in places.
+
+    Attributes
+    ----------
+    light
+        Name of the light.
+    posture
+        Of the part.
+    share
+        Of the panel that is inside.
+    text
+        For people.
+    """
+
+    light: str
+    posture: Posture
+    share: float
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class TooFewPixels:
+    """A part that hardly a pixel sees, in whichever posture.
+
+    Attributes
+    ----------
+    pixels
+        That see it in the posture that shows it best.
+    text
+        For people.
+    """
+
+    pixels: int
+    text: str
+
+
+def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
+    """Panels that are inside the part, posture by posture."""
+    found: list[PanelInPart] = []
+    for posture in scene.postures:
+        for light in view_from_part(scene, posture).lights:
+            inside = int(np.count_nonzero(points_inside(panel_grid(light, PANEL_POINTS), scene.mesh)))
+            if inside:
+                text = (
+                    f"posture {posture}: {inside} of {PANEL_POINTS} points all over {light.name}'s panel are "
+                    "inside the part; check the mesh's units, its placement, and the light's distance of "
+                    f"{light.distance:g} mm"
+                )
+                share = inside / PANEL_POINTS
+                found.append(PanelInPart(light=light.name, posture=posture, share=share, text=text))
+    return tuple(found)
+
+
+def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
+    """Whether next to no pixel sees the part in any posture; None where enough do.
+
+    Parameters
+    ----------
+    scene, caster
+        The scene, and its part's ray caster.
+    """
+    most = 0
+    for posture in scene.postures:
+        most = max(most, _pixels(scene, view_from_part(scene, posture), caster))
+        if most >= LEAST_PIXELS:
+            return None
+    low, high = scene.mesh.bounds
+    size = " × ".join(f"{side:.4g}" for side in high - low)
+    distance = float(np.linalg.norm(scene.camera.position))
+    pixels = counted(most, "pixel") if most else "no pixel"
+    text = (
+        f"{pixels} on the part at best, in any posture: it measures {size} mm, and a pixel's footprint is "
+        f"{pixel_footprint(scene.camera, distance):.3g} mm; check the mesh's units, the part's placement and the "
+        "camera's lens"
+    )
+    return TooFewPixels(pixels=most, text=text)
+
+
+def refuse_hopeless(scene: Scene, rig: RigConfig, part: PartConfig, caster: RayCaster) -> None:
+    """Refuse to render what :func:`panels_in_part` or :func:`too_few_pixels` finds.
+
+    Raises
+    ------
+    InputError
+        With one message for each thing found, and where it comes from.
+    """
+    index = {light.name: i for i, light in enumerate(rig.lights)}
+    problems = [
+        f"{rig.source.at('lights', index[panel.light])}: {panel.text}" for panel in panels_in_part(scene)
+    ]
+    unseen = too_few_pixels(scene, caster)
+    if unseen is not None:
+        problems += [f"{part.source.at('mesh', 'file')}: {unseen.text}", *unit_hint(part, scene)]
+    if problems:
+        raise InputError(*problems)
+
+
+def _pixels(scene: Scene, view: PartView, caster: RayCaster) -> int:
+    # from the middle of the part's window outwards, until enough pixels are found
+    left, top, right, bottom = screen_window(view.camera, scene.mesh)
+    step = max(1, BLOCK_RAYS // max(1, right - left))
+    starts = sorted(range(top, bottom, step), key=lambda row: abs(row + 0.5 * step - 0.5 * (top + bottom)))
+    count = 0
+    for start in starts:
+        columns, rows = np.meshgrid(
+            np.arange(left, right, dtype=np.float64) + 0.5,
+            np.arange(start, min(start + step, bottom), dtype=np.float64) + 0.5,
+        )
+        hits = trace_hits(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
+        count += len(hits.ray)
+        if count >= LEAST_PIXELS:
+            break
+    return count

@@ -1,0 +1,1 @@
+"""The machine: device drivers (`devices`), simulated devices (`simulated`), and capture sessions (`capture`)."""

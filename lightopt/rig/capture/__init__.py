@@ -1,0 +1,49 @@
+"""Driving the rig: the plan, the devices it needs, and a run that loses nothing.
+
+The only room that chooses between the virtual bench and real devices.
+"""
+
+from lightopt.rig.capture._connect import check_devices, connect_devices
+from lightopt.rig.capture._devices import Devices
+from lightopt.rig.capture._image_records import check_folder
+from lightopt.rig.capture._manual_control import (
+    burn,
+    check_angles,
+    check_burning,
+    check_exposure,
+    check_level,
+    device_rows,
+    snap,
+    snap_s,
+)
+from lightopt.rig.capture._options import CaptureOptions
+from lightopt.rig.capture._plan import Plan, make_plan
+from lightopt.rig.capture._run import Captured, capture
+from lightopt.rig.capture._simulated_rig import start_bench
+from lightopt.rig.capture._switch_off import switch_off
+from lightopt.rig.capture._timing import Timing
+from lightopt.rig.capture._wiring import wiring_of
+
+__all__ = [
+    "CaptureOptions",
+    "Captured",
+    "Devices",
+    "Plan",
+    "Timing",
+    "burn",
+    "capture",
+    "check_angles",
+    "check_burning",
+    "check_devices",
+    "check_exposure",
+    "check_folder",
+    "check_level",
+    "connect_devices",
+    "device_rows",
+    "make_plan",
+    "snap",
+    "snap_s",
+    "start_bench",
+    "switch_off",
+    "wiring_of",
+]

@@ -1,0 +1,330 @@
+"""The opened devices of a rig, safe on every way out."""
+
+from __future__ import annotations
+
+import atexit
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any
+
+from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
+from lightopt.core.transforms import Posture
+from lightopt.rig.capture._open_lights import NONE_OF_THE_RIG, lights_on
+from lightopt.rig.capture._signals import EndSignals
+from lightopt.rig.capture._watchdog import BurnWatch
+from lightopt.rig.capture._wiring import VIRTUAL, Wiring
+from lightopt.rig.devices import (
+    Camera,
+    Event,
+    LightController,
+    LightsStillOnError,
+    Stage,
+    StageState,
+    all_off,
+)
+
+
+class Devices:
+    """Lights, stage and camera of a rig, opened.
+
+    Entering switches every channel off, because nobody knows what an earlier run left. On every way out, whatever
+    the reason, every channel is switched off, each tried even if another fails; a stage that may move is stopped;
+    then all is closed. Meanwhile the signals that end a program wait.
+
+    Parameters
+    ----------
+    wiring
+        What is plugged in where.
+    controllers
+        By name.
+    stage, camera
+        None where the rig has none, or none is needed.
+    events
+        What was out of the ordinary on the links so far.
+    closing
+        Called last, in order: the links' log, the virtual bench.
+    signals
+        Installed already where devices were opened under their protection.
+    touch_lights
+        False for a mere look at the devices: what burns then burns on.
+    dark
+        Whether every channel has been switched off since it was opened.
+    """
+
+    def __init__(
+        self,
+        *,
+        wiring: Wiring,
+        controllers: Mapping[str, LightController],
+        stage: Stage | None = None,
+        camera: Camera | None = None,
+        events: Callable[[], Sequence[Event]] = tuple,
+        closing: Sequence[Callable[[], None]] = (),
+        signals: EndSignals | None = None,
+        touch_lights: bool = True,
+        dark: bool = False,
+    ) -> None:
+        self.wiring = wiring
+        self.controllers = dict(controllers)
+        self.stage = stage
+        self._camera = camera
+        self.events = events
+        self.step = "switching all lights off"
+        self._closing = tuple(closing)
+        self._signals = signals
+        self._stage_may_move = False
+        self._homed = False
+        self._watch = BurnWatch(self._darken)
+        self._lit: set[str] = set()
+        self._touch_lights = touch_lights
+        self._dark = dark
+        self._left = False
+
+    @property
+    def camera(self) -> Camera:
+        """The camera; opened only where images are taken."""
+        assert self._camera is not None
+        return self._camera
+
+    @property
+    def retries(self) -> int:
+        """Number of commands sent again so far."""
+        return sum(event.retry for event in self.events())
+
+    def __enter__(self) -> Devices:
+        if self._signals is None:
+            self._signals = EndSignals()
+            self._signals.install()
+        self._signals.hold_in(Devices.__exit__.__code__)
+        atexit.register(self._last_resort)
+        try:
+            if self._touch_lights and not self._dark and (failures := self.all_off()):
+                raise HardwareError(*failures)
+        except BaseException as error:
+            self.__exit__(type(error), error, error.__traceback__)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        del kind, trace
+        assert self._signals is not None
+        try:
+            with self._signals.shielded():
+                state = self._make_safe(failed=error is not None)
+                unclosed = self._close()
+                self._left = True
+        finally:
+            atexit.unregister(self._last_resort)
+            self._signals.restore()
+        lights_are_off = not state[0]
+        if isinstance(error, HardwareError) or (error is not None and not lights_are_off):
+            raise self._told(error, state, unclosed) from error
+        if error is None and not lights_are_off:
+            raise HardwareError(
+                f"while switching all lights off at the end: {state[0][0]}", *state[0][1:], *unclosed
+            )
+        if error is None and unclosed:
+            raise HardwareError(*unclosed, *(["all lights are off"] if self._touch_lights else []))
+        if error is None and self._signals.pending is not None:
+            raise KeyboardInterrupt(self._signals.pending)
+
+    def light_on(self, name: str, level: int | None = None) -> int | None:
+        """Light a panel, at its level unless another is given; returns what is read back, None where nothing can be.
+
+        From here on the channel burns for its `max_on_s` at most, whatever hangs: see :meth:`check_burning`.
+
+        Raises
+        ------
+        InputError
+            When the level is above the channel's `max_level`; nothing was sent.
+        HardwareError
+            When the controller does not obey.
+        """
+        channel = self.wiring.light(name)
+        controller = self.controllers[channel.controller]
+        asked = channel.level if level is None else level
+        if channel.max_level is not None and asked > channel.max_level:
+            raise InputError(
+                f"{name}: level {asked} is above its max_level {channel.max_level}; nothing was sent"
+            )
+        if channel.max_on_s is not None:
+            self._watch.begin(name, channel.max_on_s)
+        self._lit.add(name)
+        held = controller.set_level(channel.channel, asked)
+        if channel.max_on_s is not None and self._watch.left_s(name) is None:
+            self._darken(name)  # its time was up before the level was sent: nothing watches it now
+            self.check_burning(name)
+        return held
+
+    def told_s(self, name: str) -> float:
+        """When [s, monotonic clock] the controller of a panel had its last intensity, before it was read back."""
+        return self.controllers[self.wiring.light(name).controller].told_s
+
+    def light_off(self, name: str) -> None:
+        """Darken a panel.
+
+        Raises
+        ------
+        HardwareError
+            When it had to be darkened before, because it had burned for its `max_on_s`.
+        """
+        self._darken(name)
+        self._lit.discard(name)
+        self._watch.end(name)
+        self.check_burning(name)
+
+    def may_burn_s(self, name: str) -> float | None:
+        """How long a panel that is lit may burn on [s]; None where nothing limits it."""
+        return self._watch.left_s(name)
+
+    def check_burning(self, name: str) -> None:
+        """Raise a :class:`HardwareError` when a panel was darkened because it had burned for its `max_on_s`."""
+        if problem := self._watch.ended(name):
+            raise HardwareError(problem)
+
+    def _darken(self, name: str) -> None:
+        channel = self.wiring.light(name)
+        self.controllers[channel.controller].set_level(channel.channel, 0)
+
+    def all_off(self) -> list[str]:
+        """Switch every channel off, what this program lit first, each tried even if another fails.
+
+        Returns
+        -------
+        list of str
+            What failed, in words.
+        """
+        burning: dict[str, list[int]] = {}
+        for channel in map(self.wiring.light, tuple(self._lit)):
+            burning.setdefault(channel.controller, []).append(channel.channel)
+        try:
+            all_off(self.controllers, burning=burning)
+        except LightsStillOnError as error:
+            lights = lights_on(self.wiring, error.channels)
+            return [*error.messages, f"lights that may still burn: {', '.join(lights) or NONE_OF_THE_RIG}"]
+        except Exception as error:  # noqa: BLE001  (the stage must be stopped and all be closed, whatever this is)
+            lights = sorted(self.wiring.hardware.lights)
+            return [error_text(error), f"lights that may still burn: {', '.join(lights)}"]
+        self._lit.clear()
+        return []
+
+    def check_referenced(self) -> None:
+        """Refuse a real stage of which nobody knows whether it was homed since it was switched on; moves nothing.
+
+        Raises
+        ------
+        HardwareError
+            When it says that it was not, or cannot say it and the rig file does not vouch for it.
+        """
+        config = self.wiring.hardware.stage
+        if self.stage is None or config is None or config.port == VIRTUAL:
+            return
+        referenced = self.stage.state().referenced
+        if referenced is False:
+            raise HardwareError(
+                "the stage does not know where its origin is, so it was not moved; home it: lightopt bench home RIG, "
+                "or --home with this command"
+            )
+        if referenced is None and not config.assume_referenced:
+            raise HardwareError(
+                f"a stage with driver {config.driver} cannot say whether it was homed since it was switched on, so it "
+                "was not moved; home it with this command (--home), or home it (lightopt bench home RIG) and write "
+                "assume_referenced: true under hardware.stage where it is homed by hand after switching on"
+            )
+
+    def home(self) -> None:
+        """Let the stage seek its origin."""
+        assert self.stage is not None
+        with self._moving():
+            self.stage.home()
+        self._homed = True
+
+    def move_to(self, posture: Posture) -> StageState:
+        """Move the stage and verify where it stands."""
+        assert self.stage is not None
+        if not self._homed:
+            self.check_referenced()
+        with self._moving():
+            return self.stage.move_to(posture)
+
+    def confirm_stage(self) -> None:
+        """Refuse a stage that does not stand where it was left; moves nothing."""
+        if self.stage is not None:
+            self.stage.confirm()
+
+    @contextmanager
+    def _moving(self) -> Generator[None]:
+        """Remember that the stage may move; a driver that fails has stopped it and says so."""
+        self._stage_may_move = True
+        try:
+            yield
+        except LightoptError:
+            self._stage_may_move = False
+            raise
+        self._stage_may_move = False
+
+    def identities(self) -> dict[str, Any]:
+        """Who the devices say they are, in JSON form."""
+        return {
+            "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
+            "stage": self.stage.identify().as_dict() if self.stage is not None else None,
+            "camera": self._camera.identify().as_dict() if self._camera is not None else None,
+        }
+
+    def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:
+        """Lights first, then the stage; returns lights that may burn and how the stage is."""
+        burning = self.all_off() if self._touch_lights else []
+        self._watch.end_all()
+        if self.stage is None or not failed:
+            return burning, None
+        if not self._stage_may_move:
+            return burning, None
+        try:
+            self.stage.stop()
+            stopped = "the stage was stopped"
+        except Exception as error:  # noqa: BLE001  (whatever fails here, the devices must be closed)
+            return burning, f"the stage MAY STILL MOVE, stopping it failed: {error_text(error)}"
+        try:
+            state = self.stage.state()
+        except Exception as error:  # noqa: BLE001  (as above)
+            return burning, f"{stopped}; where it stands is unknown: {error_text(error)}"
+        alarm = f", alarm: {state.alarm}" if state.alarm else ""
+        return burning, f"{stopped} and stands at {state.posture}{alarm}"
+
+    def _last_resort(self) -> None:
+        """At the end of the program, if it ended without leaving these devices."""
+        if self._touch_lights and not self._left:
+            self.all_off()
+
+    def _close(self) -> list[str]:
+        """Close all, each even if another fails; returns what failed, in words."""
+        devices = (self._camera, self.stage, *self.controllers.values())
+        closing = [device.close for device in devices if device is not None]
+        attempts = [_attempt(close) for close in (*closing, *self._closing)]
+        return [f"closing a device failed: {problem}" for problem in attempts if problem is not None]
+
+    def _told(
+        self, error: BaseException, state: tuple[list[str], str | None], unclosed: Sequence[str]
+    ) -> HardwareError:
+        burning, stage = state
+        said = error.messages if isinstance(error, LightoptError) else ()
+        cause = said or (f"ended by {error_text(error)}",)
+        # what all_off said at the start and again at the end is said once
+        lights = [line for line in burning if line not in cause]
+        if self._touch_lights and not burning:
+            lights = ["all lights are off"]
+        return HardwareError(
+            f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else []), *unclosed
+        )
+
+
+def _attempt(action: Callable[[], None]) -> str | None:
+    """Do it; why that failed, or None."""
+    try:
+        action()
+    except Exception as error:  # noqa: BLE001  (whatever fails here, the rest must be done, too)
+        return error_text(error)
+    return None

@@ -1,0 +1,301 @@
+"""Whether an image is lit by the light that it says: against the frame without light, and against the prediction.
+
+The image is compared with what each light of the rig would make of the part, seen coarsely. Gains and reflectance need
+not be right for that: only which pattern it resembles most counts, and by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
+from lightopt.optics import Sensor
+from lightopt.rendering import render_posture
+from lightopt.scene import Scene
+
+Float64 = NDArray[np.float64]
+
+COARSE_COLUMNS = 200
+"""Images are compared at about this width; a part that lies a little elsewhere still looks the same."""
+
+STAYED_DARK = 0.03
+"""An image darker than this share of the prediction is not lit."""
+
+CLEARLY_MORE = 0.06
+"""By this much another light's correlation must be higher before it is accused."""
+
+RESEMBLES = 0.5
+"""Below this correlation nothing is accused: the part is not the one predicted, or is not there."""
+
+LEAST_CELLS = 50
+
+PIXELS_OF_CELL = 4
+"""Of a larger cell about 4 × 4 pixels are looked at: the next exposure waits for it."""
+
+PLAIN = 0.8
+"""Correlation that noise would leave of the prediction with itself; below it a low correlation accuses nothing."""
+
+FLAT = 0.1
+"""A prediction whose deviation is below this share of its mean has too little pattern to accuse anything."""
+
+LEFT_ON = 0.05
+"""A frame without light that has this share of a light's image more than the first one shows that it burns."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Predictions:
+    """What each light makes of the part in one posture, seen coarsely.
+
+    Attributes
+    ----------
+    cell
+        Side of a cell [px].
+    levels
+        Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
+    part
+        Cells that show the part, shape (rows, columns).
+    """
+
+    cell: int
+    levels: Mapping[str, Float64]
+    part: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LitCheck:
+    """What the check found.
+
+    Attributes
+    ----------
+    problem
+        What is wrong, in words; None where nothing is.
+    brightness
+        Mean brightness of the part above dark, as a share of the prediction.
+    resemblance
+        Correlation with the prediction of the light.
+    next_best
+        The other light that the image resembles most, and the correlation with it.
+    undecided
+        Why the image cannot tell, in words; None where it can.
+    """
+
+    problem: str | None
+    brightness: float
+    resemblance: float
+    next_best: tuple[str, float] | None = None
+    undecided: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "brightness": round(self.brightness, 4),
+            "resemblance": round(self.resemblance, 4),
+            **(
+                {"next_best": {"light": self.next_best[0], "resemblance": round(self.next_best[1], 4)}}
+                if self.next_best
+                else {}
+            ),
+            **({"undecided": self.undecided} if self.undecided else {}),
+        }
+
+
+def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> Predictions:
+    """Render what the camera should see, one pixel for a cell of pixels.
+
+    Parameters
+    ----------
+    scene
+        With all lights of the rig.
+    posture
+        Of the part.
+    caster
+        From :func:`lightopt.rendering.cast_rays_at`.
+    supersample
+        Rays across a cell.
+    """
+    camera = scene.camera
+    cell = max(1, round(camera.width / COARSE_COLUMNS))
+    coarse = replace(
+        scene,
+        camera=replace(
+            camera,
+            width=max(1, camera.width // cell),
+            height=max(1, camera.height // cell),
+            pixel_size=camera.pixel_size * cell,
+        ),
+    )
+    images = render_posture(coarse, posture, caster=caster, supersample=supersample)
+    scale = scene.sensor.max_level / scene.reflectance.full_scale
+    return Predictions(
+        cell=cell,
+        levels={image.light: image.level.astype(np.float64) * scale for image in images.lights},
+        part=images.geometry.hit,
+    )
+
+
+def check_lit(
+    light: str,
+    image: NDArray[Any],
+    dark: NDArray[Any] | float,
+    *,
+    predictions: Predictions,
+    sensor: Sensor,
+    exposure: float,
+) -> LitCheck:
+    """Compare an image with the frame without light and with what every light of the rig would make of the part.
+
+    Parameters
+    ----------
+    light
+        That should have burned, and no other.
+    image, dark
+        [sensor level], shape (H, W); the dark may be one level.
+    predictions
+        Of the posture.
+    sensor
+        That took the image.
+    exposure
+        Relative exposure of the image.
+    """
+    part = predictions.part
+    if int(part.sum()) < LEAST_CELLS:
+        return LitCheck(
+            problem=None, brightness=0.0, resemblance=0.0, undecided="too little of the part shows"
+        )
+    seen = cells(image, predictions)[part] - (
+        cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
+    )
+    room = sensor.saturated_from - sensor.black_level
+    alone = {name: np.minimum(level[part] * exposure, room) for name, level in predictions.levels.items()}
+    expected = float(alone[light].mean())
+    noise = float(np.std(seen - _smooth_guess(seen, alone[light]))) / np.sqrt(seen.size)
+    if expected <= 5.0 * max(noise, 0.02):
+        return LitCheck(
+            problem=None, brightness=0.0, resemblance=0.0, undecided="too dark at this exposure to tell"
+        )
+    brightness = float(seen.mean()) / expected
+    resemblance = {name: _correlation(seen, level) for name, level in alone.items()}
+    own = resemblance[light]
+    others = {name: value for name, value in resemblance.items() if name != light}
+    best = max(others.items(), key=lambda item: item[1], default=None)
+    found = LitCheck(problem=None, brightness=brightness, resemblance=own, next_best=best)
+    if brightness < STAYED_DARK:
+        return replace(
+            found,
+            problem=f"{light} stays dark: the part is {brightness:.1%} as bright as it should be; "
+            "check its plug, its cable and its panel",
+        )
+    if best is not None and best[1] >= max(RESEMBLES, own + CLEARLY_MORE):
+        return replace(
+            found,
+            problem=f"{light} was lit, but the image looks like {best[0]} (correlation {best[1]:.2f}, with {light} "
+            f"{own:.2f}): are their plugs swapped?",
+        )
+    also = {
+        name: _correlation(
+            seen, np.minimum((predictions.levels[light] + predictions.levels[name])[part] * exposure, room)
+        )
+        for name in others
+    }
+    worst = max(also.items(), key=lambda item: item[1], default=None)
+    if (
+        worst is not None
+        and worst[1] >= max(RESEMBLES, own + CLEARLY_MORE)
+        and brightness > 1.0 + STAYED_DARK
+    ):
+        return replace(
+            found,
+            problem=f"{worst[0]} burns together with {light}: the image looks like both (correlation {worst[1]:.2f}, "
+            f"with {light} alone {own:.2f})",
+        )
+    if own < RESEMBLES:
+        if _shows(alone[light], sensor, predictions.cell) < PLAIN:
+            return replace(found, undecided="too little pattern at this exposure to tell")
+        return replace(
+            found,
+            problem=f"the part does not look as predicted under any light (correlation with {light} {own:.2f}); check "
+            "that it is the part of the part file, and where it lies",
+        )
+    if best is not None and best[1] > own - CLEARLY_MORE:
+        return replace(found, undecided=f"{light} and {best[0]} make images that look alike")
+    return found
+
+
+def lights_left_on(
+    dark: NDArray[Any],
+    *,
+    predictions: Predictions,
+    sensor: Sensor,
+    exposure: float,
+    before: NDArray[Any] | None = None,
+) -> str | None:
+    """Name the light that a frame without light shows to burn; None where it shows none.
+
+    Parameters
+    ----------
+    dark
+        [sensor level], shape (H, W).
+    predictions, sensor, exposure
+        As for :func:`check_lit`.
+    before
+        An earlier frame without light at this exposure, which showed that none burned: against it, a weaker one shows.
+    """
+    part = predictions.part
+    if int(part.sum()) < LEAST_CELLS:
+        return None
+    seen = cells(dark, predictions)[part] - (
+        sensor.black_level if before is None else cells(before, predictions)[part]
+    )
+    room = sensor.saturated_from - sensor.black_level
+    for name, level in predictions.levels.items():
+        alone = np.minimum(level[part] * exposure, room)
+        mean = float(alone.mean())
+        like = _correlation(seen, alone)
+        if mean > 0.5 and seen.mean() > 0.3 * mean and like > 1.0 - 2.0 * CLEARLY_MORE:
+            return name
+        if before is not None and seen.mean() > max(LEFT_ON * mean, 0.5) and like > RESEMBLES:
+            return name
+    return None
+
+
+def cells(image: NDArray[Any], predictions: Predictions) -> Float64:
+    """Means over the cells of the image's middle, shape of the predictions."""
+    cell = predictions.cell
+    rows, columns = predictions.part.shape
+    top, left = (image.shape[0] - rows * cell) // 2, (image.shape[1] - columns * cell) // 2
+    middle = image[top : top + rows * cell, left : left + columns * cell]
+    step = max(1, cell // PIXELS_OF_CELL)
+    some = middle.reshape(rows, cell, columns, cell)[:, step // 2 :: step, :, step // 2 :: step]
+    return some.mean(axis=(1, 3), dtype=np.float64)
+
+
+def _shows(expected: Float64, sensor: Sensor, cell: int) -> float:
+    """Correlation of a prediction with itself under the sensor's noise; 0 for one that is nearly flat."""
+    pattern = float(np.std(expected))
+    if pattern < FLAT * float(expected.mean()):
+        return 0.0
+    noise = sensor.noise_variance(float(expected.mean())) / cell**2
+    return pattern / float(np.sqrt(pattern**2 + noise))
+
+
+def _smooth_guess(seen: Float64, expected: Float64) -> Float64:
+    """The best multiple of the prediction."""
+    power = _dot(expected, expected)
+    return expected * (_dot(seen, expected) / power if power > 0.0 else 0.0)
+
+
+def _correlation(a: Float64, b: Float64) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    scale = float(np.sqrt(_dot(a, a) * _dot(b, b)))
+    return _dot(a, b) / scale if scale > 0.0 else 0.0
+
+
+def _dot(a: Float64, b: Float64) -> float:
+    # not a @ b: its threads take longer to wake, while others render, than the product does
+    return float((a * b).sum())

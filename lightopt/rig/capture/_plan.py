@@ -1,0 +1,291 @@
+"""The plan of a capture, as data: every move, every light and every exposure, checked before anything is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.errors import InputError, counted
+from lightopt.core.transforms import Posture
+from lightopt.rig.capture._options import CaptureOptions
+from lightopt.rig.capture._plan_checks import exposure_problems, light_problems, posture_problems
+from lightopt.rig.capture._wiring import Wiring, wiring_of
+from lightopt.scene import part_postures, travel_order, travel_s
+
+StepKind = Literal["home", "move", "settle", "light on", "expose", "light off"]
+
+_COMMAND_S = 0.03
+"""Setting a light and reading it back: four short dialogues, measured with ccs."""
+
+_TRANSFER_S_PER_PIXEL = {"virtual": 80e-9, "folder": 10e-9, "aravis": 20e-9, "genicam": 20e-9}
+"""From the end of an exposure to the frame being here: the virtual camera's noise, two bytes at 1 Gbit/s."""
+
+_HOME = Posture(0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One step of a plan.
+
+    Attributes
+    ----------
+    kind
+        What is done.
+    what
+        To what: a posture, a light, an exposure.
+    seconds
+        How long it should take [s].
+    posture, light, exposure
+        Where the stage stands, which light burns (None: none does), at which relative exposure.
+    """
+
+    kind: StepKind
+    what: str
+    seconds: float
+    posture: Posture | None = None
+    light: str | None = None
+    exposure: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.what}".rstrip()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureTask:
+    """What is taken in one posture.
+
+    Attributes
+    ----------
+    posture
+        Where the stage stands.
+    lights
+        The lights, one after the other.
+    dark_exposures
+        Exposures of the frames without light that belong to the set.
+    """
+
+    posture: Posture
+    lights: tuple[str, ...]
+    dark_exposures: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What a capture will do.
+
+    Attributes
+    ----------
+    wiring
+        The devices.
+    options
+        What was asked for.
+    tasks
+        Posture by posture, in the order of travel.
+    exposures
+        Relative, the longest first.
+    home
+        Whether the stage seeks its origin first.
+    """
+
+    wiring: Wiring
+    options: CaptureOptions
+    tasks: tuple[PostureTask, ...]
+    exposures: tuple[float, ...]
+    home: bool
+    pixels: int
+
+    def exposure_us(self, exposure: float) -> float:
+        """Exposure time [µs] of a relative exposure."""
+        return exposure * self.wiring.exposure_us
+
+    @property
+    def keys(self) -> tuple[tuple[str, Posture, float], ...]:
+        """Light, posture and exposure of every image, in the order of taking."""
+        return tuple(
+            (light, task.posture, exposure)
+            for task in self.tasks
+            for light in task.lights
+            for exposure in self.exposures
+        )
+
+    @property
+    def reference(self) -> bool:
+        """Whether frames without light are taken first, only to check the others against."""
+        return self.options.check and not self.options.dark
+
+    @property
+    def total_s(self) -> float:
+        """How long all of it should take [s]."""
+        return sum(step.seconds for step in self.steps())
+
+    def burning_s(self) -> float:
+        """How long a light burns at a stretch [s]: settling and all its exposures."""
+        return self.wiring.hardware.timing.light_ms / 1e3 + sum(
+            self.frames_s(exposure) for exposure in self.exposures
+        )
+
+    def travel_s(self, start: Posture, end: Posture) -> float:
+        """How long the stage should take from one posture to another [s]: both axes move at once."""
+        return _travel_s(self.wiring, start, end)
+
+    def steps(self) -> Iterator[Step]:
+        """All steps in order, as if nothing had been taken yet."""
+        yield from self._start()
+        here, first = _HOME, True
+        for task in self.tasks:
+            yield from self._arrive(here, task.posture)
+            for exposure in (*task.dark_exposures, *(self.exposures if self.reference and first else ())):
+                yield self._expose(task.posture, None, exposure)
+            for light in task.lights:
+                yield from self._light(task.posture, light)
+            if self.options.check:  # does one burn on?
+                yield self._expose(task.posture, None, self.exposures[0])
+            here, first = task.posture, False
+        if self.options.come_back:
+            task = self.tasks[0]
+            yield from self._arrive(here, task.posture)
+            yield from self._light(task.posture, task.lights[0], self.exposures[:1])
+
+    def _start(self) -> Iterator[Step]:
+        for light in self.wiring.hardware.lights:
+            yield Step(kind="light off", what=light, seconds=_COMMAND_S, light=light)
+        if self.home:
+            stage = self.wiring.hardware.stage
+            axes = [
+                axis for axis in (stage and stage.elevation, stage and stage.rotation) if axis is not None
+            ]
+            # how far the origin is, nobody knows: at most once round
+            slowest = min((axis.speed_deg_per_s for axis in axes), default=1.0)
+            yield Step(kind="home", what="the stage, at most", seconds=360.0 / slowest)
+
+    def _arrive(self, here: Posture, posture: Posture) -> Iterator[Step]:
+        if self.wiring.hardware.stage is None:
+            return
+        yield Step(kind="move", what=f"to {posture}", seconds=self.travel_s(here, posture), posture=posture)
+        yield Step(
+            kind="settle",
+            what="stage",
+            seconds=self.wiring.hardware.timing.stage_ms / 1e3,
+            posture=posture,
+        )
+
+    def _light(
+        self, posture: Posture, light: str, exposures: tuple[float, ...] | None = None
+    ) -> Iterator[Step]:
+        channel = self.wiring.light(light)
+        yield Step(
+            kind="light on",
+            what=f"{light} at level {channel.level} ({channel.controller}, channel {channel.channel})",
+            seconds=_COMMAND_S,
+            posture=posture,
+            light=light,
+        )
+        yield Step(
+            kind="settle",
+            what="light",
+            seconds=self.wiring.hardware.timing.light_ms / 1e3,
+            posture=posture,
+            light=light,
+        )
+        for exposure in self.exposures if exposures is None else exposures:
+            yield self._expose(posture, light, exposure)
+        yield Step(kind="light off", what=light, seconds=_COMMAND_S, posture=posture, light=light)
+
+    def _expose(self, posture: Posture, light: str | None, exposure: float) -> Step:
+        frames = f"{self.options.average} × " if self.options.average > 1 else ""
+        return Step(
+            kind="expose",
+            what=f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})",
+            seconds=self.frames_s(exposure),
+            posture=posture,
+            light=light,
+            exposure=exposure,
+        )
+
+    @property
+    def relighting_s(self) -> float:
+        """How long it takes to switch a light off and on again until it has settled [s]."""
+        return 2 * _COMMAND_S + self.wiring.hardware.timing.light_ms / 1e3
+
+    def frames_s(self, exposure: float) -> float:
+        """How long the frames of an exposure take to be taken and got over [s]."""
+        transfer = self.pixels * _TRANSFER_S_PER_PIXEL[self.wiring.hardware.camera.driver]
+        return self.options.average * (self.exposure_us(exposure) / 1e6 + transfer)
+
+    def as_dict(self) -> dict[str, Any]:
+        """What tells this plan from another when a capture is resumed, in JSON form."""
+        hardware = self.wiring.hardware
+        levels = {name: channel.level for name, channel in hardware.lights.items()}
+        return {
+            **self.options.as_dict(),
+            "lights": [light for light in hardware.lights if light in self.tasks[0].lights],
+            "postures": sorted((task.posture.as_dict() for task in self.tasks), key=str),
+            "levels": levels,
+            "exposure_us": self.wiring.exposure_us,
+        }
+
+
+def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None = None) -> Plan:
+    """Plan a capture and check it against what stage, lights and camera can do.
+
+    Nothing is opened.
+
+    Parameters
+    ----------
+    rig, part
+        What is captured.
+    options
+        Which images.
+
+    Raises
+    ------
+    InputError
+        With one message per posture, light or exposure that cannot be.
+    """
+    options = options or CaptureOptions()
+    wiring = wiring_of(rig)
+    postures = options.postures or part_postures(part)
+    known = [light.name for light in rig.lights]
+    lights = options.lights or tuple(known)
+    problems = [
+        f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}'
+        for name in lights
+        if name not in known
+    ]
+    problems += posture_problems(rig, part, wiring, options)
+    if options.come_back and (wiring.hardware.stage is None or len(postures) < 2):
+        problems.append(
+            "come back: expected a stage and two postures or more; there is nothing to come back from otherwise"
+        )
+    exposures = tuple(sorted(options.exposures, reverse=True))
+    problems += exposure_problems(rig, wiring, exposures)
+    if problems:
+        raise InputError(*problems)
+    ordered = travel_order(postures, start=_HOME, time=lambda a, b: _travel_s(wiring, a, b))
+    plan = Plan(
+        wiring=wiring,
+        options=options,
+        tasks=tuple(
+            PostureTask(
+                posture=posture,
+                lights=tuple(name for name in known if name in lights),
+                dark_exposures=exposures if options.dark else (),
+            )
+            for posture in ordered
+        ),
+        exposures=exposures,
+        home=wiring.hardware.stage is not None and (options.home or wiring.stage_is_virtual),
+        pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
+    )
+    taken = f"{counted(len(exposures), 'exposure')} of {counted(options.average, 'frame')}"
+    problems += light_problems(rig, wiring, plan.tasks[0].lights, burning_s=plan.burning_s(), taken=taken)
+    if problems:
+        raise InputError(*problems)
+    return plan
+
+
+def _travel_s(wiring: Wiring, start: Posture, end: Posture) -> float:
+    stage = wiring.hardware.stage
+    return 0.0 if stage is None else travel_s(stage, start, end)

@@ -1,0 +1,186 @@
+"""Whether the stage comes back to where it was: two images of one posture, one light and one exposure, at two times.
+
+A stepper that lost steps stands elsewhere than it says, and no driver can tell. Two images of the same posture do: they
+differ when the part has turned between them. Whether it has is told by the two images alone, whatever the reflectance
+and wherever the part lies in its fixture. By how much, and about which axis, is told with the prediction of how an
+image changes by a degree; that is rough, and rather too small, because edges are never just where they were predicted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.least_squares import HUBER, Limits, linear_problem, solve
+from lightopt.core.transforms import Posture
+from lightopt.rendering import cast_rays_at
+from lightopt.rig.capture._light_checks import Predictions, cells, predict
+from lightopt.scene import Scene
+
+Float64 = NDArray[np.float64]
+
+STEP_DEG = 0.5
+"""Predictions this far to both sides say how the image changes."""
+
+FINER = 3
+"""Predictions have so many rays across a cell: outlines cross cells."""
+
+OFF_DEG = 0.1
+"""From here on it is told."""
+
+UNSEEN_DEG = 0.5
+"""An angle that could be so far off without being told is said not to be seen."""
+
+CERTAIN = 5.0
+"""And only if it is this many of its standard errors: an axis of symmetry turns nothing that can be seen."""
+
+LIT = 0.2
+"""The part's brightness is that of cells that are predicted brighter than this share of the median."""
+
+HIGHLIGHT = 1.5
+"""Cells brighter than this multiple of the brightest diffuse light show something else."""
+
+MOST_DEG = 10.0
+"""Greatest angle that is found: predictions are straight lines through half a degree to both sides."""
+
+LEAST_CELLS = 50
+BOUNDED = 0.1
+"""Differences beyond this share of the part's brightness pull no more than these: highlights are not well predicted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameBack:
+    """How far the part has turned between two images.
+
+    Attributes
+    ----------
+    tilt_deg, turn_deg
+        About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
+    tilt_error_deg, turn_error_deg
+        Standard errors [°]; those of an axis that cannot be seen are large.
+    converged
+        Whether the comparison found its optimum; if not, the angles say nothing.
+    """
+
+    tilt_deg: float
+    turn_deg: float
+    tilt_error_deg: float
+    turn_error_deg: float
+    converged: bool = True
+
+    @property
+    def off(self) -> str | None:
+        """What stands elsewhere, in words; None where nothing does for certain."""
+        if not self.converged:
+            return None
+        said = [
+            f"its {axis} by roughly {angle:+.1f}°"
+            for axis, angle, error in (
+                ("elevation", self.tilt_deg, self.tilt_error_deg),
+                ("rotation", self.turn_deg, self.turn_error_deg),
+            )
+            if abs(angle) > max(OFF_DEG, CERTAIN * error)
+        ]
+        return " and ".join(said) or None
+
+    @property
+    def unseen(self) -> str:
+        """Angles of which the images would not tell `UNSEEN_DEG`; empty where there is none."""
+        errors = (("elevation", self.tilt_error_deg), ("rotation", self.turn_error_deg))
+        return " and ".join(name for name, error in errors if CERTAIN * error > UNSEEN_DEG)
+
+    def as_dict(self) -> dict[str, float | bool]:
+        """JSON form."""
+        return {
+            name: value if isinstance(value, bool) else float(f"{value:.3g}")
+            for name, value in vars(self).items()
+        }
+
+
+def came_back(
+    first: NDArray[Any],
+    last: NDArray[Any],
+    *,
+    light: str,
+    posture: Posture,
+    scene: Scene,
+) -> CameBack | None:
+    """How far the part has turned between two images of the same posture; None where too little of it shows.
+
+    Parameters
+    ----------
+    first, last
+        Of one exposure [sensor level], shape (H, W).
+    light
+        That burned for both.
+    posture
+        Where the stage said that it stood for both.
+    scene
+        With that light among its lights.
+    """
+    caster = cast_rays_at(scene)
+    # highlights are where the reflectance puts them; diffuse light and outlines are where the part is
+    alone = replace(
+        scene,
+        lights=tuple(one for one in scene.lights if one.name == light),
+        reflectance=replace(scene.reflectance, R_d=1.0, R_s=0.0),
+    )
+
+    def seen_at(tilt_deg: float, turn_deg: float) -> Predictions:
+        there = Posture(posture.elevation_deg + tilt_deg, posture.rotation_deg + turn_deg)
+        return predict(alone, there, caster, supersample=FINER)
+
+    here = seen_at(0.0, 0.0)
+    sides = [
+        (seen_at(STEP_DEG, 0.0), seen_at(-STEP_DEG, 0.0)),
+        (seen_at(0.0, STEP_DEG), seen_at(0.0, -STEP_DEG)),
+    ]
+    black, room = scene.sensor.black_level, scene.sensor.saturated_from
+    before, after = cells(first, here), cells(last, here)
+    usable = (cells(first >= room, here) == 0.0) & (cells(last >= room, here) == 0.0)
+    shown = usable & here.part
+    predicted = here.levels[light]
+    lit = shown & (predicted > LIT * float(np.median(predicted[shown]))) if shown.any() else shown
+    if int(lit.sum()) < LEAST_CELLS:
+        return None
+    above = before - black
+    typical, share = float(np.median(above[lit])), float(np.median(above[lit] / predicted[lit]))
+    if typical < 3.0 * max(1.0, scene.sensor.read_noise_levels):
+        return None  # too dark to say anything
+    usable &= np.maximum(above, after - black) < HIGHLIGHT * max(typical, share * float(predicted.max()))
+    slopes = [
+        share * (more.levels[light] - less.levels[light])[usable] / (2.0 * STEP_DEG) for more, less in sides
+    ]
+    # the lamp may have become a little brighter or darker meanwhile
+    columns = np.stack([*slopes, above[usable], np.ones(int(usable.sum()))], axis=1)
+    # a few edges, which are steep and nowhere just where they were predicted, would outweigh all the rest
+    steep = np.abs(slopes[0]) + np.abs(slopes[1])
+    weight = np.minimum(1.0, typical / np.maximum(steep, 1e-12)) ** 2
+    unit = BOUNDED * typical / HUBER
+    reach = np.array([MOST_DEG, MOST_DEG, 1.0, typical])
+    limits = Limits(
+        nominal=np.zeros(4),
+        reach=reach,
+        step=reach,
+        # all but nothing, and an error of MOST_DEG for an angle that changes no cell
+        prior=np.array([MOST_DEG, MOST_DEG, np.inf, np.inf]),
+        # nothing is held at 0: errors say what is seen, and they come from the scatter, not from the bound
+        resolution=np.full(4, np.inf),
+    )
+    found = solve(
+        linear_problem(columns / unit, (after - before)[usable] / unit, weight),
+        limits.nominal,
+        limits,
+        loss="huber",
+        least_spread=1.0,
+    )
+    return CameBack(
+        tilt_deg=float(found.x[0]),
+        turn_deg=float(found.x[1]),
+        tilt_error_deg=float(found.errors[0]),
+        turn_error_deg=float(found.errors[1]),
+        converged=found.converged,
+    )

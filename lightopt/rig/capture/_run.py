@@ -1,0 +1,159 @@
+"""Capturing: plans, opens the set and the devices in the order that keeps both safe, and takes what is missing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.rig.capture._camera_identity import check_camera
+from lightopt.rig.capture._connect import connect_devices
+from lightopt.rig.capture._devices import Devices
+from lightopt.rig.capture._image_records import open_set
+from lightopt.rig.capture._lock import locked
+from lightopt.rig.capture._options import CaptureOptions
+from lightopt.rig.capture._plan import Plan, make_plan
+from lightopt.rig.capture._session import CaptureReport, Taking
+from lightopt.rig.capture._timing import Timing
+from lightopt.scene import build_scene
+
+Connect = Callable[[Plan], Devices]
+"""Opens the devices of a plan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Captured:
+    """What a capture did.
+
+    Attributes
+    ----------
+    folder
+        The image set.
+    images
+        Number of images of the plan.
+    taken
+        Number of those taken now; the others were there.
+    replaced
+        Files of another set that were removed.
+    retries
+        Commands that were sent again.
+    virtual_bench
+        Whether the rig has no hardware section, so that all devices were simulated.
+    timing
+        Where the time went.
+    warnings
+        What was noticed, also in the manifest.
+    """
+
+    folder: Path
+    images: int
+    taken: int
+    replaced: int
+    retries: int
+    virtual_bench: bool
+    timing: Timing
+    warnings: tuple[str, ...]
+
+
+def capture(
+    rig: RigConfig,
+    part: PartConfig,
+    folder: Path,
+    *,
+    options: CaptureOptions | None = None,
+    resume: bool = False,
+    force: bool = False,
+    connect: Connect | None = None,
+    serial_log: Path | None = None,
+    warn: Callable[[str], None] | None = None,
+    report: CaptureReport | None = None,
+) -> Captured:
+    """Capture an image set: every light in every posture at every exposure.
+
+    Parameters
+    ----------
+    rig, part
+        The rig and the part on it.
+    folder
+        Of the image set; made where it does not exist.
+    options
+        Which images.
+    resume
+        Continue the set that is there: only what is missing is taken.
+    force
+        Replace the set that is there.
+    connect
+        Opens the devices; those of the rig's file if not given.
+    serial_log
+        File that gets every byte on the wires with its time.
+    warn
+        Called with warnings, and with what is out of the ordinary on the wires, as it happens.
+    report
+        Called with progress.
+
+    Raises
+    ------
+    InputError
+        When the plan cannot be, the folder holds something else, or the disk refuses; before anything is opened
+        wherever that can be known.
+    HardwareError
+        When a device fails or an image is not lit by its light; the message says in which step and what state things
+        are in. The lights are off then, or it says which may not be.
+    Interrupted
+        After Ctrl-C and the signals that end a program, once the lights are off; the message says what is there.
+    """
+    folder, timing, begun = Path(folder), Timing(), time.monotonic()
+    with timing.spent("opening_s"):
+        plan = make_plan(rig, part, options)
+        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
+    # the devices are made safe first, then what is still being written is finished
+    with locked(folder), ExitStack() as after, ExitStack() as safe:
+
+        def begin() -> Taking:
+            records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
+            return after.enter_context(Taking(plan, scene, records, timing, warn, report))
+
+        def open_devices() -> Devices:
+            devices = safe.enter_context((connect or _connecting(rig, part, serial_log, warn))(plan))
+            check_camera(
+                devices,
+                resolution_px=rig.camera.resolution_px,
+                bit_depth=scene.sensor.bit_depth,
+                where=rig.source.at("camera"),
+            )
+            return devices
+
+        with timing.spent("opening_s"):
+            # a set that is there is removed only once the devices that are to replace it are open and dark
+            devices = open_devices() if force else None
+            run = begin()
+            run.warn(*scene.warnings)
+            if devices is None and run.todo():
+                devices = open_devices()
+        if devices is not None:
+            run.execute(devices)
+            with timing.spent("closing_s"):
+                safe.close()
+        run.flush()
+    timing.whole_s = time.monotonic() - begun
+    return Captured(
+        folder=folder,
+        images=len(plan.keys),
+        taken=run.taken,
+        replaced=run.replaced,
+        retries=0 if devices is None else devices.retries,
+        virtual_bench=not plan.wiring.given,
+        timing=timing,
+        warnings=run.warnings,
+    )
+
+
+def _connecting(
+    rig: RigConfig, part: PartConfig, serial_log: Path | None, warn: Callable[[str], None] | None
+) -> Connect:
+    return lambda plan: connect_devices(
+        rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, warn=warn
+    )

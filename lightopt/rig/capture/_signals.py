@@ -1,0 +1,79 @@
+"""Signals that end a run: each unwinds it as Ctrl-C does, and none gets in between while the rig is made safe."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from types import CodeType, FrameType
+from typing import Any
+
+from lightopt.core.interrupts import put_off
+
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+
+
+class EndSignals:
+    """While active, SIGINT, SIGTERM, SIGHUP and Windows' SIGBREAK raise :class:`KeyboardInterrupt` in the main thread.
+
+    The first one that unwinds holds those after it back, so that none gets in between while the rig is made safe, which
+    takes a bounded time. A signal that is ignored (as SIGHUP under nohup) stays ignored. In a thread other than the
+    main one nothing is changed.
+    """
+
+    def __init__(self) -> None:
+        self._before: dict[int, Any] = {}
+        self._shielded = False
+        self._pending: str | None = None
+        self._holding: set[CodeType] = set()
+
+    def install(self) -> None:
+        """Take the signals over."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        for name in _NAMES:
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._receive)
+
+    def restore(self) -> None:
+        """Give the signals back."""
+        for number, before in self._before.items():
+            signal.signal(number, before)
+        self._before.clear()
+
+    @contextmanager
+    def shielded(self) -> Generator[None]:
+        """Hold signals back while the rig is made safe; see :attr:`pending`."""
+        self._shielded = True
+        try:
+            yield
+        finally:
+            self._shielded = False
+
+    def hold_in(self, code: CodeType) -> None:
+        """Hold signals back from the first instruction of a function on: before it can ask for :meth:`shielded`."""
+        self._holding.add(code)
+
+    @property
+    def pending(self) -> str | None:
+        """Name of the signal that came while shielded."""
+        return self._pending
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        name = signal.Signals(number).name
+        if self._shielded or self._held_in(frame):
+            self._pending = name
+            return
+        if put_off(number, frame):
+            return
+        self._shielded = True  # here, because a second signal may come before anybody catches this one
+        raise KeyboardInterrupt(name)
+
+    def _held_in(self, frame: FrameType | None) -> bool:
+        while frame is not None:
+            if frame.f_code in self._holding:
+                return True
+            frame = frame.f_back
+        return False

@@ -1,0 +1,62 @@
+"""Where the time of a capture went."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+
+@dataclass
+class Timing:
+    """Seconds by what they were spent on.
+
+    `opening_s` is reading the mesh, planning, and opening the devices, `closing_s` switching all lights
+    off once more at the end, and closing the devices.
+    """
+
+    whole_s: float = 0.0
+    opening_s: float = 0.0
+    moving_s: float = 0.0
+    settling_s: float = 0.0
+    exposing_s: float = 0.0
+    transfer_s: float = 0.0
+    lights_s: float = 0.0
+    writing_s: float = 0.0
+    closing_s: float = 0.0
+
+    @property
+    def other_s(self) -> float:
+        """What the parts do not explain: checks, means, the interpreter [s]."""
+        return self.whole_s - sum(self.parts().values())
+
+    @property
+    def overhead(self) -> float:
+        """What a capture adds to settling, exposing and transfer, as a share; all but opening, closing and moves."""
+        needed = self.settling_s + self.exposing_s + self.transfer_s
+        return (
+            (self.whole_s - self.opening_s - self.closing_s - self.moving_s - needed) / needed
+            if needed
+            else 0.0
+        )
+
+    def parts(self) -> dict[str, float]:
+        """Seconds by name, without the whole."""
+        return {name: value for name, value in vars(self).items() if name != "whole_s"}
+
+    @contextmanager
+    def spent(self, name: str) -> Generator[None]:
+        """Count the time of the block as `name`."""
+        begun = time.monotonic()
+        try:
+            yield
+        finally:
+            setattr(self, name, getattr(self, name) + time.monotonic() - begun)
+
+
+def utc(seconds: float | None = None) -> str:
+    """A moment as UTC in ISO 8601 with milliseconds; now if none is given."""
+    moment = time.time() if seconds is None else seconds
+    whole = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(moment))
+    return f"{whole}.{int(moment * 1000) % 1000:03d}Z"

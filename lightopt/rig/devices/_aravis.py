@@ -1,0 +1,264 @@
+"""GigE Vision and USB3 Vision cameras through Aravis, without a maker's software. The one home of PyGObject."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, TypeVar
+
+import numpy as np
+
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices._camera_settings import CameraHere, CameraSettings, choose_camera
+from lightopt.rig.devices._errors import LinkLostError
+from lightopt.rig.devices._frame_order import RawFrame
+
+_BUFFERS = 4
+_SLICE_S = 0.1  # signals are heard between two waits
+_SOCKET_BUFFER = 4 << 20
+_INSTALL = (
+    "on Debian and Ubuntu: apt-get install gir1.2-aravis-0.8 libgirepository1.0-dev libcairo2-dev pkg-config gcc, "
+    "then pip install 'lightopt[aravis]'"
+)
+
+Value = TypeVar("Value")
+
+
+def load_aravis() -> Any:
+    """The library.
+
+    Raises
+    ------
+    InputError
+        When it is not there, with how to install it.
+    """
+    try:
+        import_module("gi").require_version("Aravis", "0.8")
+        return import_module("gi.repository.Aravis")
+    except (ImportError, ValueError) as error:
+        raise InputError(f"camera driver aravis: Aravis is not there ({error}); {_INSTALL}") from None
+
+
+def aravis_cameras() -> list[CameraHere]:
+    """Cameras on the networks and USB ports of this computer; none is opened.
+
+    Raises
+    ------
+    InputError
+        When Aravis is not there.
+    """
+    library = load_aravis()
+    library.update_device_list()
+    return [
+        CameraHere(
+            driver="aravis",
+            identifier=library.get_device_id(i) or "",
+            serial=library.get_device_serial_nbr(i) or "",
+            address=library.get_device_address(i) or "",
+            model=f"{library.get_device_vendor(i) or ''} {library.get_device_model(i) or ''}".strip(),
+        )
+        for i in range(library.get_n_devices())
+    ]
+
+
+class AravisSdk:
+    """A camera opened with Aravis.
+
+    Parameters
+    ----------
+    settings
+        Which camera, and the packets of its stream.
+
+    Raises
+    ------
+    InputError
+        When Aravis or the camera is not there.
+    HardwareError
+        When it does not let itself be opened.
+    """
+
+    def __init__(self, settings: CameraSettings) -> None:
+        self._library = load_aravis()
+        self._failure: Any = import_module("gi.repository.GLib").Error
+        chosen = choose_camera(aravis_cameras(), settings)
+        self._where = settings.where
+        self._lost: str | None = None
+        self._stream: Any = None
+        self._camera: Any = self._try(
+            f"opening {chosen}", lambda: self._library.Camera.new(chosen.identifier)
+        )
+        self._device: Any = self._camera.get_device()
+        self.says = {
+            name: value
+            for name, value in (
+                ("model", chosen.model),
+                ("serial", chosen.serial),
+                ("address", chosen.address),
+            )
+            if value
+        }
+        if self._camera.is_gv_device():
+            self._set_packets(settings)
+        elif settings.packet_size is not None or settings.packet_delay_ns is not None:
+            raise InputError(
+                f"{self._where}: only cameras on a network have packets; leave out packet_size and packet_delay_ns"
+            )
+
+    def has(self, feature: str) -> bool:
+        """Whether the camera has a feature."""
+        return self._try(feature, lambda: bool(self._camera.is_feature_available(feature)))
+
+    def number(self, feature: str) -> float:
+        """Read a number."""
+        if self._is_float(feature):
+            return self._try(f"reading {feature}", lambda: float(self._camera.get_float(feature)))
+        return self._try(f"reading {feature}", lambda: float(self._camera.get_integer(feature)))
+
+    def set_number(self, feature: str, value: float) -> None:
+        """Write a number."""
+        if self._is_float(feature):
+            self._try(f"setting {feature}", lambda: self._camera.set_float(feature, float(value)))
+        else:
+            self._try(f"setting {feature}", lambda: self._camera.set_integer(feature, round(value)))
+
+    def bounds(self, feature: str) -> tuple[float, float, float]:
+        """Lowest and highest number, and the step between them."""
+        kind = "float" if self._is_float(feature) else "integer"
+
+        def ask() -> tuple[float, float, float]:
+            low, high = getattr(self._camera, f"get_{kind}_bounds")(feature)
+            return low, high, getattr(self._camera, f"get_{kind}_increment")(feature)
+
+        low, high, step = self._try(f"asking for the bounds of {feature}", ask)
+        return low, high, step if 0 < step < high else 0.0
+
+    def unit(self, feature: str) -> str:
+        """What a number counts."""
+        ask = self._device.get_feature(feature).get_unit
+        return str(self._try(f"asking for the unit of {feature}", ask) or "").strip()
+
+    def word(self, feature: str) -> str:
+        """Read the entry of an enumeration."""
+        return self._try(f"reading {feature}", lambda: str(self._camera.get_string(feature)))
+
+    def set_word(self, feature: str, word: str) -> None:
+        """Choose an entry of an enumeration."""
+        self._try(f"setting {feature}", lambda: self._camera.set_string(feature, word))
+
+    def words(self, feature: str) -> tuple[str, ...]:
+        """Entries of an enumeration."""
+        return self._try(
+            f"asking for the entries of {feature}",
+            lambda: tuple(self._camera.dup_available_enumerations_as_strings(feature)),
+        )
+
+    def is_on(self, feature: str) -> bool:
+        """Read a truth value."""
+        return self._try(f"reading {feature}", lambda: bool(self._camera.get_boolean(feature)))
+
+    def switch_off(self, feature: str) -> None:
+        """Set a truth value to false."""
+        self._try(f"setting {feature}", lambda: self._camera.set_boolean(feature, False))
+
+    def do(self, feature: str) -> None:
+        """Execute a command."""
+        self._try(f"executing {feature}", lambda: self._camera.execute_command(feature))
+
+    def start(self) -> None:
+        """Begin an acquisition."""
+        if self._stream is None:
+            self._stream = self._try("opening the stream", lambda: self._camera.create_stream(None, None))
+            if self._stream is None:
+                raise HardwareError(f"{self._where}: the camera's stream could not be opened")
+            if self._camera.is_gv_device():
+                self._stream.set_property("socket-buffer", self._library.GvStreamSocketBuffer.FIXED)
+                self._stream.set_property("socket-buffer-size", _SOCKET_BUFFER)
+            payload = self._try("reading PayloadSize", self._camera.get_payload)
+            for _ in range(_BUFFERS):
+                self._stream.push_buffer(self._library.Buffer.new_allocate(payload))
+        while self.pop(0.0) is not None:
+            pass
+        self._try("starting the acquisition", self._camera.start_acquisition)
+
+    def stop(self) -> None:
+        """End the acquisition."""
+        self._try("stopping the acquisition", self._camera.stop_acquisition)
+
+    def pop(self, timeout_s: float) -> RawFrame | None:
+        """The next frame."""
+        end = time.monotonic() + timeout_s
+        while True:
+            left_s = min(end - time.monotonic(), _SLICE_S)
+            if left_s <= 0:
+                buffer = self._stream.try_pop_buffer()
+            else:
+                buffer = self._stream.timeout_pop_buffer(round(left_s * 1e6))
+            if buffer is not None:
+                try:
+                    return self._raw(buffer)
+                finally:
+                    self._stream.push_buffer(buffer)
+            if left_s <= 0:
+                return None
+
+    def close(self) -> None:
+        """Give the camera up; never raises."""
+        # the stream goes first: its end resets the camera's stream port, which would be that of the next program
+        self._stream = None
+        self._device = None
+        self._camera = None
+
+    def _raw(self, buffer: Any) -> RawFrame:
+        status = buffer.get_status()
+        if status != self._library.BufferStatus.SUCCESS:
+            return RawFrame(
+                data=np.zeros(0, np.uint8),
+                width=0,
+                height=0,
+                number=buffer.get_frame_id(),
+                problem=status.value_nick.replace("-", " "),
+            )
+        return RawFrame(
+            data=np.frombuffer(buffer.get_data(), np.uint8),
+            width=buffer.get_image_width(),
+            height=buffer.get_image_height(),
+            code=buffer.get_image_pixel_format(),
+            number=buffer.get_frame_id(),
+            timestamp_ns=buffer.get_timestamp() or None,
+        )
+
+    def _set_packets(self, settings: CameraSettings) -> None:
+        # the raw socket that Aravis takes for root sees nothing on the loopback, and needs rights elsewhere
+        options = self._library.GvStreamOption.PACKET_SOCKET_DISABLED
+        self._try("choosing the socket", lambda: self._camera.gv_set_stream_options(options))
+        for name, value in (
+            ("packet_size", settings.packet_size),
+            ("packet_delay", settings.packet_delay_ns),
+        ):
+            if value is None:
+                continue
+            self._try(f"setting {name}", lambda n=name, v=value: getattr(self._camera, f"gv_set_{n}")(v))
+            held = self._try(f"reading {name}", lambda n=name: getattr(self._camera, f"gv_get_{n}")())
+            if name == "packet_size" and held != value:
+                raise HardwareError(f"{self._where}: {name} was set to {value}, and the camera holds {held}")
+
+    def _is_float(self, feature: str) -> bool:
+        return isinstance(self._device.get_feature(feature), self._library.GcFloat)
+
+    def _try(self, what: str, action: Callable[[], Value]) -> Value:
+        if self._lost is not None:  # each question to a camera that is gone would take seconds
+            raise LinkLostError(self._lost)
+        try:
+            return action()
+        except self._failure as error:
+            lost = error.domain == "arv-device-error-quark" and error.code in (
+                self._library.DeviceError.NOT_CONNECTED,
+                self._library.DeviceError.TIMEOUT,
+                self._library.DeviceError.NOT_FOUND,
+            )
+            kind = LinkLostError if lost else HardwareError
+            gone = "the camera does not answer any more: " if lost else ""
+            message = f"{self._where}: {what}: {gone}{error.message}"
+            self._lost = message if lost else None
+            raise kind(message) from None

@@ -1,0 +1,115 @@
+"""Angles of the rig and units of the device, axis by axis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lightopt.core.errors import InputError
+
+_ROUNDING = 1e-9  # relative; angles that differ by less are the same
+
+
+def describe_range(range_deg: tuple[float, float]) -> str:
+    """A range for people: ``-45° … 45°``."""
+    return f"{range_deg[0]:g}° … {range_deg[1]:g}°"
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of the stage: how the rig's angle becomes the device's count, and how far and fast it may go.
+
+    Attributes
+    ----------
+    name
+        ``elevation`` or ``rotation``.
+    device
+        The axis as the device calls it.
+    range_deg
+        Lowest and highest angle [°] that may be asked for.
+    steps_per_deg
+        Device units per degree; negative where the device counts against the rig's sense.
+    zero
+        Device units at which the rig's angle is 0.
+    speed_deg_per_s
+        Speed [°/s] that the device is set to.
+    home_sense
+        +1 or -1: the sense of the device's count in which a device seeks its origin that must be told (GSC-02).
+
+    Raises
+    ------
+    lightopt.core.errors.InputError
+        When a value cannot be: no units per degree, a range upside down, a speed that is not positive.
+    """
+
+    name: str
+    device: str
+    range_deg: tuple[float, float]
+    steps_per_deg: float = 1.0
+    zero: float = 0.0
+    speed_deg_per_s: float = 20.0
+    home_sense: int = -1
+
+    def __post_init__(self) -> None:
+        low, high = self.range_deg
+        wrong: list[str] = []
+        if not (math.isfinite(self.steps_per_deg) and self.steps_per_deg != 0):
+            wrong.append(f"steps_per_deg should be a number other than 0 and is {self.steps_per_deg:g}")
+        if not math.isfinite(self.zero):
+            wrong.append(f"zero should be a number and is {self.zero:g}")
+        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            wrong.append(f"the range should go from low to high and is {describe_range(self.range_deg)}")
+        if not (math.isfinite(self.speed_deg_per_s) and self.speed_deg_per_s > 0):
+            wrong.append(f"the speed should be above 0°/s and is {self.speed_deg_per_s:g}°/s")
+        if self.home_sense not in (-1, 1):
+            wrong.append(f"home_sense should be 1 or -1 and is {self.home_sense}")
+        if not self.device:
+            wrong.append("the device's name of the axis is missing")
+        if wrong:
+            raise InputError(*(f"stage axis {self.name}: {problem}" for problem in wrong))
+
+    def angle_of(self, units: float) -> float:
+        """The rig's angle [°] at a position of the device."""
+        return (units - self.zero) / self.steps_per_deg + 0.0  # never -0
+
+    def units_of(self, angle_deg: float) -> float:
+        """The device's position at an angle [°] of the rig, not rounded."""
+        return self.zero + angle_deg * self.steps_per_deg
+
+    def target(self, angle_deg: float, *, step: float) -> float:
+        """Nearest position that the device can hold to an angle [°].
+
+        Parameters
+        ----------
+        angle_deg
+            The angle asked for.
+        step
+            Device units of one step; positions are whole multiples of it.
+
+        Raises
+        ------
+        lightopt.core.errors.InputError
+            When the angle lies outside the range or is no number.
+        """
+        self.check(angle_deg)
+        return step * round(self.units_of(angle_deg) / step)
+
+    def check(self, angle_deg: float) -> None:
+        """Raise an :class:`~lightopt.core.errors.InputError` for an angle [°] outside the range."""
+        if wrong := self.problems(angle_deg):
+            raise InputError(*wrong)
+
+    def problems(self, angle_deg: float) -> list[str]:
+        """What is wrong with an angle [°], for people; empty when it may be gone to."""
+        low, high = self.range_deg
+        slack = _ROUNDING * max(1.0, abs(low), abs(high))
+        if low - slack <= angle_deg <= high + slack:
+            return []
+        span = describe_range(self.range_deg)
+        return [
+            f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range {span}; nothing was moved"
+        ]
+
+    def speed_units(self) -> float:
+        """Speed in device units per second."""
+        return self.speed_deg_per_s * abs(self.steps_per_deg)

@@ -1,0 +1,129 @@
+"""Setting a camera's features so that its levels measure light; what is set is read back."""
+
+from __future__ import annotations
+
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices._camera_sdk import CameraSdk, first_of
+from lightopt.rig.devices._camera_settings import CameraSettings, offset_of
+from lightopt.rig.devices._pixels import PixelFormat, choose_format
+
+_AUTOMATIC = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto", "TargetBrightnessAuto")
+_ENABLED = ("GammaEnable", "LUTEnable", "ReverseX", "ReverseY")
+_JOINED = ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical")
+_PATTERNS = ("TestPattern", "TestImageSelector")
+_GAIN = ("Gain", "GainAbs", "GainRaw")
+
+
+def switch_off_corrections(sdk: CameraSdk, settings: CameraSettings) -> None:
+    """What stands between light and level; before the size is set, which binned pixels would bound."""
+    where = settings.where
+    for name in _AUTOMATIC:
+        if sdk.has(name):
+            _choose(sdk, where, name, "Off")
+    for name in _PATTERNS:
+        if sdk.has(name) and "Off" in sdk.words(name):
+            _choose(sdk, where, name, "Off")
+    if sdk.has("ExposureMode"):
+        _choose(sdk, where, "ExposureMode", "Timed")
+    for name in _ENABLED:
+        if sdk.has(name) and sdk.is_on(name):
+            sdk.switch_off(name)
+            _verify(where, name, False, sdk.is_on(name))
+    for name in _JOINED:
+        if sdk.has(name) and sdk.number(name) != 1:
+            sdk.set_number(name, 1)
+            _verify(where, name, 1, sdk.number(name))
+    if sdk.has("Gamma"):
+        if sdk.number("Gamma") != 1.0:
+            sdk.set_number("Gamma", 1.0)
+        _verify(where, "Gamma", 1.0, sdk.number("Gamma"))
+
+
+def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
+    """Choose the pixel format, and lay the rig's image on the sensor; returns the format."""
+    where = settings.where
+    chosen = choose_format(
+        sdk.words("PixelFormat"),
+        bit_depth=settings.bit_depth,
+        wanted=settings.pixel_format,
+        where=where,
+    )
+    _choose(sdk, where, "PixelFormat", chosen.name)
+    moves = sdk.has("OffsetX") and sdk.has("OffsetY")
+    if moves:  # the image could not be as large as the sensor otherwise
+        sdk.set_number("OffsetX", 0)
+        sdk.set_number("OffsetY", 0)
+    sensor = int(sdk.bounds("Width")[1]), int(sdk.bounds("Height")[1])
+    x, y = (max(1, int(sdk.bounds(name)[2])) if moves else 1 for name in ("OffsetX", "OffsetY"))
+    offset = offset_of(settings, sensor_px=sensor, steps_px=(x, y))
+    for name, size in zip(("Width", "Height"), settings.resolution_px, strict=True):
+        low, _, step = sdk.bounds(name)
+        if size < low or (step > 1 and (size - low) % step):
+            raise InputError(
+                f"{where}: the rig's image is {size} pixels in {name}, and this camera can do {low:g} "
+                f"and more in steps of {max(1, step):g}; change camera.resolution_px"
+            )
+        sdk.set_number(name, size)
+        _verify(where, name, size, sdk.number(name))
+    if moves:
+        for name, at in zip(("OffsetX", "OffsetY"), offset, strict=True):
+            sdk.set_number(name, at)
+            _verify(where, name, at, sdk.number(name))
+    elif settings.offset_px is not None:
+        raise InputError(f"{where}: this camera cannot move its image on the sensor; leave out offset_px")
+    return chosen
+
+
+def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
+    """Set the gain where the rig wants one; returns the feature that has it."""
+    feature, gain = first_of(sdk, *_GAIN), settings.gain
+    if gain is None:
+        return feature
+    if feature is None:
+        raise InputError(f"{settings.where}: this camera has no gain to be set; leave out gain")
+    low, high, step = sdk.bounds(feature)
+    if not low <= gain <= high:
+        raise InputError(
+            f"{settings.where}: expected a gain of {low:g} to {high:g} ({feature}), found {gain:g}"
+        )
+    sdk.set_number(feature, gain)
+    held = sdk.number(feature)
+    if abs(held - gain) > max(step, 0.01 * abs(gain), 0.1):
+        _verify(settings.where, feature, gain, held)
+    return feature
+
+
+def set_trigger(sdk: CameraSdk, settings: CameraSettings) -> bool:
+    """Let frames begin when a software trigger says so, or follow one another; whether the former."""
+    where, wanted = settings.where, settings.trigger
+    if sdk.has("AcquisitionMode"):
+        _choose(sdk, where, "AcquisitionMode", "Continuous")
+    can = sdk.has("TriggerMode") and sdk.has("TriggerSource") and "Software" in sdk.words("TriggerSource")
+    if wanted == "software" and not can:
+        raise InputError(f"{where}: this camera has no software trigger; write trigger: none")
+    if sdk.has("TriggerSelector") and "FrameStart" in (kinds := sdk.words("TriggerSelector")):
+        for kind in kinds:
+            if kind != "FrameStart":  # a frame would wait for it
+                _choose(sdk, where, "TriggerSelector", kind)
+                if sdk.has("TriggerMode"):
+                    _choose(sdk, where, "TriggerMode", "Off")
+        _choose(sdk, where, "TriggerSelector", "FrameStart")
+    software = can and wanted != "none"
+    if software:
+        _choose(sdk, where, "TriggerSource", "Software")
+    if sdk.has("TriggerMode"):
+        _choose(sdk, where, "TriggerMode", "On" if software else "Off")
+    return software
+
+
+def _choose(sdk: CameraSdk, where: str, feature: str, word: str) -> None:
+    """Choose an entry and verify; what is there already is not written: it may be fixed."""
+    if sdk.word(feature) == word:
+        return
+    sdk.set_word(feature, word)
+    _verify(where, feature, word, sdk.word(feature))
+
+
+def _verify(where: str, feature: str, told: object, held: object) -> None:
+    if told != held:
+        raise HardwareError(f"{where}: {feature} was set to {told}, and the camera holds {held}")

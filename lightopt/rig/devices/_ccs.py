@@ -1,0 +1,163 @@
+"""Driver of light controllers that speak CCS ``@`` frames (CCS PD2, PD3, PSB; VS Technology VLP).
+
+A frame is ``@``, the channel from 00, an instruction with its data, in the serial dialect the unit number 00, a
+checksum (sum of all bytes before it, modulo 256, two upper-case hexadecimal digits), CR, LF. A reply is ``@``, the
+channel, ``O`` with data or ``N`` with the number of an error, and a checksum.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from lightopt.rig.devices._errors import RefusedError, ReplyError, printable
+from lightopt.rig.devices._light_driver import LightDriver, open_driver
+from lightopt.rig.devices._lights import LightSettings
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._log import SerialLog
+
+_BAUD = 38400
+_GAP_S = 0.0055  # the controllers ask for 5 ms between commands
+_DAMAGED = "02"
+_REFUSALS = {
+    "01": "it does not know the command (NG 01)",
+    _DAMAGED: "the command reached it damaged: checksum error (NG 02)",
+    "03": "the value or channel is out of its range (NG 03)",
+}
+
+
+class CcsController(LightDriver):
+    """A light controller with CCS ``@`` frames, as a :class:`~lightopt.rig.devices.LightController`.
+
+    The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a
+    connection on which nothing was said. No light changes.
+
+    Parameters
+    ----------
+    link
+        The wire.
+    channels
+        Number of channels.
+    top_level
+        Highest intensity.
+    max_levels
+        Intensities never exceeded, by channel.
+    dialect
+        ``lan``: frames without unit number; ``serial``: with it.
+
+    Raises
+    ------
+    lightopt.core.errors.HardwareError
+        When the controller does not answer, be it only to ``M``; one that refuses ``M`` cannot be read back.
+    """
+
+    def __init__(
+        self,
+        link: SerialLink,
+        *,
+        channels: int = 4,
+        top_level: int = 255,
+        dialect: str = "lan",
+        max_levels: Mapping[int, int] | None = None,
+    ) -> None:
+        super().__init__(link, name="ccs", channels=channels, top_level=top_level, max_levels=max_levels)
+        self._unit = "00" if dialect == "serial" else ""
+        self._digits = max(3, len(str(top_level)))
+        self._status()
+        self._reads = self._answers_reading()
+
+    def _ask_who(self) -> dict[str, str]:
+        return {"status": self._status()}
+
+    def _tell(self, channel: int, level: int) -> None:
+        """Set the intensity, then switch: a light comes on at its level, and goes dark twice over."""
+        on = level > 0
+        try:
+            self._ask(channel, f"F{level:0{self._digits}d}")
+        finally:
+            if not on:  # even if the intensity was not accepted
+                self._ask(channel, "L0")
+        if on:
+            self._ask(channel, "L1")
+
+    def _held(self, channel: int) -> int:
+        level, _, on = self._settings(channel)
+        return level if on else 0
+
+    def _status(self) -> str:
+        return self._ask(1, "C")
+
+    def _verify(self, channel: int, level: int) -> None:
+        held, mode, on = self._settings(channel)
+        if mode != 0 and level > 0:
+            frame = printable(self._frame(channel, "S00"))
+            raise self._link.failure(
+                f"channel {channel} is in strobe mode S{mode:02d}, in which it waits for triggers; if no machine needs "
+                f"that, set it to S00 (on/off) with the maker's tool, or by sending {frame}"
+            )
+        if held != level or on != (level > 0):
+            state = f"{held} and is switched {'on' if on else 'off'}"
+            raise self._link.failure(f"channel {channel} was set to {level} but holds {state}")
+
+    def _settings(self, channel: int) -> tuple[int, int, bool]:
+        """Intensity, mode, and whether it is switched on."""
+        data = self._ask(channel, "M", r"F(\d{3,4})\.S(\d\d)\.L([01])(?:00)?")
+        level, mode, on = data.split(".")
+        return int(level[1:]), int(mode[1:]), on[1] == "1"
+
+    def _ask(self, channel: int, instruction: str, expected: str = r"\d{0,4}") -> str:
+        """Say an instruction that may be repeated; the data of the reply."""
+        return self._persistence.ask(lambda: self._ask_once(channel, instruction, expected))
+
+    def _frame(self, channel: int, instruction: str) -> bytes:
+        body = f"@{channel - 1:02d}{instruction}{self._unit}".encode("ascii")
+        return body + _checksum(body) + b"\r\n"
+
+    def _ask_once(self, channel: int, instruction: str, expected: str) -> str:
+        frame = self._frame(channel, instruction)
+        reply = self._link.query(frame, end=b"\r\n")
+        match = re.fullmatch(rb"(@(\d\d)([ON])([ -~]*))([0-9A-F]{2})\r\n", reply)
+        if match is None:
+            raise ReplyError(self._link.words("the reply is not a frame", sent=frame, reply=reply))
+        if match[5] != _checksum(match[1]):
+            raise ReplyError(self._link.words("the reply has a wrong checksum", sent=frame, reply=reply))
+        data = match[4].decode("ascii")
+        if int(match[2]) != channel - 1:
+            raise ReplyError(self._link.words("the reply is for another channel", sent=frame, reply=reply))
+        if match[3] == b"N":
+            code = data[:2]
+            words = self._link.words(_REFUSALS.get(code, f"it refuses (NG {data})"), sent=frame, reply=reply)
+            raise ReplyError(words) if code == _DAMAGED else RefusedError(words)
+        if re.fullmatch(expected, data) is None:
+            raise ReplyError(self._link.words("the reply is to another command", sent=frame, reply=reply))
+        return data
+
+
+def open_ccs(settings: LightSettings, log: SerialLog | None = None) -> CcsController:
+    """Open a controller with CCS ``@`` frames.
+
+    Raises
+    ------
+    lightopt.core.errors.InputError
+        When the port cannot be opened.
+    lightopt.core.errors.HardwareError
+        When the controller does not answer.
+    """
+    return open_driver(
+        settings,
+        log,
+        name="ccs",
+        baud=_BAUD,
+        gap_s=_GAP_S,
+        speak=lambda link: CcsController(
+            link,
+            channels=settings.channels,
+            top_level=settings.top_level,
+            max_levels=settings.max_levels,
+            dialect=settings.dialect,
+        ),
+    )
+
+
+def _checksum(body: bytes) -> bytes:
+    return f"{sum(body) % 256:02X}".encode("ascii")

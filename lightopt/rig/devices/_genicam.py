@@ -1,0 +1,296 @@
+"""Cameras of any maker through the maker's GenTL producer. The one home of harvesters and genicam."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices._camera_settings import CameraHere, CameraSettings, choose_camera
+from lightopt.rig.devices._errors import LinkLostError
+from lightopt.rig.devices._frame_order import RawFrame
+
+_BUFFERS = 4
+_SLICE_S = 0.1  # signals are heard between two waits
+
+_GONE = ("IoException", "TimeoutException", "InvalidHandleException", "ClosedException")
+"""What reading a register fails with when nobody answers; others (no such address) are an answer."""
+
+Value = TypeVar("Value")
+
+
+def load_harvester() -> Any:
+    """Class of the library that opens producers.
+
+    Raises
+    ------
+    InputError
+        When it is not there, with how to install it.
+    """
+    try:
+        return import_module("harvesters.core").Harvester
+    except ImportError as error:
+        raise InputError(
+            f"camera driver genicam: the library is not there ({error}); pip install 'lightopt[genicam]'"
+        ) from None
+
+
+def producers_here() -> list[Path]:
+    """GenTL producers that makers' installers have named in GENICAM_GENTL64_PATH."""
+    folders = os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep)
+    return sorted(path for folder in folders if folder for path in Path(folder).glob("*.cti"))
+
+
+def genicam_cameras(producer: Path | str) -> list[CameraHere]:
+    """Cameras that a producer finds; none is opened.
+
+    Raises
+    ------
+    InputError
+        When library or producer are not there.
+    HardwareError
+        When the producer fails.
+    """
+    harvester = _harvester(producer, f"{producer}")
+    try:
+        return _cameras(harvester)
+    finally:
+        harvester.reset()
+
+
+class GenicamSdk:
+    """A camera opened with a maker's producer.
+
+    Parameters
+    ----------
+    settings
+        Which producer, which camera.
+
+    Raises
+    ------
+    InputError
+        When library, producer or camera are not there.
+    HardwareError
+        When it does not let itself be opened.
+    """
+
+    def __init__(self, settings: CameraSettings) -> None:
+        self._where = settings.where
+        self._acquirer: Any = None
+        self._lost: str | None = None
+        self._harvester = _harvester(settings.producer or "", settings.where)
+        try:
+            if settings.packet_size is not None or settings.packet_delay_ns is not None:
+                raise InputError(
+                    f"{self._where}: packets are set by the maker's producer; leave out packet_size and packet_delay_ns"
+                )
+            chosen = choose_camera(_cameras(self._harvester), settings)
+            self._acquirer = self._try(
+                f"opening {chosen}", lambda: self._harvester.create({"id_": chosen.identifier})
+            )
+            self._acquirer.num_buffers = max(_BUFFERS, self._acquirer.min_num_buffers)
+        except BaseException:
+            self.close()
+            raise
+        self._nodes: Any = self._acquirer.remote_device.node_map
+        self.says = {
+            "model": chosen.model,
+            "serial": chosen.serial,
+            "producer": Path(settings.producer or "").name,
+        }
+
+    def has(self, feature: str) -> bool:
+        """Whether the camera has a feature, and it can be used as things are."""
+        if not self._nodes.has_node(feature):
+            return False
+        mode = self._try(feature, lambda: self._nodes.get_node(feature).get_access_mode())
+        modes: Any = import_module("genicam.genapi").EAccessMode
+        return mode in (modes.RW, modes.RO, modes.WO)
+
+    def number(self, feature: str) -> float:
+        """Read a number."""
+        return self._try(f"reading {feature}", lambda: float(self._node(feature).value))
+
+    def set_number(self, feature: str, value: float) -> None:
+        """Write a number."""
+        node = self._node(feature)
+        whole = type(node).__name__ == "IInteger"
+        self._try(f"setting {feature}", lambda: setattr(node, "value", round(value) if whole else value))
+
+    def bounds(self, feature: str) -> tuple[float, float, float]:
+        """Lowest and highest number, and the step between them."""
+        node = self._node(feature)
+        whole = type(node).__name__ == "IInteger"
+        return self._try(
+            f"asking for the bounds of {feature}",
+            lambda: (float(node.min), float(node.max), float(node.inc) if whole else 0.0),
+        )
+
+    def unit(self, feature: str) -> str:
+        """What a number counts."""
+        node = self._node(feature)
+        return _known(lambda: str(node.unit or "").strip(), "")
+
+    def word(self, feature: str) -> str:
+        """Read the entry of an enumeration."""
+        return self._try(f"reading {feature}", lambda: str(self._node(feature).value))
+
+    def set_word(self, feature: str, word: str) -> None:
+        """Choose an entry of an enumeration."""
+        self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", word))
+
+    def words(self, feature: str) -> tuple[str, ...]:
+        """Entries of an enumeration."""
+        return self._try(f"asking for the entries of {feature}", lambda: tuple(self._node(feature).symbolics))
+
+    def is_on(self, feature: str) -> bool:
+        """Read a truth value."""
+        return self._try(f"reading {feature}", lambda: bool(self._node(feature).value))
+
+    def switch_off(self, feature: str) -> None:
+        """Set a truth value to false."""
+        self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", False))
+
+    def do(self, feature: str) -> None:
+        """Execute a command."""
+        self._try(f"executing {feature}", lambda: self._node(feature).execute())
+
+    def start(self) -> None:
+        """Begin an acquisition."""
+        self._try("starting the acquisition", self._acquirer.start)
+
+    def stop(self) -> None:
+        """End the acquisition; buffers of it are given back."""
+        self._try("stopping the acquisition", self._acquirer.stop)
+
+    def pop(self, timeout_s: float) -> RawFrame | None:
+        """The next frame."""
+        end = time.monotonic() + timeout_s
+        while True:
+            left_s = min(end - time.monotonic(), _SLICE_S)
+            buffer = self._try("waiting for a frame", lambda s=left_s: self._fetch(max(1e-3, s)))
+            if buffer is not None:
+                try:
+                    return self._raw(buffer)
+                finally:
+                    self._try("giving a buffer back", buffer.queue)
+            if left_s <= 0:
+                return None
+
+    def close(self) -> None:
+        """Give the camera up; never raises."""
+        self._nodes = None
+        for action in ((self._acquirer.destroy,) if self._acquirer is not None else ()) + (
+            self._harvester.reset,
+        ):
+            with suppress(Exception):  # it is given up in any case, and each step is tried
+                action()
+        self._acquirer = None
+
+    def _fetch(self, timeout_s: float) -> Any:
+        """The next buffer, or None."""
+        late: Any = import_module("genicam.gentl").TimeoutException
+        try:
+            return self._acquirer.try_fetch(timeout=timeout_s)
+        except late:
+            return None
+
+    def _node(self, feature: str) -> Any:
+        if not self._nodes.has_node(feature):
+            raise HardwareError(f"{self._where}: this camera has no {feature}")
+        return self._nodes.get_node(feature)
+
+    def _raw(self, buffer: Any) -> RawFrame:
+        module = buffer.module
+        number = _known(lambda: int(module.frame_id), None)
+        if not _known(lambda: bool(module.is_complete()), True):
+            return RawFrame(
+                data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="parts of it were lost"
+            )
+        payload = self._try("reading a frame", lambda: buffer.payload)
+        if not payload.components:
+            return RawFrame(
+                data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="it has no image"
+            )
+        part = payload.components[0]
+        if padding := _known(lambda: int(module.padding_x), 0):
+            raise HardwareError(
+                f"{self._where}: the lines of its frames end with {padding} bytes that are no pixels; choose a "
+                "width or a pixel format without"
+            )
+        # the library would expand packed pixels itself; the bytes are read by the tables of this package
+        offset = _known(lambda: int(part.data_offset), 0)
+        stamp = _known(lambda: int(module.timestamp_ns), 0) or _known(lambda: int(module.timestamp), 0)
+        return RawFrame(
+            data=np.frombuffer(module.raw_buffer, np.uint8, offset=offset).copy(),
+            width=int(part.width),
+            height=int(part.height),
+            code=_known(lambda: int(module.pixel_format), 0) or None,
+            number=number,
+            timestamp_ns=stamp or None,
+        )
+
+    def _try(self, what: str, action: Callable[[], Value]) -> Value:
+        if self._lost is not None:  # each question to a camera that is gone would take seconds
+            raise LinkLostError(self._lost)
+        try:
+            return action()
+        except Exception as error:  # the libraries have some forty kinds of errors and no common one
+            if self._is_gone():
+                self._lost = f"{self._where}: {what}: the camera does not answer any more: {error}"
+                raise LinkLostError(self._lost) from error
+            raise HardwareError(f"{self._where}: {what}: {error}") from error
+
+    def _is_gone(self) -> bool:
+        """Whether the camera leaves a plain question unanswered: errors of its features do not say why they failed."""
+        if self._acquirer is None:
+            return False
+        try:
+            self._acquirer.remote_device.port.read(0, 4)
+        except Exception as error:  # noqa: BLE001  (judged by its kind)
+            return type(error).__name__ in _GONE
+        return False
+
+
+def _known(ask: Callable[[], Value], otherwise: Value) -> Value:
+    """What the producer says, or something else where it cannot say."""
+    try:
+        return ask()
+    except Exception:  # noqa: BLE001  (each producer lacks other things, and says so in its own way)
+        return otherwise
+
+
+def _harvester(producer: Path | str, where: str) -> Any:
+    path = Path(producer)
+    if not path.is_file():
+        raise InputError(f"{where}: no GenTL producer {path}; it is a .cti file of the camera's maker")
+    harvester = load_harvester()()
+    try:
+        harvester.add_file(str(path), check_existence=True, check_validity=True)
+        harvester.update()
+    except Exception as error:
+        harvester.reset()
+        raise HardwareError(f"{where}: the GenTL producer {path} cannot be used: {error}") from error
+    return harvester
+
+
+def _cameras(harvester: Any) -> list[CameraHere]:
+    here: list[CameraHere] = []
+    for info in harvester.device_info_list:
+        said = info.property_dict
+        here.append(
+            CameraHere(
+                driver="genicam",
+                identifier=str(said.get("id_") or ""),
+                serial=str(said.get("serial_number") or ""),
+                model=f"{said.get('vendor') or ''} {said.get('model') or ''}".strip(),
+            )
+        )
+    return here

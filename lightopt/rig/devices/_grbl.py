@@ -1,0 +1,314 @@
+r"""Grbl 1.1 controllers, with rotary axes on X, Y or Z ($100, $101, $102 in steps per degree).
+
+A line is answered by ``ok`` or ``error:N``; single bytes (``?`` status, ``!`` hold, 0x18 reset) are obeyed at once and
+get no ``ok``. What a driver must know:
+
+- ``ok`` means planned, not done, and a report in the first milliseconds after it still says ``Idle``; so a move is done
+  when the state is ``Idle`` *and* the position is the target.
+- After ALARM:1 and ALARM:2 nothing is answered, not even ``?``, until a reset. The driver then asks no more, reports
+  it, and does not reset: a person looks first.
+- The homed machine's space is negative, from 0 down to −$130; ``G53`` moves in it whatever offsets are set.
+- Opening the port resets most boards, which then say ``Grbl`` within two seconds.
+- ``$H`` is known only with ``$22=1``, and no report is given while it lasts.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Mapping, Sequence
+
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices._axes import Axis, describe_range
+from lightopt.rig.devices._dialogue import Reading
+from lightopt.rig.devices._errors import LinkLostError, ReplyError
+from lightopt.rig.devices._grbl_messages import (
+    CRITICAL_ALARMS,
+    alarm_words,
+    error_words,
+    parse_report,
+    parse_setting,
+)
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._retry import Persistence
+
+_AXES = ("X", "Y", "Z")
+_RESET = b"\x18"
+_BANNER = re.compile(rb"Grbl [^\r\n]*")
+_BANNER_S = 2.5  # a board that was reset by the opening of the port says its name within
+_LISTEN_S = 0.2
+_HOLD_S = 1.0
+_FINEST = 0.001  # reports have three decimals
+_MOVING = ("Run", "Jog", "Home", "Hold:1")
+_HELD = {
+    "Hold:0": "feed hold; resume or reset it",
+    "Check": "check mode; leave it with $C",
+    "Sleep": "asleep; reset it",
+    "Alarm": "locked; home it (lightopt bench home RIG), or find out why and unlock it with $X",
+}
+
+
+def check_grbl(axes: Sequence[Axis]) -> None:
+    """Refuse axes that Grbl does not have; the speeds that it allows are known once it is asked."""
+    names = [axis.device for axis in axes]
+    if any(name not in _AXES for name in names) or len(set(names)) < len(names):
+        raise InputError(f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}")
+
+
+class GrblDialogue:
+    """The language of Grbl 1.1; see :class:`~lightopt.rig.devices._dialogue.Dialogue`.
+
+    Parameters
+    ----------
+    link
+        The wire.
+    axes
+        The axes, called X, Y or Z.
+    home_timeout_s
+        Longest time [s] that ``$H`` may take.
+
+    Raises
+    ------
+    lightopt.core.errors.InputError
+        For an axis that Grbl does not have.
+    lightopt.core.errors.HardwareError
+        When no Grbl answers.
+    """
+
+    def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:
+        check_grbl(axes)
+        self.link = link
+        self.homes_to_end = True
+        self._patience = Persistence(link)
+        self._axes = tuple(axes)
+        self._home_timeout_s = home_timeout_s
+        self._settings: dict[int, float] | None = None
+        self._here: dict[str, float] = {}
+        self._critical: str | None = None
+        self._restarted = False
+        self._homing = False
+        self._greet()
+
+    def says(self) -> dict[str, str]:
+        """Version and build options."""
+        lines = self._patience.ask(lambda: self._line("$I"))
+        says: dict[str, str] = {}
+        for line in lines:
+            key, _, value = line.decode("ascii", "replace").strip().strip("[]").partition(":")
+            if key in ("VER", "OPT") and value:
+                says[key.lower()] = value.rstrip(":")
+        return says
+
+    def read(self) -> Reading:
+        """Position and state; after an alarm that silences Grbl, the last that is known, without asking."""
+        if self._critical is None:
+            try:
+                return self._patience.ask(self._report)
+            except ReplyError as error:
+                if self._critical is None:
+                    raise ReplyError(
+                        *error.messages,
+                        "Grbl answers nothing, not even to '?', after a hard or soft limit alarm (ALARM:1, ALARM:2); "
+                        "if that is the cause, look what it hit, reset it, and home it",
+                    ) from None
+        return Reading(
+            units={axis.device: self._here.get(axis.device, math.nan) for axis in self._axes},
+            moving=False,
+            referenced=False,
+            alarm=f"{self._critical}; Grbl answers nothing until it is reset: look what it hit, reset it, home it",
+        )
+
+    def step(self, axis: Axis) -> float:
+        """A motor step, but no finer than reports tell."""
+        number = 100 + _AXES.index(axis.device)
+        return max(1.0 / self._setting(number), _FINEST)
+
+    def check(self, targets: Mapping[str, float]) -> None:
+        """Raise an InputError outside Grbl's own travel (with soft limits on), or faster than its axes go."""
+        for axis in self._axes:
+            index = _AXES.index(axis.device)
+            travel = self._setting(130 + index)
+            if self._setting(20) and not -travel <= targets[axis.device] <= 0:
+                raise InputError(
+                    f"stage axis {axis.name}: {axis.device}{targets[axis.device]:.3f} lies outside Grbl's travel "
+                    f"-{travel:g} … 0 (${130 + index}, soft limits on), and the rig's range "
+                    f"{describe_range(axis.range_deg)} is X{axis.units_of(axis.range_deg[0]):g} … "
+                    f"{axis.units_of(axis.range_deg[1]):g}".replace(" X", f" {axis.device}")
+                    + "; set zero in the rig's hardware.stage, or the travel in Grbl; nothing was moved"
+                )
+            fastest = self._setting(110 + index) / 60
+            if axis.speed_units() > fastest * (1 + 1e-6):
+                raise InputError(
+                    f"stage axis {axis.name}: {axis.speed_deg_per_s:g}°/s is faster than Grbl's axis goes "
+                    f"(${110 + index} allows {fastest / abs(axis.steps_per_deg):g}°/s); nothing was moved"
+                )
+
+    def prepare(self) -> None:
+        """Nothing: each move carries its speed."""
+
+    def go(self, targets: Mapping[str, float]) -> None:
+        """Plan a straight move in machine coordinates, fast enough for the axis that takes longest."""
+        ways = {axis: units - self._here[axis] for axis, units in targets.items()}
+        speeds = {axis.device: axis.speed_units() for axis in self._axes}
+        longest_s = max(abs(way) / speeds[axis] for axis, way in ways.items())
+        feed = 60 * math.hypot(*ways.values()) / longest_s
+        words = "".join(f"{axis}{units:.3f}" for axis, units in sorted(targets.items()))
+        self._line(f"G90G94G21G53G1{words}F{feed:.1f}")
+
+    def home(self) -> None:
+        """Seek the limit switches, to the end."""
+        if self._critical is not None:
+            raise self.link.failure(f"{self._critical}; it must be reset before it can be homed")
+        if not self._setting(22):
+            raise self.link.failure(
+                "homing is not enabled ($22=0): with limit switches wired, set $22=1 in Grbl", sent=b"$H\n"
+            )
+        self._restarted = False
+        self._homing = True  # until it says ok: while it seeks, it reports nothing and knows no hold
+        self._line("$H", deadline_s=self._home_timeout_s)
+        self._homing = False
+
+    def homed(self, reading: Reading) -> str | None:
+        """Grbl says ok when it is done, so it need only stand idle."""
+        return reading.alarm
+
+    def halt(self) -> None:
+        """Hold, and when it stands still reset, which forgets the rest of the way and keeps the position.
+
+        While it seeks its switches it knows no hold, and is reset at once; it is then locked until it is homed.
+        After an alarm that silences Grbl the motors are off already, and a reset would clear what a person should see.
+        """
+        if self._critical is not None:
+            return
+        if not self._homing:
+            self.link.write(b"!")
+            until = time.monotonic() + _HOLD_S
+            while time.monotonic() < until and self._moves():
+                pass
+            if self._critical is not None:
+                return
+        self._homing = False
+        self.link.write(_RESET)
+        try:
+            self._await_banner(_BANNER_S)
+        except ReplyError as error:
+            raise self.link.failure("did not restart after '!' and a reset", sent=_RESET) from error
+        self._restarted = False
+
+    def _moves(self) -> bool:
+        """Whether it says that it moves; an alarm stops it, and what answers nothing is not waited for."""
+        try:
+            return self._report().moving
+        except LinkLostError:
+            raise
+        except HardwareError:
+            return False
+
+    def _greet(self) -> None:
+        """Wait until Grbl answers: it restarts when the port is opened, unless the board is wired not to."""
+        until = time.monotonic() + _BANNER_S
+        while True:
+            self.link.write(b"?")
+            try:
+                heard = self.link.read(end=b"\n", deadline_s=_LISTEN_S)
+                while not (_BANNER.match(heard) or heard.startswith(b"<")):
+                    heard = self.link.read(end=b"\n", deadline_s=_LISTEN_S)
+            except ReplyError:
+                if time.monotonic() > until:
+                    raise self.link.failure(
+                        "no Grbl answers: wrong port or baud rate, or it stands in a hard or soft limit alarm and "
+                        "waits for a reset (its reset button; then home it)",
+                        sent=b"?",
+                    ) from None
+                continue
+            self.link.drain()
+            return
+
+    def _await_banner(self, deadline_s: float) -> None:
+        until = time.monotonic() + deadline_s
+        while True:
+            heard = self.link.read(end=b"\n", deadline_s=max(0.0, until - time.monotonic()), after=_RESET)
+            if _BANNER.match(heard):
+                self.link.drain(quiet_s=0.05)
+                return
+
+    def _setting(self, number: int) -> float:
+        if self._settings is None:
+            lines = self._patience.ask(lambda: self._line("$$"))
+            settings = dict(setting for line in lines if (setting := parse_setting(line)) is not None)
+            needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
+            if missing := needed - set(settings):
+                raise ReplyError(
+                    self.link.words(
+                        f"settings are missing: {sorted(missing)}", sent=b"$$\n", reply=b"".join(lines)
+                    )
+                )
+            if settings.get(13, 0):
+                raise self.link.failure("reports inches; set $13=0", sent=b"$$\n")
+            self._settings = settings
+        return self._settings[number]
+
+    def _report(self) -> Reading:
+        """Ask for a status report once, heeding whatever else comes before it."""
+        self.link.write(b"?")
+        until = time.monotonic() + self.link.timeout_s
+        while True:
+            line = self._heard(until, b"?")
+            try:
+                report = parse_report(line)
+            except ValueError as error:
+                raise HardwareError(self.link.words(str(error), sent=b"?", reply=line)) from None
+            if report is None:
+                if line.startswith(b"<"):
+                    raise ReplyError(self.link.words("a broken status report", sent=b"?", reply=line))
+                continue
+            self._homing = False  # it reports again
+            self._here = dict(zip(_AXES, report.position, strict=False))
+            state = report.state
+            held = _HELD.get(state) or ("the door is open" if state.startswith("Door") else None)
+            if held is None and state != "Idle" and state not in _MOVING:
+                raise ReplyError(self.link.words("an unknown state", sent=b"?", reply=line))
+            return Reading(
+                units={axis.device: self._here.get(axis.device, math.nan) for axis in self._axes},
+                moving=state in _MOVING,
+                referenced=False if state == "Alarm" or self._restarted else None,
+                alarm=held,
+            )
+
+    def _line(self, text: str, *, deadline_s: float | None = None) -> list[bytes]:
+        """Send a line and return what came before its ok."""
+        frame = text.encode("ascii") + b"\n"
+        self.link.write(frame)
+        until = time.monotonic() + (self.link.timeout_s if deadline_s is None else deadline_s)
+        before: list[bytes] = []
+        while True:
+            line = self._heard(until, frame)
+            if line == b"ok\r\n":
+                return before
+            if line.startswith(b"error:"):
+                raise self.link.failure(
+                    f"refused: {error_words(_code(line, self.link))}", sent=frame, reply=line
+                )
+            before.append(line)
+
+    def _heard(self, until: float, sent: bytes) -> bytes:
+        """The next line, once it is known to be neither an alarm nor a restart."""
+        line = self.link.read(end=b"\n", deadline_s=max(0.0, until - time.monotonic()), after=sent)
+        if line.startswith(b"ALARM:"):
+            code = _code(line, self.link)
+            words = alarm_words(code)
+            if code in CRITICAL_ALARMS:
+                self._critical = words
+            raise self.link.failure(words, sent=sent, reply=line)
+        if _BANNER.match(line):
+            self._restarted = True
+            self.link.note("Grbl restarted by itself: it was switched off, reset, or lost power")
+        return line
+
+
+def _code(line: bytes, link: SerialLink) -> int:
+    digits = line.partition(b":")[2].strip()
+    if not digits.isdigit():
+        raise ReplyError(link.words("a broken reply", reply=line))
+    return int(digits)

@@ -1,0 +1,367 @@
+"""The serial link that drivers have: frames out, replies in, each within a total deadline.
+
+The one home of pyserial. A reply is read byte by byte against one deadline for all of it, because a time limit per byte
+lets a device that dribbles hold up the caller for ever.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import serial
+
+from lightopt.core.errors import HardwareError
+from lightopt.rig.devices._errors import LinkLostError, OvertakenError, ReplyError, printable
+from lightopt.rig.devices._log import Event, LogEntry, SerialLog, now
+from lightopt.rig.devices._ports import cannot_open
+from lightopt.rig.devices._priority_lock import Turns
+
+try:
+    from termios import error as _termios_error  # not an OSError
+except ImportError:  # Windows
+    _termios_error = OSError
+
+
+_LOST = (serial.SerialException, OSError, _termios_error)
+_SLICE_S = 0.02  # longest single wait for a byte; a deadline is kept to within it
+_STALE_BYTES = 65536
+_WRITE_S = 1.0  # a write has this long at least: flow control may hold it up longer than a quick reply takes
+_LATE_BYTES = 4096  # most that is read of what already lies in the input when a deadline is over
+_USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
+
+Value = TypeVar("Value")
+
+
+class SerialLink:
+    """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
+
+    Parameters
+    ----------
+    port
+        Serial port (``/dev/serial/by-id/…``, ``COM3``) or pyserial URL (``socket://host:port``, ``rfc2217://…``).
+    device
+        What stands behind it, for messages: ``controller main (ccs)``.
+    baud
+        Baud rate; 8 data bits, no parity, 1 stop bit.
+    rtscts
+        Whether the device paces the line by RTS/CTS.
+    timeout_s
+        Deadline [s] of a whole reply where a call names none. A write has as long, or a second if that is longer.
+    gap_s
+        Least time [s] between the end of a dialogue and the next command.
+    log
+        Where every byte is written down.
+
+    Attributes
+    ----------
+    events
+        What was out of the ordinary so far: retries, stale bytes thrown away, the device lost.
+    lock
+        Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait
+        breaks them off by ``lock.first()``; whoever waits for a reply then gets an :class:`OvertakenError`.
+
+    Raises
+    ------
+    lightopt.core.errors.InputError
+        When the port is not there (the message lists those that are), is none, or may not be opened.
+    lightopt.core.errors.HardwareError
+        When another program has it, or nothing answers at its address.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        device: str,
+        baud: int,
+        rtscts: bool = False,
+        timeout_s: float = 1.0,
+        gap_s: float = 0.0,
+        log: SerialLog | None = None,
+    ) -> None:
+        self.port = port
+        self.device = device
+        self.timeout_s = timeout_s
+        self._write_s = max(timeout_s, _WRITE_S)
+        self.events: list[Event] = []
+        self.lock = Turns()
+        self._gap_s = gap_s
+        self._log = log
+        self._quiet_since = 0.0
+        self._lost = False
+        self._owed = False
+        try:
+            self._serial = serial.serial_for_url(
+                port,
+                baudrate=baud,
+                rtscts=rtscts,
+                timeout=_SLICE_S,
+                # pyserial's RFC 2217 knows no limit of a write, and refuses one
+                write_timeout=None if port.startswith("rfc2217:") else self._write_s,
+                exclusive=True,
+            )
+            self._selectable = os.name == "posix" and _has_descriptor(self._serial)
+        except (ValueError, *_LOST) as error:
+            raise cannot_open(port, device, error) from None
+        if log is not None:
+            log.write(port, "note", f"opened at {baud} baud for {device}")
+        if "://" not in port and baud not in _USUAL_BAUD:
+            usual = ", ".join(map(str, _USUAL_BAUD))
+            self.note(
+                f"{device}: {baud} baud is unusual (usual are {usual}); garbage or silence may come of it"
+            )
+
+    @property
+    def retries(self) -> int:
+        """Number of commands that were sent again."""
+        return sum(event.retry for event in self.events)
+
+    def query(
+        self, frame: bytes, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None
+    ) -> bytes:
+        """Throw away what lies in the input, send a frame, and read the reply; see :meth:`read`."""
+        with self.lock:
+            self.send(frame)
+            self._owed = True
+            reply = self.read(end=end, deadline_s=deadline_s, after=frame)
+            self._owed = False
+            return reply
+
+    def send(self, frame: bytes) -> None:
+        """Throw away what lies in the input and send a frame to which no reply is awaited.
+
+        Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
+        be on its way; the line is then first listened to until it is silent.
+
+        Raises
+        ------
+        LinkLostError
+            When the device is gone or does not take the bytes.
+        """
+        with self.lock:
+            if self._owed:
+                self._owed = False
+                self.drain()
+            else:
+                self.discard()
+            wait_s = self._quiet_since + self._gap_s - time.monotonic()
+            if wait_s > 0:
+                time.sleep(wait_s)
+            self.write(frame)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes and leave the input as it is: for single bytes that a device obeys in the midst of a dialogue."""
+        with self.lock:
+            moment = now()
+            try:
+                self._guarded(lambda: self._take(data), data)
+            finally:  # bytes first: whatever becomes of the log, a light is switched off
+                if self._log is not None:
+                    self._log.write(self.port, "out", data, moment)
+            self._quiet_since = time.monotonic()
+
+    def read(
+        self,
+        *,
+        end: bytes | re.Pattern[bytes] | None,
+        deadline_s: float | None = None,
+        after: bytes = b"",
+        quiet_s: float = 0.05,
+    ) -> bytes:
+        """Read a reply up to and with its end. What lies in the input at the deadline was in time and is read, too.
+
+        Parameters
+        ----------
+        end
+            Bytes that end it; or a pattern, which ends it where it is first found; or None: silence of `quiet_s` after
+            at least one byte.
+        deadline_s
+            Longest time [s] for the whole reply; the link's `timeout_s` if None.
+        after
+            The command that was sent, for messages.
+        quiet_s
+            Silence [s] that ends a reply without an end.
+
+        Raises
+        ------
+        ReplyError
+            When the deadline passes before the end; it says what had come.
+        OvertakenError
+            When something that cannot wait needs the wire.
+        LinkLostError
+            When the device is gone.
+        """
+        limit_s = self.timeout_s if deadline_s is None else deadline_s
+        until = time.monotonic() + limit_s
+        got = bytearray()
+        late = 0
+        heard = time.monotonic()
+        entry = LogEntry(self._log, self.port)
+        with self.lock:
+            try:
+                while True:
+                    data = self._guarded(lambda: self._serial.read(1), after)
+                    moment = time.monotonic()
+                    if data:
+                        heard = moment
+                        got += data
+                        entry.add(data)
+                        if _ended(got, end):
+                            return bytes(got)
+                    else:
+                        entry.write()
+                        if end is None and got and moment - heard >= quiet_s:
+                            return bytes(got)
+                    if self.lock.overtaken:
+                        raise self._overtaken(after)
+                    if moment >= until:
+                        # a computer that was busy finds the reply there: it is the device that may be late
+                        if late == _LATE_BYTES or not self._guarded(lambda: self._serial.in_waiting, after):
+                            raise self._late(bytes(got), after, limit_s)
+                        late += 1
+            finally:
+                entry.write()
+                self._quiet_since = time.monotonic()
+
+    def drain(self, quiet_s: float = 0.1, deadline_s: float = 1.0) -> None:
+        """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command.
+
+        Raises
+        ------
+        OvertakenError
+            When something that cannot wait needs the wire; it is then still owed the silence.
+        """
+        with self.lock:
+            until = time.monotonic() + deadline_s
+            heard = time.monotonic()
+            entry = LogEntry(self._log, self.port)
+            stale = 0
+            while not (overtaken := self.lock.overtaken) and time.monotonic() < min(until, heard + quiet_s):
+                data = self._guarded(lambda: self._serial.read(1), b"")
+                if data:
+                    heard = time.monotonic()
+                    stale += 1
+                    entry.add(data)
+            entry.write()
+            self._told_stale(stale)
+            if overtaken:
+                self._owed = True
+                raise self._overtaken(b"")
+
+    def discard(self) -> None:
+        """Throw away what already lies in the input, without waiting; it is logged and told as an event."""
+        with self.lock:
+            entry = LogEntry(self._log, self.port)
+            stale = 0
+            # in_waiting is only trusted to say whether there is anything: over TCP it is never more than 1
+            while stale < _STALE_BYTES and self._guarded(lambda: self._serial.in_waiting, b""):
+                data = self._guarded(lambda: self._serial.read(1), b"")
+                if not data:
+                    break
+                stale += 1
+                entry.add(data)
+            entry.write()
+            self._told_stale(stale)
+
+    def note(self, what: str, *, retry: bool = False) -> None:
+        """Tell of something out of the ordinary: in `events`, and to the log."""
+        event = Event(now(), self.port, what, retry)
+        self.events.append(event)
+        if self._log is not None:
+            self._log.note(event)
+
+    def failure(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> HardwareError:
+        """Error that names device and port, what went wrong, the command, and the reply."""
+        return HardwareError(self.words(problem, sent=sent, reply=reply))
+
+    def words(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> str:
+        """Message that names device and port, what went wrong, the command, and the reply."""
+        command = f"; sent {printable(sent)}" if sent else ""
+        answer = "" if reply is None else f", got {printable(reply)}"
+        return f"{self.device} on {self.port}: {problem}{command}{answer}"
+
+    def close(self) -> None:
+        """Give up the port; never raises."""
+        with self.lock:
+            # pyserial leaves the socket of a lost peer open
+            connection = getattr(self._serial, "_socket", None)
+            try:
+                self._serial.close()
+                if connection is not None:
+                    connection.close()
+            except _LOST as error:
+                self.note(f"closing failed: {error}")
+            if self._log is not None:
+                self._log.write(self.port, "note", "closed")
+
+    def _take(self, data: bytes) -> None:
+        # pyserial calls a write late by the clock alone, even if every byte was taken at once: a computer that was busy
+        # for a second would be a dead line. Late is what is not taken while we wait, which select asks at its end, too.
+        if not (self._selectable and self._serial.is_open):
+            self._serial.write(data)
+            return
+        until = time.monotonic() + self._write_s
+        while data:
+            _, free, _ = select.select([], [self._serial], [], max(until - time.monotonic(), 0.0))
+            if not free:
+                raise serial.SerialTimeoutException
+            try:
+                data = data[os.write(self._serial.fileno(), data) :]
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    raise serial.SerialTimeoutException from None
+
+    def _guarded(self, action: Callable[[], Value], sent: bytes) -> Value:
+        try:
+            return action()
+        except serial.SerialTimeoutException:
+            raise LinkLostError(
+                self.words(
+                    f"does not take what is sent within {self._write_s:g} s; check flow control and cable",
+                    sent=sent,
+                )
+            ) from None
+        except _LOST as error:
+            if not self._lost:
+                self._lost = True
+                self.note(f"device lost: {error}")
+            raise LinkLostError(
+                self.words(
+                    "the device is gone (unplugged, switched off, or another program reads from the port); "
+                    "what it does now is unknown",
+                    sent=sent,
+                )
+            ) from None
+
+    def _overtaken(self, sent: bytes) -> OvertakenError:
+        return OvertakenError(
+            self.words("no longer waited for, because a light had to be switched off", sent=sent)
+        )
+
+    def _late(self, got: bytes, after: bytes, limit_s: float) -> ReplyError:
+        problem = "the reply is incomplete" if got else "no reply"
+        return ReplyError(self.words(f"{problem} after {limit_s:g} s", sent=after, reply=got))
+
+    def _told_stale(self, count: int) -> None:
+        if count:
+            self.note(f"threw away {count} bytes that nothing had asked for")
+
+
+def _ended(got: bytearray, end: bytes | re.Pattern[bytes] | None) -> bool:
+    if end is None:
+        return False
+    return got.endswith(end) if isinstance(end, bytes) else end.search(got) is not None
+
+
+def _has_descriptor(port: object) -> bool:
+    # whether select can wait for it: not for rfc2217
+    try:
+        port.fileno()  # pyright: ignore[reportAttributeAccessIssue]
+    except (AttributeError, OSError):
+        return False
+    return True

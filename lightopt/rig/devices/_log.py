@@ -1,0 +1,149 @@
+"""What happens on the wires: every byte in a file, and what is out of the ordinary as it happens."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TextIO
+
+from lightopt.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something out of the ordinary on a link.
+
+    Attributes
+    ----------
+    time
+        When, UTC, ISO 8601.
+    port
+        On which port.
+    what
+        What, in words.
+    retry
+        Whether it is a command sent again.
+    """
+
+    time: str
+    port: str
+    what: str
+    retry: bool = False
+
+    def as_dict(self) -> dict[str, str | bool]:
+        """JSON form."""
+        return {"time": self.time, "port": self.port, "what": self.what, "retry": self.retry}
+
+
+class SerialLog:
+    """What happens on the wires of a run: what is out of the ordinary is told, and every byte is written down.
+
+    The text file has time (UTC), port, direction, and bytes as a Python literal. Entries are appended and flushed one
+    by one, so that the file is whole up to the moment of a crash. Links of several threads may share it. Once opened it
+    never raises: a disk that is full must not keep a light from being switched off. The first entry that cannot be
+    written ends the file, which is told once.
+
+    Parameters
+    ----------
+    path
+        The file; made if it is not there, continued if it is. None for none.
+    warn
+        Called with what is out of the ordinary, as it happens; from whichever thread it happens in.
+
+    Attributes
+    ----------
+    events
+        That the file ended early, if it did.
+
+    Raises
+    ------
+    lightopt.core.errors.InputError
+        When it cannot be written.
+    """
+
+    def __init__(self, path: Path | str | None = None, *, warn: Callable[[str], None] | None = None) -> None:
+        self.events: list[Event] = []
+        self._path = path
+        self._warn = warn
+        self._lock = threading.Lock()
+        self._file: TextIO | None = None
+        if path is not None:
+            try:
+                self._file = Path(path).open("a", encoding="utf-8", newline="\n")  # noqa: SIM115  (lives as long as the log)
+            except OSError as error:
+                raise InputError(
+                    f"{path}: the serial log cannot be written: {error.strerror or error}"
+                ) from None
+
+    def write(self, port: str, direction: str, what: bytes | str, time: str = "") -> None:
+        """Append an entry: bytes that went ``out`` or came ``in``, or words as a ``note``."""
+        text = what if isinstance(what, str) else repr(what)
+        with self._lock:
+            if self._file is None or self._file.closed:
+                return
+            try:
+                self._file.write(f"{time or now()} {port} {direction:4} {text}\n")
+                self._file.flush()
+            except (OSError, ValueError) as error:
+                problem = self._end(error)
+            else:
+                return
+        self._say(problem)
+
+    def note(self, event: Event) -> None:
+        """Tell of something out of the ordinary, and write it down."""
+        self.write(event.port, "note", event.what, event.time)
+        self._say(f"{event.port}: {event.what}")
+
+    def close(self) -> None:
+        """Close the file; later entries are dropped. Never raises."""
+        with self._lock, suppress(OSError, ValueError):
+            if self._file is not None:
+                self._file.close()
+
+    def _say(self, what: str) -> None:
+        if self._warn is not None:
+            with suppress(OSError, ValueError):  # a terminal that is gone keeps no light on
+                self._warn(what)
+
+    def _end(self, error: OSError | ValueError) -> str:
+        """Give the file up; what to say of it."""
+        reason = getattr(error, "strerror", None) or error
+        problem = f"{self._path}: the serial log ends here, it can no longer be written: {reason}"
+        self.events.append(Event(now(), str(self._path), problem))
+        with suppress(OSError, ValueError):
+            if self._file is not None:
+                self._file.close()  # tries once more to write what is left
+        return problem
+
+
+class LogEntry:
+    """Bytes that came together, on their way into the log."""
+
+    def __init__(self, log: SerialLog | None, port: str) -> None:
+        self._log = log
+        self._port = port
+        self._time = ""
+        self._data = bytearray()
+
+    def add(self, data: bytes) -> None:
+        """Count bytes in."""
+        if self._log is not None:
+            self._time = self._time or now()
+            self._data += data
+
+    def write(self) -> None:
+        """Write down what has come so far."""
+        if self._log is not None and self._data:
+            self._log.write(self._port, "in", bytes(self._data), self._time)
+            self._time = ""
+            self._data.clear()
+
+
+def now() -> str:
+    """Now, UTC, ISO 8601 with microseconds."""
+    return datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%S.%fZ")

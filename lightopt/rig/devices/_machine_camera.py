@@ -1,0 +1,217 @@
+"""A camera of an inspection machine: set as the rig wants it, triggered, and asked again when a frame is not sound."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+from lightopt.core.errors import HardwareError, LightoptError
+from lightopt.rig.devices._camera_features import set_gain, set_image, set_trigger, switch_off_corrections
+from lightopt.rig.devices._camera_sdk import CameraSdk
+from lightopt.rig.devices._camera_settings import CameraSettings
+from lightopt.rig.devices._errors import ReplyError
+from lightopt.rig.devices._exposure_time import ExposureTime
+from lightopt.rig.devices._frame_order import FrameOrder, RawFrame
+from lightopt.rig.devices._log import Event, now
+from lightopt.rig.devices._pixels import levels_of
+from lightopt.rig.devices._retry import ATTEMPTS, Persistence
+from lightopt.rig.devices._roles import Frame, Identity
+
+
+class MachineCamera:
+    """A camera of which the levels are to be a measure of light.
+
+    What would make them something else is switched off: automatic exposure, gain and black level, gamma and look-up
+    table, mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are
+    checked for being whole, new and in order; what is not is taken again, a bounded number of times, each told.
+
+    Parameters
+    ----------
+    driver
+        Name of the driver, as in the rig file.
+    sdk
+        The opened camera; closed with this one.
+    settings
+        How it is to be.
+    tell
+        Called with what is out of the ordinary, as it happens.
+    ready
+        Called before each frame is asked for; returns when one can be: a simulated camera has to render first.
+
+    Attributes
+    ----------
+    events
+        What was out of the ordinary.
+
+    Raises
+    ------
+    InputError
+        When the camera cannot be as the rig wants it.
+    HardwareError
+        When it does not answer, or holds something else than it was told.
+    """
+
+    def __init__(
+        self,
+        driver: str,
+        sdk: CameraSdk,
+        settings: CameraSettings,
+        *,
+        tell: Callable[[Event], None] | None = None,
+        ready: Callable[[], object] | None = None,
+    ) -> None:
+        self.events: list[Event] = []
+        self._driver = driver
+        self._sdk = sdk
+        self._settings = settings
+        self._tell = tell
+        self._ready = ready
+        self._order = FrameOrder()
+        self._persistence = Persistence(self, verb="taken")
+        self._running = False
+        try:
+            switch_off_corrections(sdk, settings)
+            self._format = set_image(sdk, settings)
+            self._gain = set_gain(sdk, settings)
+            self._exposure = ExposureTime(sdk, settings)
+            self._triggered = set_trigger(sdk, settings)
+        except BaseException:
+            sdk.close()
+            raise
+
+    @property
+    def triggered(self) -> bool:
+        """Whether a frame begins at the call of `grab`."""
+        return self._triggered
+
+    @property
+    def resolution_px(self) -> tuple[int, int]:
+        """Width and height [pixels]."""
+        return self._settings.resolution_px
+
+    @property
+    def bit_depth(self) -> int:
+        """Bits of a level."""
+        return self._format.bits
+
+    @property
+    def exposure_range_us(self) -> tuple[float, float]:
+        """Shortest and longest exposure time [µs]."""
+        return self._exposure.range_us
+
+    def identify(self) -> Identity:
+        """What the camera said of itself when it was opened, and how it was set."""
+        says = {**self._sdk.says, "pixel_format": self._format.name}
+        says["trigger"] = "software" if self._triggered else "none"
+        if self._gain is not None:
+            says["gain"] = f"{self._sdk.number(self._gain):g}"
+        return Identity(driver=self._driver, port=self._settings.port or "the only one", says=says)
+
+    def set_exposure(self, exposure_us: float) -> float:
+        """Set the exposure time [µs] and return what the camera holds.
+
+        Raises
+        ------
+        InputError
+            When it lies outside the camera's range.
+        """
+        return self._exposure.tell_us(exposure_us)
+
+    def grab(self, *, timeout_s: float) -> Frame:
+        """Take one frame, or the next that is completed where there is no trigger.
+
+        All attempts together take no longer than `timeout_s`, of which each has an equal part, and no less than the
+        exposure time: fewer attempts where there is no time for as many exposures.
+
+        Raises
+        ------
+        HardwareError
+            When no sound frame came in time or in the attempts that there are.
+        """
+        if self._ready is not None:
+            self._ready()
+        end = time.monotonic() + timeout_s
+        fit = int(timeout_s / max(1e-6, self._exposure.held_us / 1e6))
+        each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
+        raw = self._persistence.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
+        levels = levels_of(raw.data, self._format, width=raw.width, height=raw.height)
+        return Frame(
+            levels=levels,
+            exposure_us=self._exposure.read_us(),
+            number=raw.number,
+            timestamp_ns=raw.timestamp_ns,
+            says={"pixel_format": self._format.name, "frames_lost": self._order.lost},
+        )
+
+    def close(self) -> None:
+        """Stop and give up the camera; never raises."""
+        with suppress(LightoptError):  # it is given up in any case
+            self._stop()
+        self._sdk.close()
+
+    def drain(self) -> None:
+        """End the acquisition, so that frames that are under way are not taken for those asked for later."""
+        self._stop()
+
+    def note(self, what: str, *, retry: bool = False) -> None:
+        """Tell of something out of the ordinary."""
+        event = Event(now(), f"camera {self._settings.port or self._driver}", what, retry)
+        self.events.append(event)
+        if self._tell is not None:
+            self._tell(event)
+
+    def _take(self, end: float) -> RawFrame:
+        if not self._running:
+            self._order.begin()
+            self._sdk.start()
+            self._running = True
+        self._pass_by(end)
+        begun = time.monotonic()
+        if self._triggered:
+            self._sdk.do("TriggerSoftware")
+        raw = self._sdk.pop(max(0.0, end - time.monotonic()))
+        if raw is None:
+            raise ReplyError(
+                f"{self._settings.where}: no frame came within {time.monotonic() - begun:.3g} s at an exposure of "
+                f"{self._exposure.held_us:g} µs"
+            )
+        lost = self._order.lost
+        try:
+            self._order.check(raw)
+        except ReplyError as error:
+            raise ReplyError(f"{self._settings.where}: {error}") from None
+        if self._triggered and self._order.lost > lost:
+            self.note(f"{raw.name} came, and {self._order.lost - lost} before it never did")
+        self._check_form(raw)
+        return raw
+
+    def _pass_by(self, end: float) -> None:
+        """Frames that are there before one is asked for: a camera that runs freely makes them, a triggered one not."""
+        while (raw := self._sdk.pop(0.0)) is not None:
+            self._order.passed(raw)
+            if self._triggered:
+                self.note(f"{raw.name} came without being asked for and was thrown away")
+            if time.monotonic() > end:
+                raise ReplyError(
+                    f"{self._settings.where}: frames come faster than they can be thrown away; lower the camera's "
+                    "frame rate"
+                )
+
+    def _check_form(self, raw: RawFrame) -> None:
+        width, height = self._settings.resolution_px
+        if (raw.width, raw.height) != (width, height):
+            raise HardwareError(
+                f"{self._settings.where}: the camera was set to {width} × {height} pixels, and {raw.name} has "
+                f"{raw.width} × {raw.height}"
+            )
+        if raw.code is not None and raw.code != self._format.code:
+            raise HardwareError(
+                f"{self._settings.where}: the camera was set to {self._format.name} ({self._format.code:#x}), and "
+                f"{raw.name} is in another pixel format ({raw.code:#x})"
+            )
+
+    def _stop(self) -> None:
+        if self._running:
+            self._running = False
+            self._sdk.stop()

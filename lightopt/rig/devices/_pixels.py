@@ -1,0 +1,195 @@
+"""Pixel formats of machine-vision cameras, and their bytes as right-aligned levels.
+
+Names and layouts are those of the GenICam Pixel Format Naming Convention (PFNC 2.4) and, for the formats that end in
+``Packed``, of GigE Vision 1.2, which came before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import HardwareError, InputError
+
+Bytes = NDArray[np.uint8]
+Levels = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelFormat:
+    """How a camera writes grey levels down.
+
+    Attributes
+    ----------
+    name, code
+        Name and number in the naming convention.
+    bits
+        Bits of a level.
+    stored
+        Bits that a pixel takes in the frame.
+    unpack
+        Levels of n pixels from the frame's bytes.
+    """
+
+    name: str
+    code: int
+    bits: int
+    stored: int
+    unpack: Callable[[Bytes, int], Levels]
+
+    def size(self, pixels: int) -> int:
+        """Number of bytes that so many pixels take."""
+        return -(-pixels * self.stored // 8)
+
+
+def levels_of(data: Bytes, pixel_format: PixelFormat, *, width: int, height: int) -> Levels:
+    """Right-aligned levels of a frame.
+
+    Parameters
+    ----------
+    data
+        Bytes of the frame, shape (n,); what follows the pixels (padding, chunks) is not looked at.
+    pixel_format
+        How they are to be read.
+    width, height
+        Size of the frame [pixels].
+
+    Returns
+    -------
+    ndarray
+        Shape (H, W), uint8 up to 8 bits and uint16 above; not a view of `data`.
+
+    Raises
+    ------
+    HardwareError
+        When there are too few bytes.
+    """
+    pixels = width * height
+    needed = pixel_format.size(pixels)
+    if len(data) < needed:
+        raise HardwareError(
+            f"a frame of {width} × {height} pixels in {pixel_format.name} takes {needed} bytes, "
+            f"and the camera delivered {len(data)}"
+        )
+    return pixel_format.unpack(data[:needed], pixels).reshape(height, width)
+
+
+def choose_format(offered: Sequence[str], *, bit_depth: int, wanted: str | None, where: str) -> PixelFormat:
+    """Pixel format for a sensor's bit depth: the one that is wanted, else the first that is offered and fits.
+
+    Parameters
+    ----------
+    offered
+        Names of the formats that the camera has.
+    bit_depth
+        Of the rig's sensor.
+    wanted
+        Name from the rig file; None: unpacked before packed.
+    where
+        The camera, for messages.
+
+    Raises
+    ------
+    InputError
+        When the camera has no such format, or it is of colour or another bit depth.
+    """
+    has = f"it has {', '.join(offered) or 'none'}"
+    if wanted is not None:
+        found = PIXEL_FORMATS.get(wanted)
+        if wanted not in offered:
+            raise InputError(f"{where}: no pixel format {wanted}; {has}")
+        if found is None:
+            raise InputError(
+                f"{where}: {wanted} is no format of grey levels; lightopt measures light with monochrome "
+                f"cameras, in {', '.join(PIXEL_FORMATS)}"
+            )
+        if found.bits != bit_depth:
+            raise InputError(
+                f"{where}: {wanted} has {found.bits} bits and the rig's sensor has bit_depth {bit_depth}; "
+                "change pixel_format or bit_depth"
+            )
+        return found
+    for name, found in PIXEL_FORMATS.items():
+        if name in offered and found.bits == bit_depth:
+            return found
+    grey = [name for name in offered if name in PIXEL_FORMATS]
+    if not grey:
+        raise InputError(
+            f"{where}: this is a camera of colour, {has}; filters before the pixels and what is interpolated "
+            "between them are no measure of light: use the monochrome model"
+        )
+    depths = " or ".join(str(bits) for bits in sorted({PIXEL_FORMATS[name].bits for name in grey}))
+    raise InputError(
+        f"{where}: no pixel format of {bit_depth} bits, the rig's sensor.bit_depth; {has}: write bit_depth: {depths}"
+    )
+
+
+def _bytes(data: Bytes, pixels: int) -> Levels:
+    return data[:pixels].copy()
+
+
+def _words(data: Bytes, pixels: int) -> Levels:
+    return data.view("<u2")[:pixels].astype(np.uint16)
+
+
+def _dense_10(data: Bytes, pixels: int) -> Levels:
+    """Four pixels in five bytes, the lowest bit first, nothing between them."""
+    five = _groups(data, 5)
+    levels = np.empty((len(five), 4), np.uint16)
+    for i in range(4):
+        levels[:, i] = (five[:, i] >> 2 * i) | (five[:, i + 1] << 8 - 2 * i) & 0x3FF
+    return levels.reshape(-1)[:pixels]
+
+
+def _dense_12(data: Bytes, pixels: int) -> Levels:
+    """Two pixels in three bytes, the lowest bit first, nothing between them."""
+    three = _groups(data, 3)
+    levels = np.empty((len(three), 2), np.uint16)
+    levels[:, 0] = three[:, 0] | (three[:, 1] & 0x0F) << 8
+    levels[:, 1] = three[:, 1] >> 4 | three[:, 2] << 4
+    return levels.reshape(-1)[:pixels]
+
+
+def _packed_10(data: Bytes, pixels: int) -> Levels:
+    """Two pixels in three bytes: the upper eight bits of each outside, the lower two of both in the middle."""
+    three = _groups(data, 3)
+    levels = np.empty((len(three), 2), np.uint16)
+    levels[:, 0] = three[:, 0] << 2 | three[:, 1] & 0x03
+    levels[:, 1] = three[:, 2] << 2 | three[:, 1] >> 4 & 0x03
+    return levels.reshape(-1)[:pixels]
+
+
+def _packed_12(data: Bytes, pixels: int) -> Levels:
+    """Two pixels in three bytes: the upper eight bits of each outside, the lower four of both in the middle."""
+    three = _groups(data, 3)
+    levels = np.empty((len(three), 2), np.uint16)
+    levels[:, 0] = three[:, 0] << 4 | three[:, 1] & 0x0F
+    levels[:, 1] = three[:, 2] << 4 | three[:, 1] >> 4
+    return levels.reshape(-1)[:pixels]
+
+
+def _groups(data: Bytes, size: int) -> NDArray[np.uint16]:
+    """Bytes in groups of a size, shape (n, size), zeros after the last."""
+    groups = np.zeros((-(-len(data) // size), size), np.uint16)
+    groups.reshape(-1)[: len(data)] = data
+    return groups
+
+
+PIXEL_FORMATS: dict[str, PixelFormat] = {
+    name: PixelFormat(name=name, code=code, bits=bits, stored=code >> 16 & 0xFF, unpack=unpack)
+    for name, code, bits, unpack in (
+        ("Mono8", 0x01080001, 8, _bytes),
+        ("Mono10", 0x01100003, 10, _words),
+        ("Mono12", 0x01100005, 12, _words),
+        ("Mono14", 0x01100025, 14, _words),
+        ("Mono16", 0x01100007, 16, _words),
+        ("Mono10p", 0x010A0046, 10, _dense_10),
+        ("Mono12p", 0x010C0047, 12, _dense_12),
+        ("Mono10Packed", 0x010C0004, 10, _packed_10),
+        ("Mono12Packed", 0x010C0006, 12, _packed_12),
+    )
+}
+"""Formats of grey levels by name, unpacked before packed. The third byte of a code is what a pixel takes."""

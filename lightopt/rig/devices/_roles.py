@@ -1,0 +1,229 @@
+"""The three roles that devices play: a light controller, a stage, a camera.
+
+A driver plays one role. It *has* a serial link and never *is* one, so that two drivers may be tested against the same
+wire and a wire replaced without a driver noticing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.transforms import Posture
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a device says of itself.
+
+    Attributes
+    ----------
+    driver
+        Name of the driver, as in the rig file.
+    port
+        Where it is reached: serial port, URL, camera name or folder.
+    says
+        What the device answered when asked (version, serial number), by the field's name; empty where it cannot say.
+    """
+
+    driver: str
+    port: str
+    says: dict[str, str] = field(default_factory=dict[str, str])
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {"driver": self.driver, "port": self.port, **self.says}
+
+
+class LightController(Protocol):
+    """Panels behind one controller; channels are counted from 1, as printed on the device.
+
+    Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
+    holds something else than it was told.
+    """
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        ...
+
+    @property
+    def top_level(self) -> int:
+        """Highest intensity that the protocol can say."""
+        ...
+
+    def identify(self) -> Identity:
+        """Ask the device who it is, without changing a light."""
+        ...
+
+    def set_level(self, channel: int, level: int) -> int | None:
+        """Light a channel at an intensity in 1 … top_level, or darken it with 0.
+
+        Returns the intensity that the device then holds, read back; None where the protocol cannot tell.
+        """
+        ...
+
+    @property
+    def told_s(self) -> float:
+        """When [s, monotonic clock] the device had the last intensity; before it was read back."""
+        ...
+
+    def read_level(self, channel: int) -> int | None:
+        """Intensity that the device holds, 0 when it is off; None where the protocol cannot tell."""
+        ...
+
+    def close(self) -> None:
+        """Give up the link; never changes a light, never raises."""
+        ...
+
+
+@dataclass(frozen=True)
+class StageState:
+    """What a stage says of itself.
+
+    Attributes
+    ----------
+    posture
+        Where it stands [°]; an axis that the stage lacks stands at 0.
+    moving
+        Whether an axis moves.
+    referenced
+        Whether it knows where its origin is; None where it cannot tell.
+    alarm
+        The device's alarm in words; None without one.
+    """
+
+    posture: Posture
+    moving: bool
+    referenced: bool | None
+    alarm: str | None = None
+
+
+class Stage(Protocol):
+    """The tilt and rotation axes that hold the part.
+
+    Every method raises :class:`~lightopt.core.errors.HardwareError` as the light controller's do; alarms are reported
+    and never cleared by the driver.
+    """
+
+    def identify(self) -> Identity:
+        """Ask the device who it is, without moving it."""
+        ...
+
+    def state(self) -> StageState:
+        """Ask where it stands and how it is."""
+        ...
+
+    def home(self) -> None:
+        """Seek the mechanical origin of all axes and wait for it."""
+        ...
+
+    def move_to(self, posture: Posture) -> StageState:
+        """Move, wait, and verify; returns where it stands.
+
+        Raises
+        ------
+        InputError
+            When the posture lies outside the limits or between steps by more than half of one; nothing was sent.
+        HardwareError
+            When it cannot get there; it is then told to stop.
+        """
+        ...
+
+    def confirm(self) -> StageState:
+        """Ask whether it still stands where it was left; moves nothing.
+
+        Raises
+        ------
+        HardwareError
+            When it stands elsewhere, moves, or has an alarm or lost its origin.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stop all axes at once."""
+        ...
+
+    def close(self) -> None:
+        """Give up the link; never moves an axis, never raises."""
+        ...
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame as the camera delivered it.
+
+    Attributes
+    ----------
+    levels
+        Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
+    exposure_us
+        Exposure time [µs] as read back for this frame.
+    number
+        The camera's own number of the frame; None where it has none.
+    timestamp_ns
+        The camera's own time stamp [ns]; None where it has none.
+    says
+        What else it says (gain, temperature, packets lost).
+    """
+
+    levels: NDArray[np.uint8] | NDArray[np.uint16]
+    exposure_us: float
+    number: int | None
+    timestamp_ns: int | None = None
+    says: dict[str, Any] = field(default_factory=dict[str, Any])
+
+
+class Camera(Protocol):
+    """A monochrome camera.
+
+    Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not deliver.
+    """
+
+    @property
+    def triggered(self) -> bool:
+        """Whether a frame begins at the call of `grab` (software trigger), so that none need be thrown away."""
+        ...
+
+    @property
+    def resolution_px(self) -> tuple[int, int]:
+        """Width and height [pixels] of the frames."""
+        ...
+
+    @property
+    def bit_depth(self) -> int:
+        """Bits of a level."""
+        ...
+
+    @property
+    def exposure_range_us(self) -> tuple[float, float]:
+        """Shortest and longest exposure time [µs]."""
+        ...
+
+    def identify(self) -> Identity:
+        """Ask the camera who it is."""
+        ...
+
+    def set_exposure(self, exposure_us: float) -> float:
+        """Set the exposure time [µs] and return what the camera holds.
+
+        Raises
+        ------
+        InputError
+            When it lies outside `exposure_range_us`; nothing was sent.
+        """
+        ...
+
+    def grab(self, *, timeout_s: float) -> Frame:
+        """Take one frame; a camera without a trigger delivers the next that it completes.
+
+        It takes `timeout_s` at most, all attempts of a camera that asks again together.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop and give up the camera; never raises."""
+        ...

@@ -1,0 +1,364 @@
+"""A stage: moves that are checked, watched and verified, whatever language the device speaks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.transforms import Posture
+from lightopt.rig.devices._axes import Axis
+from lightopt.rig.devices._dialogue import Dialogue, Reading
+from lightopt.rig.devices._errors import ReplyError
+from lightopt.rig.devices._log import Event
+from lightopt.rig.devices._roles import Identity, StageState
+
+HOME_FIRST = "home it first: lightopt bench home RIG"
+
+_POLL_S = 0.02  # between two looks at a moving stage,
+_NEAR_S = 0.004  # and when it should be there
+_MARGIN_S = 3.0  # beyond twice the travel time: ramps, replies
+_SETTLE_S = 0.5  # devices report that they stand still for a moment after the command that moves them
+_HALT_S = 2.0  # a stage comes to rest within
+
+
+@dataclass
+class Clock:
+    """Time, which tests replace."""
+
+    now: Callable[[], float] = field(default=time.monotonic)
+    sleep: Callable[[float], None] = field(default=time.sleep)
+
+
+class MovingStage:
+    """The :class:`~lightopt.rig.devices.Stage` role over any stage language.
+
+    A move is refused when the posture lies outside the range (before a command is sent), when the device has an alarm
+    or knows that it is not referenced, when it moves already, and when it does not stand where it was left. After a
+    failed move it is refused until the stage has been homed.
+
+    Parameters
+    ----------
+    driver
+        Name of the driver.
+    dialogue
+        The device's language.
+    axes
+        The axes that the device moves; an axis of the rig that is not among them stands at 0.
+    home_timeout_s
+        Longest time [s] that seeking the origins may take.
+    clock
+        Time, for tests.
+    """
+
+    def __init__(
+        self,
+        *,
+        driver: str,
+        dialogue: Dialogue,
+        axes: Sequence[Axis],
+        home_timeout_s: float = 180.0,
+        clock: Clock | None = None,
+    ) -> None:
+        self._driver = driver
+        self._dialogue = dialogue
+        self._axes = tuple(axes)
+        self._home_timeout_s = home_timeout_s
+        self._clock = clock or Clock()
+        self._link = dialogue.link
+        self._prepared = False
+        self._left_at: dict[str, float] | None = None
+        self._homed = False
+        self._lost: str | None = None
+
+    @property
+    def events(self) -> list[Event]:
+        """What was out of the ordinary on the link so far."""
+        return self._link.events
+
+    def identify(self) -> Identity:
+        """Ask the device who it is, without moving it."""
+        with self._link.lock:
+            return Identity(driver=self._driver, port=self._link.port, says=self._dialogue.says())
+
+    def state(self) -> StageState:
+        """Ask where it stands and how it is."""
+        with self._link.lock:
+            return self._state(self._dialogue.read())
+
+    def check(self, posture: Posture) -> None:
+        """Raise what :meth:`move_to` would raise for a posture that it cannot take; sends nothing."""
+        angles = _angles(posture)
+        axes = {axis.name: axis for axis in self._axes}
+        wrong: list[str] = []
+        for name, angle in angles.items():
+            if name in axes:
+                wrong += axes[name].problems(angle)
+            elif abs(angle) > 1e-9:
+                wrong.append(
+                    f"stage axis {name}: {angle:g}° was asked for, but hardware.stage has no {name} axis, "
+                    "so it stands at 0°; nothing was moved"
+                )
+        if wrong:
+            raise InputError(*wrong)
+
+    def move_to(self, posture: Posture) -> StageState:
+        """Move, wait and verify; returns where it stands, to the step.
+
+        Raises
+        ------
+        lightopt.core.errors.InputError
+            When the posture lies outside the limits; nothing was sent.
+        lightopt.core.errors.HardwareError
+            When it may not move (alarm, not referenced), or does not arrive; it is then told to stop.
+        """
+        self.check(posture)
+        with self._link.lock:
+            try:
+                reading = self._dialogue.read()
+            except HardwareError as error:
+                raise type(error)(*error.messages, "No move had been sent to it") from None
+            self._may_move(reading)
+            targets = self._targets(posture)
+            self._dialogue.check({axis.device: targets[axis.name] for axis in self._axes})
+            far = {
+                axis.device: targets[axis.name]
+                for axis in self._axes
+                if abs(reading.units[axis.device] - targets[axis.name]) > self._dialogue.step(axis) / 2
+            }
+            if not far:
+                self._left_at = dict(reading.units)
+                return self._state(reading)
+            self._tell_rounding(posture, targets)
+            longest_s = max(
+                abs(targets[axis.name] - reading.units[axis.device]) / axis.speed_units()
+                for axis in self._axes
+            )
+            try:
+                self._prepare()
+                try:
+                    self._dialogue.go(far)
+                except ReplyError as error:
+                    # whether it was taken shows in where the stage goes; sent again it might move twice
+                    self._link.note(f"{error}; not sent again, the position will tell")
+                reading = self._arrive(targets, longest_s)
+            except HardwareError as error:
+                raise self._stopped(error) from error
+            except BaseException:
+                self._link.note(self._stop_after())
+                raise
+            self._left_at = dict(reading.units)
+            return self._state(reading)
+
+    def confirm(self) -> StageState:
+        """Ask whether it still stands where the last move left it; moves nothing.
+
+        Raises
+        ------
+        lightopt.core.errors.HardwareError
+            When it does not: moved by hand, or switched off and on, after which most devices count from elsewhere.
+        """
+        with self._link.lock:
+            reading = self._dialogue.read()
+            if (trouble := self._trouble(reading)) is not None:
+                raise self._link.failure(trouble)
+            return self._state(reading)
+
+    def home(self) -> None:
+        """Seek the mechanical origin of all axes, and wait for it."""
+        with self._link.lock:
+            reading = self._dialogue.read()
+            if reading.moving:
+                raise self._link.failure("is moving, so it was not homed; wait until it stands still")
+            self._left_at = None
+            self._homed = False
+            try:
+                try:
+                    self._dialogue.home()
+                except ReplyError as error:
+                    self._link.note(f"{error}; not sent again, the state will tell")
+                reading = self._come_home()
+            except HardwareError as error:
+                raise self._stopped(error) from error
+            except BaseException:
+                self._link.note(self._stop_after())
+                raise
+            self._homed = True
+            self._lost = None
+            self._left_at = dict(reading.units)
+
+    def stop(self) -> None:
+        """Stop all axes at once, and see that they stand still."""
+        self._rest()
+
+    def _rest(self) -> Reading:
+        """Stop; the reading with which it stands still."""
+        with self._link.lock:
+            self._left_at = None
+            self._dialogue.halt()
+            until = self._clock.now() + _HALT_S
+            while (reading := self._dialogue.read()).moving:
+                if self._clock.now() > until:
+                    raise self._link.failure(
+                        f"was told to stop and still moves {_HALT_S:g} s later: switch it off"
+                    )
+                self._clock.sleep(_POLL_S)
+            if reading.alarm is None:
+                self._left_at = dict(reading.units)
+            return reading
+
+    def close(self) -> None:
+        """Give up the link; never moves an axis, never raises."""
+        self._link.close()
+
+    def _targets(self, posture: Posture) -> dict[str, float]:
+        angles = _angles(posture)
+        return {
+            axis.name: axis.target(angles[axis.name], step=self._dialogue.step(axis)) for axis in self._axes
+        }
+
+    def _tell_rounding(self, posture: Posture, targets: Mapping[str, float]) -> None:
+        angles = _angles(posture)
+        for axis in self._axes:
+            off = axis.angle_of(targets[axis.name]) - angles[axis.name]
+            if abs(off) > 1e-6:
+                self._link.note(
+                    f"{self._link.device}: {axis.name}: {angles[axis.name]:g}° lies between two steps, "
+                    f"goes to {axis.angle_of(targets[axis.name]):.6g}°"
+                )
+
+    def _may_move(self, reading: Reading) -> None:
+        if (trouble := self._trouble(reading)) is not None:
+            raise self._link.failure(f"was not moved: {trouble}")
+
+    def _trouble(self, reading: Reading) -> str | None:
+        """Why it is not where it was left, or not to be moved, in words; None where nothing is the matter."""
+        if reading.alarm is not None:
+            return f"alarm: {reading.alarm}"
+        if reading.moving:
+            return "it moves, and nobody told it to"
+        if self._lost is not None:
+            return f"{self._lost}; {HOME_FIRST}"
+        if reading.referenced is False:
+            return f"it does not know where its origin is; {HOME_FIRST}"
+        if self._left_at is None:
+            return None
+        for axis in self._axes:
+            left, stands = self._left_at[axis.device], reading.units[axis.device]
+            if abs(left - stands) > self._dialogue.step(axis):
+                self._lost = (
+                    f"{axis.name} was left at {axis.angle_of(left):.6g}° and stands at "
+                    f"{axis.angle_of(stands):.6g}° now: moved by hand, by another program, or switched off between"
+                )
+                return f"{self._lost}; {HOME_FIRST}"
+        return None
+
+    def _prepare(self) -> None:
+        if not self._prepared:
+            self._dialogue.prepare()
+            self._prepared = True
+
+    def _arrive(self, targets: Mapping[str, float], travel_s: float) -> Reading:
+        """Watch a move that should take so long until the stage stands at its targets."""
+        started = self._clock.now()
+        limit_s = 2 * travel_s + _MARGIN_S
+        still_since: float | None = None
+        while True:
+            reading = self._dialogue.read()
+            now = self._clock.now()
+            if reading.alarm is not None:
+                raise self._link.failure(
+                    f"alarm during the move: {reading.alarm}{self._where(reading, targets)}"
+                )
+            if reading.moving:
+                still_since = None
+                if now - started > limit_s:
+                    raise self._link.failure(
+                        f"still moves after {limit_s:.1f} s, twice the time of the way and {_MARGIN_S:g} s: "
+                        f"jammed, or slower than speed_deg_per_s says{self._where(reading, targets)}"
+                    )
+            elif self._there(reading, targets):
+                return reading
+            else:
+                still_since = now if still_since is None else still_since
+                if now - still_since > _SETTLE_S:
+                    raise self._link.failure(
+                        "stands still and is not where it should be: stalled, at a limit switch, or the command was "
+                        f"not taken{self._where(reading, targets)}"
+                    )
+            self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
+
+    def _there(self, reading: Reading, targets: Mapping[str, float]) -> bool:
+        return all(
+            abs(reading.units[axis.device] - targets[axis.name]) <= self._dialogue.step(axis) * (1 + 1e-6)
+            for axis in self._axes
+        )
+
+    def _where(self, reading: Reading, targets: Mapping[str, float]) -> str:
+        parts = [
+            f"{axis.name} should be at {axis.angle_of(targets[axis.name]):.6g}° and stands at "
+            f"{axis.angle_of(reading.units[axis.device]):.6g}° ({reading.units[axis.device]:.10g} units)"
+            for axis in self._axes
+            if abs(reading.units[axis.device] - targets[axis.name]) > self._dialogue.step(axis)
+        ]
+        return "; " + ", ".join(parts) if parts else ""
+
+    def _come_home(self) -> Reading:
+        started = self._clock.now()
+        moved = self._dialogue.homes_to_end
+        wrong_since: float | None = None
+        while True:
+            reading = self._dialogue.read()
+            now = self._clock.now()
+            if reading.moving:
+                moved = True
+                wrong_since = None
+                if now - started > self._home_timeout_s:
+                    raise self._link.failure(
+                        f"has not found its origin after {self._home_timeout_s:g} s: look at the limit switches"
+                    )
+            else:
+                problem = self._dialogue.homed(reading)
+                if problem is None and (moved or now - started > _SETTLE_S):
+                    return reading
+                wrong_since = now if wrong_since is None else wrong_since
+                if problem is not None and now - wrong_since > _SETTLE_S:
+                    raise self._link.failure(f"has not found its origin: {problem}")
+            self._clock.sleep(_POLL_S)
+
+    def _stopped(self, error: HardwareError) -> HardwareError:
+        """Stop the stage after an error; the error, with what stopping led to."""
+        return type(error)(*error.messages, self._stop_after(str(error)))
+
+    def _stop_after(self, told: str = "") -> str:
+        """Stop the stage after a failure, and say in words what that led to."""
+        self._lost = "the last move failed"
+        try:
+            alarm = self._rest().alarm
+        except HardwareError as failed:
+            return f"It was told to stop, which failed too, so it may still move: {failed}"
+        finally:
+            self._left_at = None
+        with_alarm = f", with an alarm: {alarm}" if alarm is not None and alarm not in told else ""
+        return f"It stands still now{with_alarm}. Before the next move, {HOME_FIRST}"
+
+    def _state(self, reading: Reading) -> StageState:
+        angles = {"elevation": 0.0, "rotation": 0.0}
+        for axis in self._axes:
+            angles[axis.name] = axis.angle_of(reading.units[axis.device])
+        referenced = reading.referenced
+        if self._lost is not None:
+            referenced = False
+        elif referenced is None and self._homed:
+            referenced = True
+        return StageState(
+            posture=Posture(elevation_deg=angles["elevation"], rotation_deg=angles["rotation"]),
+            moving=reading.moving,
+            referenced=referenced,
+            alarm=reading.alarm,
+        )
+
+
+def _angles(posture: Posture) -> dict[str, float]:
+    return {"elevation": posture.elevation_deg, "rotation": posture.rotation_deg}

@@ -1,0 +1,150 @@
+r"""Driver of light controllers whose commands the rig file spells out: templates out, patterns of replies in.
+
+``set: "L{channel}{level:03d}\r\n"`` with ``set_reply: OK`` and ``end: "\r\n"`` is a whole protocol. Text is sent as
+Latin-1, one byte per character.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from lightopt.core.errors import InputError
+from lightopt.rig.devices._errors import ReplyError
+from lightopt.rig.devices._light_driver import LightDriver, open_driver
+from lightopt.rig.devices._lights import LightSettings
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._log import SerialLog
+
+_BAUD = 9600
+
+
+class TemplateController(LightDriver):
+    """A light controller that speaks as a template says, as a :class:`~lightopt.rig.devices.LightController`.
+
+    Opening asks for the intensity of channel 1 where the template can ask; no light changes.
+
+    Parameters
+    ----------
+    link
+        The wire.
+    template
+        ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig file; what is
+        None or absent does not exist. Fields of commands: ``{channel}`` from 1, ``{channel0}`` from 0, ``{letter}``,
+        ``{level}``. Patterns match a reply without its end.
+    channels
+        Number of channels.
+    top_level
+        Highest intensity.
+    max_levels
+        Intensities never exceeded, by channel.
+
+    Raises
+    ------
+    lightopt.core.errors.InputError
+        When a command names another field, or a pattern is none.
+    lightopt.core.errors.HardwareError
+        When the controller does not answer.
+    """
+
+    def __init__(
+        self,
+        link: SerialLink,
+        template: Mapping[str, str | None],
+        *,
+        channels: int = 4,
+        top_level: int = 255,
+        max_levels: Mapping[int, int] | None = None,
+    ) -> None:
+        super().__init__(link, name="template", channels=channels, top_level=top_level, max_levels=max_levels)
+        self._words = {key: text for key, text in template.items() if text is not None}
+        self._end = self._words.get("end", "").encode("latin-1")
+        self._patterns: dict[str, re.Pattern[bytes]] = {}
+        self._reads = "read" in self._words
+        self._check_template()
+        self._ask_who()
+
+    def _ask_who(self) -> dict[str, str]:
+        """Ask for an intensity where the template can; it has no question for a name."""
+        if self._reads:
+            self._held(1)
+        return {}
+
+    def _tell(self, channel: int, level: int) -> None:
+        """Set the intensity, or darken by the template's own command."""
+        verb = "off" if level == 0 and "off" in self._words else "set"
+        self._persistence.ask(lambda: self._say(verb, channel, level))
+
+    def _held(self, channel: int) -> int:
+        return self._persistence.ask(lambda: self._read_once(channel))
+
+    def _check_template(self) -> None:
+        for verb in ("set", "off", "read"):
+            self._check_verb(verb)
+        if self._reads and "level" not in getattr(self._patterns.get("read"), "groupindex", {}):
+            raise InputError(f"{self._link.device}: template.read_reply has no group (?P<level>…)")
+
+    def _check_verb(self, verb: str) -> None:
+        try:
+            if verb in self._words:
+                self._command(verb, 1, 0)
+            if f"{verb}_reply" in self._words:
+                pattern = self._words[f"{verb}_reply"].encode("latin-1")
+                self._patterns[verb] = re.compile(pattern, re.DOTALL)
+        except (KeyError, IndexError, ValueError, re.error) as error:
+            raise InputError(f"{self._link.device}: template.{verb} cannot be used: {error}") from None
+
+    def _command(self, verb: str, channel: int, level: int) -> bytes:
+        text = self._words[verb].format(
+            channel=channel, channel0=channel - 1, letter=chr(ord("A") + channel - 1), level=level
+        )
+        return text.encode("latin-1")
+
+    def _read_once(self, channel: int) -> int:
+        digits = self._say("read", channel, 0)["level"]
+        try:
+            return int(digits)
+        except ValueError:
+            raise ReplyError(self._link.words("the reply's level is no number", reply=digits)) from None
+
+    def _say(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
+        """Send a command and match its reply; the pattern's groups."""
+        frame = self._command(verb, channel, level)
+        pattern = self._patterns.get(verb)
+        if pattern is None:
+            self._link.send(frame)
+            return {}
+        reply = self._link.query(frame, end=self._end or None)
+        match = pattern.fullmatch(reply[: len(reply) - len(self._end)])
+        if match is None:
+            what = f"the reply does not match template.{verb}_reply"
+            raise ReplyError(self._link.words(what, sent=frame, reply=reply))
+        return match.groupdict()
+
+
+def open_template(settings: LightSettings, log: SerialLog | None = None) -> TemplateController:
+    """Open a controller that the rig file describes.
+
+    Raises
+    ------
+    lightopt.core.errors.InputError
+        When the port cannot be opened, or the template cannot be used.
+    lightopt.core.errors.HardwareError
+        When the controller does not answer.
+    """
+    template = settings.template
+    if template is None:
+        raise InputError(f"light controller {settings.name} (template): there is no template")
+    return open_driver(
+        settings,
+        log,
+        name="template",
+        baud=_BAUD,
+        speak=lambda link: TemplateController(
+            link,
+            template,
+            channels=settings.channels,
+            top_level=settings.top_level,
+            max_levels=settings.max_levels,
+        ),
+    )

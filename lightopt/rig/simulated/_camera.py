@@ -1,0 +1,253 @@
+"""The camera of the virtual bench, in the process of the firmware: it looks at what the firmware does.
+
+A frame is asked for over the control socket; its pixels follow the answer row by row, little end first.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.rig.simulated._deviations import BenchTruth
+from lightopt.rig.simulated._requests import Answer, Handler
+
+if TYPE_CHECKING:
+    from lightopt.rig.simulated._optics import BenchOptics, Levels
+
+
+EXPOSURE_RANGE_US = (10.0, 10e6)
+"""Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""
+
+Brightness = Callable[[str], Mapping[int, float]]
+Positions = Callable[[str], Mapping[str, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightWire:
+    """Where a light is plugged in, and the share of the highest intensity at which it is as the rig describes."""
+
+    light: str
+    device: str
+    channel: int
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisWire:
+    """Which axis of a device is the tilt or the rotation, its units per degree, and where 0° is."""
+
+    device: str
+    axis: str
+    steps_per_deg: float
+    zero: float
+
+    def angle_deg(self, positions: Mapping[str, float]) -> float:
+        """Angle [°] at device positions."""
+        return (positions[self.axis] - self.zero) / self.steps_per_deg
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSetup:
+    """What the camera looks at.
+
+    Attributes
+    ----------
+    rig, part
+        Files.
+    exposure_us
+        Exposure time of exposure 1 [µs].
+    lights
+        Where they are plugged in.
+    elevation, rotation
+        Axes; None: fixed at 0.
+    truth
+        How the bench differs from the files.
+    gige
+        Whether the camera is a GigE Vision camera on the loopback.
+    """
+
+    rig: str
+    part: str
+    exposure_us: float
+    lights: tuple[LightWire, ...]
+    elevation: AxisWire | None = None
+    rotation: AxisWire | None = None
+    truth: BenchTruth = field(default_factory=BenchTruth)
+    gige: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "rig": self.rig,
+            "part": self.part,
+            "exposure_us": self.exposure_us,
+            "lights": [vars(wire) for wire in self.lights],
+            "elevation": None if self.elevation is None else vars(self.elevation),
+            "rotation": None if self.rotation is None else vars(self.rotation),
+            "truth": self.truth.as_dict(),
+            "gige": self.gige,
+        }
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> CameraSetup:
+        """From its JSON form."""
+        axes = {
+            name: None if data.get(name) is None else AxisWire(**data[name])
+            for name in ("elevation", "rotation")
+        }
+        return cls(
+            rig=data["rig"],
+            part=data["part"],
+            exposure_us=data["exposure_us"],
+            lights=tuple(LightWire(**wire) for wire in data["lights"]),
+            truth=BenchTruth.of(data["truth"]),
+            gige=bool(data.get("gige", False)),
+            **axes,
+        )
+
+
+class BenchCamera:
+    """Takes frames of what the devices do at the moment.
+
+    Parameters
+    ----------
+    setup
+        What it looks at.
+    levels
+        Brightness of a device's channels at this moment, as a share of its highest intensity.
+    positions
+        Where a device's axes stand at this moment, in device units.
+    """
+
+    def __init__(self, setup: CameraSetup, levels: Brightness, positions: Positions) -> None:
+        self._setup = setup
+        self._levels = levels
+        self._positions = positions
+        self._number = 0
+        self._seen: tuple[dict[str, float], Posture] | None = None
+        self._optics: BenchOptics | None = None
+        self._building = threading.Lock()
+        self._preparing = threading.Lock()
+        self._prepared: Posture | None = None
+        self._unprepared: str | None = None
+        self._renderer: threading.Thread | None = None
+        # the mesh is loaded while the client is still opening its ports
+        threading.Thread(target=self._build, name="scene", daemon=True).start()
+
+    def requests(self) -> dict[str, Handler]:
+        """What the control socket can ask of the camera."""
+        return {"camera": self._identity, "frame": self._frame, "prepare": self._prepare}
+
+    def _build(self) -> BenchOptics:
+        with self._building:
+            if self._optics is None:
+                from lightopt.rig.simulated._optics import BenchOptics
+                from lightopt.scene import build_scene
+
+                rig, part = Path(self._setup.rig), Path(self._setup.part)
+                try:
+                    # postures come from the stage; those of the part's file may be beyond the rig's range
+                    scene = build_scene(rig, part, postures=())
+                except InputError as error:
+                    raise ValueError(str(error)) from error
+                self._optics = BenchOptics(scene, self._setup.truth)
+            return self._optics
+
+    def _identity(self, _: Mapping[str, Any]) -> Answer:
+        resolution_px, bit_depth = self.sensor()
+        return {
+            "resolution_px": resolution_px,
+            "bit_depth": bit_depth,
+            "triggered": self._setup.truth.triggered,
+        }, b""
+
+    def look(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
+        """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
+
+        Parameters
+        ----------
+        exposure_us
+            Exposure time [µs].
+        gain_db
+            Gain [dB].
+        triggered
+            Whether it begins now.
+        counted
+            False for a frame that is lost on its way: the next has the noise that it would have had.
+        """
+        now = self._state()
+        shares, posture = now if triggered or self._seen is None else self._seen
+        pixels = self._build().frame(
+            shares,
+            posture,
+            exposure=exposure_us / self._setup.exposure_us,
+            gain_db=gain_db,
+            counted=counted,
+        )
+        self._seen = self._state()
+        return pixels
+
+    def _prepare(self, _: Mapping[str, Any]) -> Answer:
+        """Say whether what will be seen where the stage stands is rendered, and see to it that it will be.
+
+        A camera on a network does not answer while a frame is made, and one that is silent for seconds counts as gone;
+        so rendering is waited for before a frame is asked for, and by asking again, which a process that hangs does not
+        answer.
+        """
+        posture = self._state()[1]
+        with self._preparing:
+            if self._unprepared is not None:
+                raise ValueError(self._unprepared)
+            ready = self._prepared == posture
+            if not ready and (self._renderer is None or not self._renderer.is_alive()):
+                self._renderer = threading.Thread(
+                    target=self._render, args=(posture,), name="render", daemon=True
+                )
+                self._renderer.start()
+        return {"ready": ready}, b""
+
+    def _render(self, posture: Posture) -> None:
+        try:
+            self._build().prepare(posture)
+            self._prepared = posture
+        except Exception as error:  # noqa: BLE001  (told to whoever asks next)
+            self._unprepared = str(error) or type(error).__name__
+
+    def sensor(self) -> tuple[tuple[int, int], int]:
+        """Width and height [pixels], and bits of a level."""
+        scene = self._build().scene
+        return (scene.camera.width, scene.camera.height), scene.sensor.bit_depth
+
+    def _frame(self, request: Mapping[str, Any]) -> Answer:
+        self._build()
+        exposure_us = float(request["exposure_us"])
+        begun, begun_ns = time.monotonic(), time.time_ns()
+        pixels = self.look(exposure_us, 0.0, self._setup.truth.triggered)
+        time.sleep(max(0.0, exposure_us / 1e6 - (time.monotonic() - begun)))
+        self._seen = self._state()
+        self._number += 1
+        little = pixels.dtype.newbyteorder("<")
+        return {
+            "number": self._number,
+            "timestamp_ns": begun_ns,
+            "exposure_us": exposure_us,
+            "shape": list(pixels.shape),
+            "dtype": little.str,
+        }, pixels.astype(little, copy=False).tobytes()
+
+    def _state(self) -> tuple[dict[str, float], Posture]:
+        levels = {device: self._levels(device) for device in {wire.device for wire in self._setup.lights}}
+        shares = {
+            wire.light: levels[wire.device].get(wire.channel, 0.0) / wire.share for wire in self._setup.lights
+        }
+        angles = [
+            0.0 if axis is None else axis.angle_deg(self._positions(axis.device))
+            for axis in (self._setup.elevation, self._setup.rotation)
+        ]
+        return shares, Posture(*angles)

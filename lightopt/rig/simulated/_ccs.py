@@ -1,0 +1,152 @@
+r"""Simulated firmware of a controller that speaks CCS ``@`` frames (CCS PD2, PD3, PSB; VS Technology VLP).
+
+A frame is ``@``, two digits of the channel from 00, an instruction with its data, in the RS-232C dialect two digits of
+the unit, two upper-case hexadecimal digits of the sum of all bytes before them, CR and LF. Both dialects are
+understood, mixed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._lamps import Lamps
+
+_COMMAND, _CHECKSUM, _VALUE = 1, 2, 3
+_LONGEST = 64
+_MODES = 10  # S00 is on/off, S01 … S10 are strobes
+
+
+class CcsFirmware:
+    """A controller with CCS ``@`` frames.
+
+    Faults besides those of its lamps: ``ng`` (option ``code``: 1 command, 2 checksum, 3 value; the frame is refused and
+    not obeyed) and ``checksum`` (the reply's checksum is wrong), with ``after``, ``count``, ``probability`` and
+    ``seed``.
+
+    Parameters
+    ----------
+    channels
+        Number of channels.
+    top_level
+        Highest intensity; intensities have three digits, or four where it has.
+    levels
+        Intensities at power-up by channel.
+    on
+        Whether the channels are switched on at power-up.
+    gap_s
+        Time [s] that must pass after a frame; a frame that comes earlier is not heard.
+    """
+
+    def __init__(
+        self,
+        *,
+        channels: int = 4,
+        top_level: int = 255,
+        levels: Mapping[str, int] | None = None,
+        on: bool = True,
+        gap_s: float = 0.0,
+    ) -> None:
+        self._lamps = Lamps(channels, top_level, levels, on=on)
+        self._digits = max(3, len(str(top_level)))
+        self._mode = dict.fromkeys(range(1, channels + 1), 0)
+        self._gap_s = gap_s
+        self._last = -float("inf")
+        self._buffer = b""
+        self._ng: tuple[Trigger, int] | None = None
+        self._wrong: Trigger | None = None
+
+    def feed(self, data: bytes, now: float) -> bytes:
+        """Take bytes; answer the frames that they complete."""
+        self._buffer += data
+        replies = b""
+        while b"\r\n" in self._buffer:
+            line, _, self._buffer = self._buffer.partition(b"\r\n")
+            start = line.rfind(b"@")
+            if start < 0 or now - self._last < self._gap_s:
+                continue
+            self._last = now
+            replies += self._answer(line[start:])
+        start = self._buffer.rfind(b"@")
+        self._buffer = self._buffer[start:][:_LONGEST] if start >= 0 else b""
+        return replies
+
+    def poll(self, now: float) -> bytes:  # noqa: ARG002
+        """Return nothing: it speaks when spoken to."""
+        return b""
+
+    def levels(self) -> dict[int, float]:
+        """Brightness of each channel; a channel in a strobe mode is dark, because nobody triggers it."""
+        return {c: share if self._mode[c] == 0 else 0.0 for c, share in self._lamps.shine().items()}
+
+    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
+        """Suffer a fault; see the class."""
+        if fault == "ng":
+            chosen = dict(options)
+            code = chosen.pop("code", _COMMAND)
+            if code not in (_COMMAND, _CHECKSUM, _VALUE):
+                raise ValueError(f"ng wants code 1, 2 or 3, got {code}")
+            self._ng = (trigger(fault, chosen), code)
+        elif fault == "checksum":
+            self._wrong = trigger(fault, options)
+        else:
+            if fault == "clear":
+                self._ng = self._wrong = None
+            self._lamps.inject(fault, options, ("ng", "checksum"))
+
+    def _answer(self, frame: bytes) -> bytes:
+        head = frame[1:3].decode("ascii", "replace") if frame[1:3].isdigit() else "00"
+        match = re.fullmatch(rb"@(\d\d)([A-Z])(.*)([0-9A-F]{2})", frame)
+        if match is None:
+            return self._reply(head, f"N{_COMMAND:02d}")
+        if int(match[4], 16) != sum(frame[:-2]) % 256:
+            return self._reply(head, f"N{_CHECKSUM:02d}")
+        if self._ng is not None and self._ng[0].strikes():
+            return self._reply(head, f"N{self._ng[1]:02d}")
+        outcome = self._obey(int(match[1]) + 1, match[2].decode(), match[3].decode("ascii", "replace"))
+        if isinstance(outcome, int):
+            outcome = f"N{outcome:02d}"
+        return self._reply(head, outcome)
+
+    def _reply(self, head: str, outcome: str) -> bytes:
+        body = f"@{head}{outcome}".encode("ascii")
+        checksum = sum(body) % 256
+        if self._wrong is not None and self._wrong.strikes():
+            checksum ^= 0x55
+        return body + f"{checksum:02X}\r\n".encode("ascii")
+
+    def _obey(self, channel: int, instruction: str, data: str) -> str | int:
+        """Do what a frame says; the reply from O on, or the number of the error."""
+        width = {"F": self._digits, "L": 1, "S": 2, "M": 0, "C": 0, "R": 0}.get(instruction)
+        if width is None or (data and not (data.isascii() and data.isdigit())):
+            return _COMMAND
+        if data[width:] not in ("", "00") or len(data) < width:
+            return _COMMAND
+        if channel > self._lamps.channels:
+            return _VALUE
+        value = int(data[:width] or 0)
+        if instruction == "C":
+            return "O00"
+        if instruction == "M":
+            lamps = self._lamps
+            level, mode, on = lamps.level(channel), self._mode[channel], int(lamps.on(channel))
+            return f"OF{level:0{self._digits}d}.S{mode:02d}.L{on}"
+        if value > {"F": self._lamps.top_level, "L": 1, "S": _MODES, "R": 0}[instruction]:
+            return _VALUE
+        self._set(channel, instruction, value)
+        return "O"
+
+    def _set(self, channel: int, instruction: str, value: int) -> None:
+        if instruction == "F":
+            self._lamps.set_level(channel, value)
+        elif instruction == "L":
+            self._lamps.switch(channel, bool(value))
+        elif instruction == "S":
+            self._mode[channel] = value
+        else:
+            for each in self._mode:
+                self._mode[each] = 0
+                self._lamps.set_level(each, 0)
+                self._lamps.switch(each, False)

@@ -1,0 +1,65 @@
+"""The control socket of the virtual bench: JSON lines on the loopback, answered from a dictionary of handlers."""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import json
+import socketserver
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from lightopt.core.errors import error_text
+from lightopt.rig.simulated._requests import Answer, Handler
+
+
+class ControlServer:
+    """Answers requests on a loopback port, one thread per connection.
+
+    The first line of a connection is the token. Each request is a line ``{"do": name, …}``; each answer is a line
+    ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``.
+
+    Parameters
+    ----------
+    handlers
+        What can be asked.
+    token
+        Secret that a client must know: other users of the computer reach the loopback too.
+    """
+
+    def __init__(self, handlers: Mapping[str, Handler], token: str) -> None:
+        class Connection(socketserver.StreamRequestHandler):
+            disable_nagle_algorithm = True
+
+            def handle(self) -> None:
+                with contextlib.suppress(OSError):
+                    if not hmac.compare_digest(self.rfile.readline(1000).strip(), token.encode()):
+                        return
+                    for line in self.rfile:
+                        answer, data = _answer(handlers, line)
+                        self.wfile.write(json.dumps({**answer, "bytes": len(data)}).encode() + b"\n" + data)
+
+        class Server(socketserver.ThreadingTCPServer):
+            daemon_threads = True
+
+        self._server = Server(("127.0.0.1", 0), Connection)
+        self.port = int(self._server.server_address[1])
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+
+    def close(self) -> None:
+        """Take no more connections."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def _answer(handlers: Mapping[str, Handler], line: bytes) -> Answer:
+    try:
+        request: dict[str, Any] = json.loads(line)
+        name = request["do"]
+        if name not in handlers:
+            raise ValueError(f'no request called "{name}"; there is {", ".join(handlers)}')
+        answer, data = handlers[name](request)
+    except (ValueError, KeyError, TypeError) as error:
+        return {"ok": False, "error": error_text(error)}, b""
+    return {"ok": True, **answer}, data

@@ -1,0 +1,215 @@
+"""The bench's camera as a GigE Vision camera on the loopback: Aravis' simulated camera, with our pixels in its frames.
+
+Control and stream are those of Aravis, packet by packet; in a frame is what the bench sees when it is triggered.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import re
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.rig.simulated._gige_faults import GigeFaults
+from lightopt.rig.simulated._gige_formats import FORMATS, packed
+
+Look = Callable[[float, float, bool, bool], NDArray[np.integer[Any]]]
+"""What is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another; whether
+it will arrive, so that it counts."""
+
+_ADDRESS = "127.0.0.1"
+_CONTROL_PORT = 3956
+_FREE_S = 100.0
+_LONGEST_US = 1_000_000
+_PERIOD_US = 10_000
+"""Frames of a camera that runs freely follow one another so."""
+
+_TRIGGER_US = 1_000
+"""Triggers are looked for so often."""
+
+
+class GigeCamera:
+    """A GigE Vision camera at 127.0.0.1, the only one at a time on a computer.
+
+    Parameters
+    ----------
+    look
+        Delivers right-aligned levels, shape (H, W).
+    resolution_px
+        Width and height of its sensor.
+    bit_depth
+        Of the levels; the camera offers the pixel formats that have it.
+
+    Attributes
+    ----------
+    serial
+        Its serial number.
+
+    Raises
+    ------
+    ValueError
+        When Aravis is not there, another such camera runs, or no pixel format has the bit depth.
+    """
+
+    def __init__(self, look: Look, *, resolution_px: tuple[int, int], bit_depth: int) -> None:
+        formats = [name for name, (_, bits) in FORMATS.items() if bits == bit_depth]
+        if not formats:
+            raise ValueError(f"a simulated GigE camera has 8, 10, 12 or 16 bits, not {bit_depth}")
+        try:
+            import_module("gi").require_version("Aravis", "0.8")
+            self._library: Any = import_module("gi.repository.Aravis")
+            self._c = ctypes.CDLL(ctypes.util.find_library("aravis-0.8") or "libaravis-0.8.so.0")
+        except (ImportError, ValueError, OSError) as error:
+            raise ValueError(f"a simulated GigE camera needs Aravis, which is not there ({error})") from None
+        self._look = look
+        self._taken = _the_only_one()
+        self.serial = "LIGHTOPT1"
+        self._faults = GigeFaults(self)
+        self._folder = tempfile.TemporaryDirectory()
+        described = Path(self._folder.name) / "camera.xml"
+        described.write_text(self._description(formats), encoding="utf-8")
+        self._server: Any = self._library.GvFakeCamera.new_full(_ADDRESS, self.serial, str(described))
+        self._device: Any = self._server.get_fake_camera()
+        registers = self._library
+        for register, value in (
+            (registers.FAKE_CAMERA_REGISTER_SENSOR_WIDTH, resolution_px[0]),
+            (registers.FAKE_CAMERA_REGISTER_SENSOR_HEIGHT, resolution_px[1]),
+            (registers.FAKE_CAMERA_REGISTER_WIDTH, resolution_px[0]),
+            (registers.FAKE_CAMERA_REGISTER_HEIGHT, resolution_px[1]),
+            (registers.FAKE_CAMERA_REGISTER_PIXEL_FORMAT, FORMATS[formats[0]][0]),
+            (registers.FAKE_CAMERA_REGISTER_ACQUISITION_FRAME_PERIOD_US, _PERIOD_US),
+        ):
+            self._device.write_register(register, value)
+        self._device.set_trigger_frequency(1e6 / _TRIGGER_US)
+        kind = ctypes.CFUNCTYPE(
+            None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
+        )
+        self._fill_c = kind(self._fill)  # kept: the library calls it for as long as the camera runs
+        self._c.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, kind, ctypes.c_void_p]
+        self._c.arv_buffer_get_data.restype = ctypes.c_void_p
+        self._c.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+        self._c.arv_buffer_get_frame_id.restype = ctypes.c_uint64
+        self._c.arv_buffer_get_frame_id.argtypes = [ctypes.c_void_p]
+        self._c.arv_buffer_get_timestamp.restype = ctypes.c_uint64
+        self._c.arv_buffer_get_timestamp.argtypes = [ctypes.c_void_p]
+        self._c.arv_buffer_set_frame_id.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
+        self._c.arv_buffer_set_timestamp.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
+        self._c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
+
+    def inject(self, fault: str, options: dict[str, Any]) -> None:
+        """Let the camera suffer a fault; ``clear`` ends all."""
+        self._faults.inject(fault, options)
+
+    def unplug(self) -> None:
+        """Pull its cable, for good."""
+        self._device = self._server = None
+
+    def lose(self, share: float) -> None:
+        """Lose this share of the packets of the stream from here on."""
+        if self._server is not None:
+            self._server.set_property("gvsp-lost-ratio", share)
+
+    def write(self, register: str, value: int) -> None:
+        """Write a register of the camera, as a fault of the camera itself would."""
+        if self._device is not None:
+            self._device.write_register(getattr(self._library, f"FAKE_CAMERA_REGISTER_{register}"), value)
+
+    def stamp(self, buffer: int, *, number: int | None = None, timestamp_ns: int | None = None) -> None:
+        """Give a frame another number or time."""
+        if number is not None:
+            self._c.arv_buffer_set_frame_id(buffer, number)
+        if timestamp_ns is not None:
+            self._c.arv_buffer_set_timestamp(buffer, timestamp_ns)
+
+    def close(self) -> None:
+        """End it."""
+        self._faults.wake()
+        self.unplug()
+        self._taken.close()
+        self._folder.cleanup()
+
+    def _fill(self, buffer: int, _: int | None, exposure_us: int, gain: int, code: int) -> None:
+        """Expose: called by the camera's thread when a frame begins."""
+        begun = time.monotonic()
+        number = int(self._c.arv_buffer_get_frame_id(buffer))
+        held_us = self._faults.begin(buffer, number, exposure_us)
+        device = self._device
+        triggered = device is not None and not device.is_in_free_running_mode()
+        levels = self._faults.seen(self._look(held_us, float(gain), triggered, self._faults.arrives))
+        top, left, height, width = self._region()
+        data = packed(levels[top : top + height, left : left + width], code)
+        size = ctypes.c_size_t()
+        where = self._c.arv_buffer_get_data(buffer, ctypes.byref(size))
+        room = width * height * (code >> 16 & 0xFF) // 8  # what the buffer says of itself is 0 at this moment
+        ctypes.memmove(where, data, min(len(data), room))
+        time.sleep(max(0.0, held_us / 1e6 - (time.monotonic() - begun)))
+        self._faults.end(buffer, number, int(self._c.arv_buffer_get_timestamp(buffer)))
+
+    def _region(self) -> tuple[int, int, int, int]:
+        """Top, left, height and width of the part of the sensor that a frame has [pixels]; nothing when unplugged."""
+        device, names = self._device, self._library
+        if device is None:
+            return 0, 0, 0, 0
+        top, left, height, width = (
+            int(device.read_register(register)[1])
+            for register in (
+                names.FAKE_CAMERA_REGISTER_Y_OFFSET,
+                names.FAKE_CAMERA_REGISTER_X_OFFSET,
+                names.FAKE_CAMERA_REGISTER_HEIGHT,
+                names.FAKE_CAMERA_REGISTER_WIDTH,
+            )
+        )
+        return top, left, height, width
+
+    def _description(self, formats: list[str]) -> str:
+        """The description that Aravis' camera has of itself, with our pixel formats and our longest exposure."""
+        text = str(self._library.FakeCamera.new("description").get_genicam_xml()[0])
+        entries = "".join(
+            f'<EnumEntry Name="{name}" NameSpace="Standard"><Value>{FORMATS[name][0]}</Value></EnumEntry>'
+            for name in formats
+        )
+        text = re.sub(
+            r'(<Enumeration Name="PixelFormat".*?</DisplayName>).*?(<pValue>)',
+            rf"\g<1>{entries}\g<2>",
+            text,
+            count=1,
+            flags=re.DOTALL,
+        )
+        return text.replace("<Max>10000000.0</Max>", f"<Max>{_LONGEST_US}.0</Max>")
+
+
+def _address(gobject: Any) -> int:
+    """Address of the library's object behind a Python object."""
+    pointer_of = ctypes.pythonapi.PyCapsule_GetPointer
+    pointer_of.restype = ctypes.c_void_p
+    pointer_of.argtypes = [ctypes.py_object, ctypes.c_char_p]
+    return int(pointer_of(gobject.__gpointer__, None) or 0)
+
+
+def _the_only_one() -> socket.socket:
+    """A socket that nobody else can have while this camera runs: GigE Vision has one control port per address."""
+    end = time.monotonic() + _FREE_S
+    while True:
+        taken = socket.socket()
+        try:
+            taken.bind((_ADDRESS, _CONTROL_PORT))
+        except OSError:
+            taken.close()
+            if time.monotonic() > end:
+                raise ValueError(
+                    f"another simulated GigE camera runs on this computer, for more than {_FREE_S:g} s; there is room "
+                    f"for one at {_ADDRESS}"
+                ) from None
+            threading.Event().wait(0.1)
+        else:
+            return taken

@@ -1,0 +1,362 @@
+"""Simulated firmware of Grbl 1.1h.
+
+Written from Grbl's interface description, and held by tests to dialogues that were recorded from a Grbl 1.1h. What it
+keeps of the real one: ``ok`` when a move is planned; a report in the first milliseconds after it that still says Idle;
+realtime bytes; silence after ALARM:1 and ALARM:2 until a reset, and the withheld ``ok`` before the banner then; a
+locked start with homing enabled; a machine space from 0 down to −$130; no reports during homing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._gcode import GcodeError, Modes, Move, parse_line
+from lightopt.rig.simulated._grbl_settings import Settings
+from lightopt.rig.simulated._travel import Axes
+
+_NAMES = ("X", "Y", "Z")
+_BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
+_UNLOCK = b"[MSG:'$H'|'$X' to unlock]\r\n"
+_RESET_FIRST = b"[MSG:Reset to continue]\r\n"
+_CRITICAL = (1, 2)
+_BLOCKS = 15  # moves that the planner holds
+_SLOW_START_S = 0.004  # a report so soon after the ok still says Idle
+_BRAKE_S = 0.02
+
+
+class GrblFirmware:
+    """A Grbl 1.1h with three axes.
+
+    Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
+    (option ``code``: lines are answered by ``error:code``, with ``after``, ``count``, ``probability`` and ``seed``),
+    ``power_cycle``.
+
+    Parameters
+    ----------
+    axes
+        Where each axis really stands at power-up, and its switches; see :class:`Axes`.
+    settings
+        Settings other than the usual ones by number: ``{"22": 1}``.
+    home_speed
+        Speed of the search for the switches [mm/s].
+    """
+
+    def __init__(
+        self,
+        *,
+        axes: Mapping[str, Mapping[str, float]] | None = None,
+        settings: Mapping[str, float] | None = None,
+        home_speed: float = 50.0,
+    ) -> None:
+        given = {} if axes is None else axes
+        if not set(given) <= set(_NAMES):
+            raise ValueError(f"the axes are X, Y and Z, found {', '.join(given)}")
+        self._axes = Axes({name: given.get(name, {}) for name in _NAMES})
+        self._settings = Settings(settings or {})
+        self._home_speed = home_speed
+        self._refuse: tuple[Trigger, int] | None = None
+        self._power_up()
+
+    def feed(self, data: bytes, now: float) -> bytes:
+        """Take bytes: realtime ones at once, lines in their turn."""
+        out = self.poll(now)
+        for value in data:
+            byte = bytes([value])
+            if byte == b"\x18":
+                out += self._reset(now)
+            elif self._critical:
+                continue
+            elif byte == b"?":
+                out += self._asked(now)
+            elif byte == b"!":
+                self._hold(now)
+            elif byte == b"~":
+                self._resume(now)
+            elif byte in b"\r\n":
+                if self._line:
+                    self._lines.append(self._line.decode("ascii", "replace"))
+                self._line = b""
+                out += self._work(now)
+            elif value < 0x80:
+                self._line += byte
+        return out
+
+    def poll(self, now: float) -> bytes:
+        """What it says on its own: the banner, an alarm, an ok that had to wait."""
+        out, self._pending = self._pending, b""
+        if self._critical:
+            return out
+        self._stands(now)  # brings all axes up to now
+        if any(axis.at_limit for axis in self._axes.by_name.values()):
+            return out + self._alarm(1, now)
+        if self._homing and not self._axes.moving(now):
+            self._homing = False
+            found = all(axis.homed for axis in self._axes.by_name.values())
+            out += b"ok\r\n" if found else self._alarm(9, now) + b"ok\r\n"
+            self._state = "Idle" if found else "Alarm"
+        self._next_block(now)
+        self._begin_dwell(now)
+        if self._dwell_until is not None and now >= self._dwell_until:
+            self._dwell = self._dwell_until = None
+            out += b"ok\r\n"
+        if self._status_wanted and not self._homing:
+            self._status_wanted = False
+            out += self._report(now)
+        return out + self._work(now)
+
+    def positions(self, now: float) -> dict[str, float]:
+        """Where each axis really stands [mm, or degrees], from its switch."""
+        return self._axes.real(now)
+
+    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
+        """Suffer a fault; see the class."""
+        chosen = dict(options)
+        if fault == "alarm":
+            code = int(chosen.pop("code", 1))
+            if chosen or not 1 <= code <= 10:
+                raise ValueError("alarm wants a code from 1 to 10, and no other option")
+            self._pending += self._alarm(code, now)
+        elif fault == "refuse":
+            code = int(chosen.pop("code", 8))
+            self._refuse = (trigger(fault, chosen), code)
+        elif fault == "power_cycle":
+            self._axes.power_cycle(now)
+            self._power_up()
+        else:
+            if fault == "clear":
+                self._refuse = None
+            self._axes.inject(fault, options, ("alarm", "refuse", "power_cycle"))
+
+    def _power_up(self) -> None:
+        self._restart()
+        self._state = "Alarm" if self._settings[22] else "Idle"
+        self._pending = _BANNER + (_UNLOCK if self._settings[22] else b"")
+
+    def _restart(self) -> None:
+        self._state = "Idle"
+        self._critical = False
+        self._withheld = b""
+        self._pending = b""
+        self._line = b""
+        self._lines: deque[str] = deque()
+        self._blocks: deque[tuple[dict[str, float], float]] = deque()
+        self._going: tuple[dict[str, float], float] | None = None
+        self._idle_until = -math.inf
+        self._braked = -math.inf
+        self._homing = False
+        self._jogging = False
+        self._dwell: float | None = None
+        self._dwell_until: float | None = None
+        self._status_wanted = False
+        self._until_wco = self._until_ov = 0
+        self._modes = Modes()
+        self._planned: dict[str, float] | None = None
+
+    def _begin_dwell(self, now: float) -> None:
+        """Begin to wait, once all that was planned is done."""
+        if self._dwell is not None and self._dwell_until is None and not self._moving(now):
+            self._dwell_until = now + self._dwell
+
+    def _moving(self, now: float) -> bool:
+        return self._axes.moving(now) or bool(self._blocks)
+
+    def _stands(self, now: float) -> dict[str, float]:
+        return {name: axis.count(now) for name, axis in self._axes.by_name.items()}
+
+    def _reset(self, now: float) -> bytes:
+        """Ctrl-X: forget all but the position and the lock."""
+        out = self._withheld
+        lock = self._state == "Alarm"
+        braking = self._state == "Hold" and now < self._braked
+        if (self._state != "Hold" and self._moving(now)) or self._homing or braking:
+            out += b"ALARM:3\r\n"
+            lock = True
+        self._axes.stop(now)
+        self._restart()
+        self._state = "Alarm" if lock else "Idle"
+        return out + _BANNER + (_UNLOCK if lock else b"")
+
+    def _alarm(self, code: int, now: float) -> bytes:
+        self._axes.stop(now)
+        for axis in self._axes.by_name.values():
+            axis.at_limit = False
+        self._blocks.clear()
+        self._going = None
+        self._homing = False
+        self._state = "Alarm"
+        if code in _CRITICAL:
+            self._critical = True
+            return f"ALARM:{code}\r\n".encode() + _RESET_FIRST
+        return f"ALARM:{code}\r\n".encode()
+
+    def _hold(self, now: float) -> None:
+        if self._jogging and self._moving(now):
+            self._axes.stop(now)
+            self._blocks.clear()
+            self._planned = None
+        elif self._state in ("Idle", "Run") and not self._homing:
+            self._braked = now + _BRAKE_S if self._moving(now) else now
+            self._axes.stop(now)
+            self._state = "Hold"
+
+    def _resume(self, now: float) -> None:
+        if self._state == "Hold" and now >= self._braked:
+            self._state = "Idle"
+            if self._going is not None:
+                self._start(*self._going, now)
+
+    def _asked(self, now: float) -> bytes:
+        if self._homing:
+            self._status_wanted = True
+            return b""
+        return self._report(now)
+
+    def _report(self, now: float) -> bytes:
+        moving = self._moving(now) and now >= self._idle_until
+        state = self._state
+        if state == "Hold":
+            state = "Hold:1" if now < self._braked else "Hold:0"
+        elif state == "Idle" and moving:
+            state = "Jog" if self._jogging else "Run"
+        busy = state not in ("Idle", "Alarm")
+        place = ",".join(f"{value + 0.0:.3f}" for value in self._stands(now).values())
+        feed = self._going[1] if self._going is not None and moving and self._state == "Idle" else 0
+        fields = [state, f"{'MPos' if int(self._settings[10]) & 1 else 'WPos'}:{place}", f"FS:{feed:.0f},0"]
+        if self._until_wco > 0:
+            self._until_wco -= 1
+        else:
+            self._until_wco = 29 if busy else 9
+            self._until_ov = max(self._until_ov, 1)
+            fields.append("WCO:0.000,0.000,0.000")
+        if self._until_ov > 0:
+            self._until_ov -= 1
+        else:
+            self._until_ov = 19 if busy else 9
+            fields.append("Ov:100,100,100")
+        return f"<{'|'.join(fields)}>\r\n".encode()
+
+    def _work(self, now: float) -> bytes:
+        """Obey lines while none has to wait."""
+        out = b""
+        while self._lines and not self._waits():
+            text = self._lines.popleft()
+            if self._refuse is not None and self._refuse[0].strikes():
+                out += f"error:{self._refuse[1]}\r\n".encode()
+                continue
+            try:
+                out += self._dollar(text, now) if text.startswith("$") else self._gcode(text, now)
+            except GcodeError as error:
+                out += f"error:{error.code}\r\n".encode()
+        return out
+
+    def _waits(self) -> bool:
+        return self._critical or self._homing or self._dwell is not None or len(self._blocks) >= _BLOCKS
+
+    def _gcode(self, text: str, now: float) -> bytes:
+        if self._state == "Alarm" or (self._jogging and self._moving(now)):
+            raise GcodeError(9)
+        move = parse_line(text, self._modes)
+        if move.dwell_s is not None:
+            self._dwell = move.dwell_s
+            self._begin_dwell(now)
+            return b""
+        if not move.words:
+            return b"ok\r\n"
+        target, feed = self._target(move, now)
+        if self._settings[20] and not self._inside(target):
+            self._withheld = b"ok\r\n"
+            return self._alarm(2, now)
+        self._jogging = False
+        self._plan(target, feed, now)
+        return b"ok\r\n"
+
+    def _jog(self, text: str, now: float) -> bytes:
+        if self._moving(now) and not self._jogging:
+            raise GcodeError(8)
+        if self._state != "Idle":
+            raise GcodeError(9)
+        move = parse_line(text, self._modes, jog=True)
+        if not move.words:
+            raise GcodeError(26)
+        target, feed = self._target(move, now)
+        if self._settings[20] and not self._inside(target):
+            raise GcodeError(15)
+        self._jogging = True
+        self._plan(target, feed, now)
+        return b"ok\r\n"
+
+    def _target(self, move: Move, now: float) -> tuple[dict[str, float], float]:
+        """Target of a move, rounded to motor steps, and its feed [mm/min]."""
+        if self._planned is None or not self._moving(now):
+            self._planned = self._stands(now)
+        start = self._planned
+        target = dict(start)
+        for name, number in move.words.items():
+            steps = self._settings[100 + _NAMES.index(name)]
+            target[name] = round((number + (start[name] if move.relative else 0.0)) * steps) / steps
+        ways = {name: abs(target[name] - start[name]) for name in _NAMES if target[name] != start[name]}
+        way = math.hypot(*ways.values())
+        fastest = min(
+            (self._settings[110 + _NAMES.index(name)] * way / part for name, part in ways.items()),
+            default=1.0,
+        )
+        return target, fastest if move.rapid else min(move.feed, fastest)
+
+    def _inside(self, target: Mapping[str, float]) -> bool:
+        return all(-self._settings[130 + i] <= target[name] <= 0 for i, name in enumerate(_NAMES))
+
+    def _plan(self, target: dict[str, float], feed: float, now: float) -> None:
+        idle = not self._moving(now)
+        self._planned = dict(target)
+        self._blocks.append((target, feed))
+        if idle:
+            self._idle_until = now + _SLOW_START_S
+        self._next_block(now)
+
+    def _next_block(self, now: float) -> None:
+        if self._blocks and self._state == "Idle" and not self._axes.moving(now):
+            self._going = self._blocks.popleft()
+            self._start(*self._going, now)
+
+    def _start(self, target: dict[str, float], feed: float, now: float) -> None:
+        here = self._stands(now)
+        way = math.hypot(*(target[name] - here[name] for name in _NAMES))
+        for name in _NAMES:
+            part = abs(target[name] - here[name])
+            if part > 0:
+                self._axes[name].move(target[name], feed / 60 * part / way, now)
+
+    def _dollar(self, text: str, now: float) -> bytes:
+        line = text.replace(" ", "").upper()
+        if line.startswith("$J="):
+            return self._jog(line[3:], now)
+        changes = line in ("$$", "$H") or "=" in line
+        if changes and (self._moving(now) or self._state == "Hold"):
+            raise GcodeError(8)
+        if line == "$$":
+            return self._settings.lines() + b"ok\r\n"
+        if line == "$I":
+            return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
+        if line == "$G":
+            motion, distance = "G0" if self._modes.rapid else "G1", "G91" if self._modes.relative else "G90"
+            feed = f"{self._modes.feed:g}"
+            return f"[GC:{motion} G54 G17 G21 {distance} G94 M5 M9 T0 F{feed} S0]\r\nok\r\n".encode()
+        if line == "$X":
+            locked, self._state = self._state == "Alarm", "Idle"
+            return (b"[MSG:Caution: Unlocked]\r\n" if locked else b"") + b"ok\r\n"
+        if line == "$H":
+            return self._home(now)
+        self._settings.set_from(line)
+        return b"ok\r\n"
+
+    def _home(self, now: float) -> bytes:
+        if not self._settings[22]:
+            raise GcodeError(5)
+        self._homing = True
+        for axis in self._axes.by_name.values():
+            axis.home(self._home_speed, now, becomes=-self._settings[27])
+        return b""

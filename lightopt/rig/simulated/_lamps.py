@@ -1,0 +1,109 @@
+"""What the channels of a simulated light controller hold and really shine, the faults of its lamps included."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+class Lamps:
+    """Intensity and switch of each channel, counted from 1.
+
+    Faults: ``dark`` (the lamp gives no light, the controller does not know), ``lit`` (it burns at the full, the
+    controller does not know), ``deaf`` (the controller acknowledges and keeps what it has), ``aged`` (it gives that
+    ``share`` of its light), ``swapped`` (its plug is where that of channel ``other`` belongs, and the other way round),
+    each for one channel; ``power_cycle`` (the channels are as at power-up).
+
+    Parameters
+    ----------
+    channels
+        Number of channels.
+    top_level
+        Highest intensity.
+    levels
+        Intensities at power-up by channel, 0 where absent. Keys may be text, as in JSON.
+    on
+        Whether the channels are switched on at power-up.
+    """
+
+    FAULTS = ("dark", "lit", "deaf", "aged", "swapped", "power_cycle")
+
+    def __init__(
+        self, channels: int, top_level: int, levels: Mapping[str, int] | None = None, *, on: bool = True
+    ) -> None:
+        self.channels = channels
+        self.top_level = top_level
+        self._level = dict.fromkeys(range(1, channels + 1), 0)
+        self._on = dict.fromkeys(range(1, channels + 1), on)
+        self._faults: dict[int, str] = {}
+        self._aged: dict[int, float] = {}
+        self._lamp_of = {channel: channel for channel in self._level}
+        for channel, level in (levels or {}).items():
+            if int(channel) not in self._level or not 0 <= level <= top_level:
+                raise ValueError(f"no level {level} on channel {channel} of {channels}")
+            self._level[int(channel)] = level
+        self._at_power_up = dict(self._level), dict(self._on)
+
+    def level(self, channel: int) -> int:
+        """Intensity that a channel holds, whether it is switched on or not."""
+        return self._level[channel]
+
+    def on(self, channel: int) -> bool:
+        """Whether a channel is switched on."""
+        return self._on[channel]
+
+    def set_level(self, channel: int, level: int) -> None:
+        """Set a channel's intensity."""
+        if self._faults.get(channel) != "deaf":
+            self._level[channel] = level
+
+    def switch(self, channel: int, on: bool) -> None:
+        """Switch a channel on or off."""
+        if self._faults.get(channel) != "deaf":
+            self._on[channel] = on
+
+    def inject(self, fault: str, options: Mapping[str, Any], known: tuple[str, ...] = ()) -> None:
+        """Let a channel suffer a fault: one of `FAULTS`, or ``clear``; `known` are others, for the message."""
+        if fault == "clear":
+            self._faults.clear()
+            self._aged.clear()
+            self._lamp_of = {channel: channel for channel in self._level}
+            return
+        if fault not in self.FAULTS:
+            raise ValueError(
+                f'no fault called "{fault}"; there are {", ".join((*self.FAULTS, *known, "clear"))}'
+            )
+        if fault == "power_cycle":
+            self._level, self._on = (dict(held) for held in self._at_power_up)
+            return
+        more = {"aged": {"share"}, "swapped": {"other"}}.get(fault, set[str]())
+        if set(options) != {"channel", *more} or options["channel"] not in self._level:
+            wants = "".join(f" and {name}" for name in more)
+            raise ValueError(f"{fault} wants a channel from 1 to {self.channels}{wants}, got {dict(options)}")
+        if fault == "aged":
+            self._aged[options["channel"]] = float(options["share"])
+            return
+        if fault == "swapped":
+            if options["other"] not in self._level:
+                raise ValueError(
+                    f"swapped wants another channel from 1 to {self.channels}, got {dict(options)}"
+                )
+            channel, other = options["channel"], options["other"]
+            self._lamp_of |= {channel: other, other: channel}
+            return
+        self._faults[options["channel"]] = fault
+
+    def shine(self, *, lit: bool = True) -> dict[int, float]:
+        """Brightness of each channel as a share of the highest; `lit` is False where a master switch is off."""
+        return {
+            lamp: self._share(channel, lit=lit) * self._aged.get(lamp, 1.0)
+            for channel, lamp in self._lamp_of.items()
+        }
+
+    def _share(self, channel: int, *, lit: bool) -> float:
+        fault = self._faults.get(channel)
+        if fault == "dark":
+            return 0.0
+        if fault == "lit":
+            return 1.0
+        return self._level[channel] / self.top_level if lit and self._on[channel] else 0.0

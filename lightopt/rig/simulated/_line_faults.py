@@ -1,0 +1,93 @@
+"""Faults of the line between a simulated device and its client: replies lost, late, cut short, spoilt; no cable."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+
+LINE_FAULTS = ("drop", "delay", "truncate", "garbage_before", "garbage_instead", "vanish")
+
+
+@dataclass(frozen=True)
+class Sent:
+    """Bytes on their way to the client, and when [s] they arrive."""
+
+    due: float
+    data: bytes
+
+
+@dataclass
+class _Fault:
+    kind: str
+    trigger: Trigger
+    options: dict[str, Any]
+
+
+class Line:
+    """What becomes of the bytes that a device sends.
+
+    Faults, each with ``after``, ``count``, ``probability`` and ``seed``: ``drop``; ``delay`` (by ``delay_s``);
+    ``truncate`` (to ``keep`` bytes); ``garbage_before`` and ``garbage_instead`` (so many ``bytes``); ``vanish`` (the
+    cable is pulled when a command arrives; ``obeyed``: whether the device still hears it). Occasions of ``vanish`` are
+    deliveries of bytes to the device, those of the others are replies.
+    """
+
+    def __init__(self) -> None:
+        self._faults: list[_Fault] = []
+
+    def inject(self, kind: str, options: Mapping[str, Any]) -> None:
+        """Suffer a fault from now on; ``clear`` ends all.
+
+        Raises
+        ------
+        ValueError
+            For an option that the fault does not have.
+        """
+        if kind == "clear":
+            self._faults.clear()
+            return
+        chosen = dict(options)
+        own = {
+            "delay": {"delay_s": 0.5},
+            "truncate": {"keep": 1},
+            "garbage_before": {"bytes": 3},
+            "garbage_instead": {"bytes": 5},
+            "vanish": {"obeyed": False},
+        }.get(kind, {})
+        values = {key: chosen.pop(key, value) for key, value in own.items()}
+        values["seed"] = chosen.get("seed", 0)
+        self._faults.append(_Fault(kind, trigger(kind, chosen), values))
+
+    def pulled(self) -> bool | None:
+        """Whether the cable is pulled as bytes arrive at the device: None if not, else whether it still hears them."""
+        for fault in self._faults:
+            if fault.kind == "vanish" and fault.trigger.strikes():
+                return bool(fault.options["obeyed"])
+        return None
+
+    def carry(self, data: bytes, now: float) -> list[Sent]:
+        """What arrives at the client of a reply that the device sends at a time [s]."""
+        due = now
+        for fault in self._faults:
+            if fault.kind == "vanish" or not fault.trigger.strikes():
+                continue
+            if fault.kind == "drop":
+                data = b""
+            elif fault.kind == "delay":
+                due = now + float(fault.options["delay_s"])
+            elif fault.kind == "truncate":
+                data = data[: int(fault.options["keep"])]
+            else:
+                noise = _garbage(int(fault.options["bytes"]), int(fault.options["seed"]))
+                data = noise + (data if fault.kind == "garbage_before" else b"")
+        return [Sent(due, data)] if data else []
+
+
+def _garbage(count: int, seed: int) -> bytes:
+    """Bytes as a disturbed line has them: any but those that end or begin commands."""
+    chance = random.Random(seed)  # noqa: S311  (noise, not a secret)
+    return bytes(chance.choice(range(0x80, 0xFF)) for _ in range(count))

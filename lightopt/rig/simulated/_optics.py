@@ -1,0 +1,134 @@
+"""What the camera of the virtual bench sees: the part under the light levels and the posture of this moment."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
+from lightopt.optics import expose
+from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.rig.simulated._deviations import BenchTruth
+from lightopt.scene import Scene, move_part
+
+Float32 = NDArray[np.float32]
+Levels = NDArray[np.uint8] | NDArray[np.uint16]
+
+_CACHE_BYTES = 512 << 20
+
+
+class BenchOptics:
+    """Renders the part as the light levels and the stage have it.
+
+    Images add linearly, so that one linear layer per light and posture serves every level and exposure; they are kept.
+
+    Parameters
+    ----------
+    scene
+        Rig and part as their files have them.
+    truth
+        How the bench differs from them.
+    """
+
+    def __init__(self, scene: Scene, truth: BenchTruth) -> None:
+        self._scene = replace(
+            move_part(scene, np.eye(3), np.array(truth.part_offset_mm, np.float64)),
+            sensor=replace(scene.sensor, black_level=scene.sensor.black_level + truth.dark_level),
+        )
+        self._truth = truth
+        self._caster: RayCaster = cast_rays_at(self._scene)
+        self._layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
+        self._rendering = threading.Lock()
+        self._taken: dict[bytes, int] = {}
+
+    @property
+    def scene(self) -> Scene:
+        """What is rendered."""
+        return self._scene
+
+    def prepare(self, posture: Posture) -> None:
+        """Render all lights at a posture, for frames to come."""
+        self._layer(posture, self._scene.lights[0].name)
+
+    def frame(
+        self,
+        shares: Mapping[str, float],
+        posture: Posture,
+        *,
+        exposure: float,
+        gain_db: float = 0.0,
+        counted: bool = True,
+    ) -> Levels:
+        """One frame with noise, quantised and saturated.
+
+        The noise depends on the seed, on what is seen, and on how many frames of it were taken before.
+
+        Parameters
+        ----------
+        shares
+            Brightness of the lights by name, as a share of the one that the rig describes; those that burn.
+        posture
+            Where the stage stands.
+        exposure
+            Relative exposure.
+        gain_db
+            Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
+        counted
+            Whether it counts among the frames that were taken before the next.
+        """
+        gain = 10.0 ** (gain_db / 20.0)
+        electrons = self._scene.sensor.electrons_per_level
+        sensor = replace(
+            self._scene.sensor,
+            electrons_per_level=None if electrons is None else electrons / gain,
+            read_noise_levels=self._scene.sensor.read_noise_levels * gain,
+        )
+        level = np.full(
+            (self._scene.camera.height, self._scene.camera.width), self._truth.ambient_level, np.float32
+        )
+        burning = {name: share for name, share in sorted(shares.items()) if share > 0.0}
+        for name, share in burning.items():
+            factor = self._truth.gains.get(name, 1.0)
+            level += np.float32(share * factor) * self._layer(posture, name)
+        return expose(
+            level,
+            sensor=sensor,
+            exposure=exposure * gain,
+            full_scale=self._scene.reflectance.full_scale,
+            rng=self._noise(burning, posture, exposure, counted=counted),
+        )
+
+    def _noise(
+        self, burning: Mapping[str, float], posture: Posture, exposure: float, *, counted: bool
+    ) -> np.random.Generator:
+        numbers = (*burning.values(), posture.elevation_deg, posture.rotation_deg, exposure)
+        state = ",".join(burning).encode() + struct.pack(f"<{len(numbers)}d", *numbers)
+        number = self._taken.get(state, -1) + 1
+        if counted:
+            self._taken[state] = number
+        digest = hashlib.sha256(state + struct.pack("<qq", number, self._truth.seed)).digest()
+        return np.random.default_rng(int.from_bytes(digest[:16], "little"))
+
+    def _layer(self, posture: Posture, light: str) -> Float32:
+        with self._rendering:
+            return self._rendered(posture, light)
+
+    def _rendered(self, posture: Posture, light: str) -> Float32:
+        if (posture, light) not in self._layers:
+            # all lights at once: the rays are cast once, and the others are wanted next
+            images = render_posture(self._scene, posture, caster=self._caster)
+            self._layers |= {(posture, image.light): image.level for image in images.lights}
+        layer = self._layers[posture, light]
+        for name in (one.name for one in self._scene.lights):
+            self._layers.move_to_end((posture, name))
+        while len(self._layers) > len(self._scene.lights) and len(self._layers) * layer.nbytes > _CACHE_BYTES:
+            self._layers.popitem(last=False)
+        return layer

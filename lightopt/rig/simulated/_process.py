@@ -1,0 +1,228 @@
+"""The virtual bench from outside: its process, its ports, and what its world is asked."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from lightopt.core.errors import HardwareError, InputError
+
+_START_S = 120.0
+_REQUEST_S = 120.0
+_ANSWER_S = 10.0  # a process that has nothing to compute for an answer and takes longer hangs
+_LOOK_S = 0.01
+_WRONG = 2  # exit status of the process where its description is at fault
+# What this process finds its modules by, instead of the current folder, which may hold a clone of lightopt.
+_START = (
+    "import sys; sys.path[:] = sys.argv.pop(1).split(chr(10)); "
+    "import runpy; runpy.run_module('lightopt.rig.simulated', run_name='__main__', alter_sys=True)"
+)
+
+
+def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
+    """Start the process of a bench, with pipes to its standard input and output."""
+    places = "\n".join(place or str(Path.cwd()) for place in sys.path)
+    # A group of its own: Ctrl-C is for the client, which still has lights to switch off.
+    flags = 0x00000200 if os.name == "nt" else 0  # CREATE_NEW_PROCESS_GROUP
+    return subprocess.Popen(  # noqa: S603  (this interpreter, this package)
+        [sys.executable, "-c", _START, places, spec],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        start_new_session=os.name != "nt",
+        creationflags=flags,
+    )
+
+
+class BenchProcess:
+    """A virtual bench in a process of its own, which ends with this object or with this process.
+
+    Parameters
+    ----------
+    devices
+        By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
+        ``tcp`` and ``wedges`` of the wire.
+    tcp
+        Whether devices that do not say are on TCP instead of pseudo-terminals; None: where there are none.
+    **more
+        Further keys of the description that the process gets.
+
+    Attributes
+    ----------
+    ports
+        What a driver opens, by device.
+
+    Raises
+    ------
+    lightopt.core.errors.InputError
+        When a device cannot be as described.
+    lightopt.core.errors.HardwareError
+        When the process does not start.
+    """
+
+    def __init__(
+        self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool | None = None, **more: Any
+    ) -> None:
+        spec = {"devices": devices, **({} if tcp is None else {"tcp": tcp}), **more}
+        self._lock = threading.Lock()
+        self._control: socket.socket | None = None
+        self._replies: BinaryIO | None = None
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
+        self._process = start_process(json.dumps(spec), self._errors)
+        try:
+            hello = self._hello()
+            self.ports: dict[str, str] = hello["ports"]
+            self._control = socket.create_connection(("127.0.0.1", hello["control"]), timeout=_REQUEST_S)
+            self._control.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._replies = self._control.makefile("rb")
+            self._control.sendall(hello["token"].encode() + b"\n")
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Process id of the bench."""
+        return self._process.pid
+
+    def request(
+        self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any
+    ) -> tuple[dict[str, Any], bytes]:
+        """Ask the bench; returns the answer and the bytes that came with it.
+
+        Parameters
+        ----------
+        do
+            What is asked.
+        timeout_s
+            Longest wait for the answer [s]. A bench that leaves a question unanswered is asked nothing more.
+        **arguments
+            Of the question.
+
+        Raises
+        ------
+        ValueError
+            When the bench says that the request is wrong.
+        lightopt.core.errors.HardwareError
+            When the bench is gone, or did not answer in time.
+        """
+        with self._lock:
+            try:
+                if self._control is None or self._replies is None:
+                    raise OSError("closed")
+                self._control.settimeout(max(1e-3, timeout_s))
+                self._control.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
+                line = self._replies.readline()
+                answer: dict[str, Any] = json.loads(line) if line else {}
+                data = self._replies.read(answer["bytes"]) if answer.get("bytes") else b""
+            except TimeoutError:
+                self._hang_up()  # what comes later would be taken for the answer to the next question
+                raise self._gone(
+                    f"did not answer within {timeout_s:.3g} s when asked for {do}: its process hangs"
+                ) from None
+            except (OSError, ValueError) as error:
+                raise self._gone(f"cannot be asked for {do} ({error})") from None
+        if not answer:
+            raise self._gone(f"ended when asked for {do}")
+        if not answer.pop("ok"):
+            raise ValueError(answer["error"])
+        return answer, data
+
+    def prepare(self) -> None:
+        """Wait until what the camera will see is rendered, however long that takes; meanwhile the bench has to answer.
+
+        Raises
+        ------
+        lightopt.core.errors.HardwareError
+            When it cannot be rendered, or the bench is gone or hangs.
+        """
+        try:
+            while not self.request("prepare", timeout_s=_ANSWER_S)[0]["ready"]:
+                time.sleep(_LOOK_S)
+        except ValueError as error:
+            raise self._gone(f"cannot render what its camera sees ({error})") from None
+
+    def state(self) -> dict[str, Any]:
+        """World now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
+        return self.request("state")[0]
+
+    def levels(self, device: str) -> dict[int, float]:
+        """Brightness of each channel of a controller, as a share of the highest."""
+        return {int(channel): level for channel, level in self.state()["levels"][device].items()}
+
+    def positions(self, device: str) -> dict[str, float]:
+        """Where the axes of a stage really stand, in device units."""
+        return self.state()["positions"][device]
+
+    def trace(self) -> list[tuple[float, str, int, float]]:
+        """Changes of the lights so far: time [s, the bench's clock], device, channel, share of the brightest."""
+        return [(t, name, channel, level) for t, name, channel, level in self.request("trace")[0]["changes"]]
+
+    def set_fault(self, device: str, fault: str, **options: Any) -> None:
+        """Let a device suffer a fault, of its line or its own; ``clear`` ends them."""
+        self.request("fault", device=device, fault=fault, options=options)
+
+    def unplug(self, device: str) -> None:
+        """Pull the cable of a device; the device goes on with what it does."""
+        self.request("unplug", device=device)
+
+    def kill(self) -> None:
+        """Kill the process, as a power cut would: nothing is cleaned up."""
+        self._process.kill()
+        self._process.wait()
+
+    def close(self) -> None:
+        """End the process; never raises."""
+        self._hang_up()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        try:
+            self._process.wait(5)
+        except subprocess.TimeoutExpired:
+            self.kill()
+        self._errors.close()
+
+    def __enter__(self) -> BenchProcess:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _hang_up(self) -> None:
+        for end in (self._replies, self._control):
+            if end is not None:
+                end.close()
+        self._control = self._replies = None
+
+    def _hello(self) -> dict[str, Any]:
+        watchdog = threading.Timer(_START_S, self._process.kill)
+        watchdog.start()
+        try:
+            assert self._process.stdout is not None
+            line = self._process.stdout.readline()
+        finally:
+            watchdog.cancel()
+        if not line:
+            if self._process.wait(_START_S) == _WRONG:
+                raise InputError(*self._gone("cannot be as described").messages)
+            raise self._gone("did not start")
+        return json.loads(line)
+
+    def _gone(self, what: str) -> HardwareError:
+        said = ""
+        if not self._errors.closed:
+            self._errors.seek(0)
+            said = self._errors.read().decode("utf-8", "replace").strip()
+        if "Traceback (" in said:
+            said = said.splitlines()[-1]
+        return HardwareError(f"virtual bench: {what}" + (f"; it said: {said[-2000:]}" if said else ""))

@@ -1,0 +1,232 @@
+"""Axes that move at constant speed, and what can go wrong with them, for simulated stage firmware.
+
+An axis has a count, which its controller believes, and a place where it really stands, told from its mechanical origin;
+both in device units. They agree once it has been homed and while no step is lost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+
+AXIS_FAULTS = ("stall", "limit", "lost_step")
+
+
+@dataclass
+class _Fault:
+    kind: str
+    trigger: Trigger
+    share: float
+    busy: bool
+
+
+class Travel:
+    """One axis.
+
+    Parameters
+    ----------
+    stands
+        Where it really stands at power-up.
+    low, high
+        Where its limit switches are.
+    count
+        What the controller believes at power-up.
+
+    Attributes
+    ----------
+    at_limit
+        Whether the last move ended at a switch.
+    homed
+        Whether it has found its origin since power-up.
+    """
+
+    def __init__(
+        self, *, stands: float = 0.0, low: float = -math.inf, high: float = math.inf, count: float = 0.0
+    ) -> None:
+        self._low = low
+        self._high = high
+        self._at_power_up = count
+        self._offset = stands - count  # real = count + offset
+        self._start = self._end = count
+        self._began = 0.0
+        self._speed = 1.0
+        self._homing: float | None = None
+        self._ends_at_switch = self._ends_stalled = self._stays_busy = False
+        self._fault: _Fault | None = None
+        self.at_limit = False
+        self.homed = False
+
+    def suffer(self, fault: _Fault | None) -> None:
+        """Suffer a fault in a coming move; None ends it."""
+        self._fault = fault
+
+    def lose(self, steps: float) -> None:
+        """Lose steps: the axis stands that much short of its count from now on."""
+        self._offset -= steps
+
+    def power_cycle(self, now: float) -> None:
+        """Go off and on: it stays where it stands, and the count begins anew."""
+        real = self.real(now)
+        self.stop(now)
+        self._start = self._end = self._at_power_up
+        self._offset = real - self._at_power_up
+        self.at_limit = self.homed = False
+
+    def count(self, now: float) -> float:
+        """What the controller believes."""
+        self._advance(now)
+        way = self._end - self._start
+        gone = min(abs(way), self._speed * max(0.0, now - self._began))
+        return self._start + math.copysign(gone, way)
+
+    def real(self, now: float) -> float:
+        """Where it really stands."""
+        return self.count(now) + self._offset
+
+    def moving(self, now: float) -> bool:
+        """Whether the controller says that it moves."""
+        self._advance(now)
+        return self._end != self._start or self._stays_busy
+
+    @property
+    def homing(self) -> bool:
+        """Whether it seeks its origin."""
+        return self._homing is not None
+
+    def move(self, target: float, speed: float, now: float, *, delay_s: float = 0.0) -> None:
+        """Move the count to a target at a speed [units/s]."""
+        self.at_limit = False
+        self._go(target, speed, now + delay_s)
+
+    def home(self, speed: float, now: float, *, becomes: float = 0.0) -> None:
+        """Seek the place that many units from the mechanical origin, where the count becomes right."""
+        self.at_limit = self.homed = False
+        origin = becomes - self._offset
+        self._go(origin, speed, now)
+        self._homing = becomes
+        if origin == self._start:
+            self._advance(now)
+
+    def stop(self, now: float) -> None:
+        """Stop at once."""
+        here = self.count(now)
+        self._start = self._end = here
+        self._homing = None
+        self._stays_busy = False
+
+    def set_count(self, count: float, now: float) -> None:
+        """Call the place where it stands otherwise."""
+        real = self.real(now)
+        self._start = self._end = count
+        self._offset = real - count
+
+    def _go(self, target: float, speed: float, began: float) -> None:
+        self._start = self.count(began)
+        self._began = began
+        self._speed = speed
+        self._homing = None
+        self._ends_at_switch = self._ends_stalled = False
+        if self._fault is not None and self._fault.trigger.strikes():
+            target = self._start + self._fault.share * (target - self._start)
+            self._ends_at_switch = self._fault.kind == "limit"
+            self._ends_stalled = self._fault.kind == "stall"
+        real = target + self._offset
+        if not self._low <= real <= self._high:
+            target = min(max(real, self._low), self._high) - self._offset
+            self._ends_at_switch = True
+        self._end = target
+        if self._end == self._start:
+            self._arrived()
+
+    def _advance(self, now: float) -> None:
+        if self._end != self._start and now >= self._began + abs(self._end - self._start) / self._speed:
+            self._start = self._end
+            self._arrived()
+        elif self._homing is not None and self._end == self._start and not self._stays_busy:
+            self._arrived()
+
+    def _arrived(self) -> None:
+        if self._ends_stalled:
+            self._stays_busy = self._fault is not None and self._fault.busy
+            self._homing = None
+        elif self._ends_at_switch:
+            self.at_limit = True
+            self._homing = None
+        elif self._homing is not None:
+            self._offset = 0.0
+            self._start = self._end = self._homing
+            self._homing = None
+            self.homed = True
+        self._ends_stalled = self._ends_at_switch = False
+
+
+class Axes:
+    """The axes of a stage by name.
+
+    Faults, of an ``axis`` or of all: ``stall`` (the axis stops after a ``share`` of a move, and reports that it stands
+    still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with ``after``, ``count``,
+    ``probability`` and ``seed`` counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
+
+    Parameters
+    ----------
+    axes
+        Arguments of :class:`Travel` by the axis' name.
+    count
+        What the controller believes at power-up.
+    """
+
+    def __init__(self, axes: Mapping[str, Mapping[str, float]], *, count: float = 0.0) -> None:
+        if not axes:
+            raise ValueError("a stage has at least one axis")
+        self.by_name = {name: Travel(**options, count=count) for name, options in axes.items()}
+
+    def __getitem__(self, name: str) -> Travel:
+        return self.by_name[name]
+
+    def real(self, now: float) -> dict[str, float]:
+        """Where each really stands."""
+        return {name: axis.real(now) for name, axis in self.by_name.items()}
+
+    def moving(self, now: float) -> bool:
+        """Whether any moves."""
+        return any(axis.moving(now) for axis in self.by_name.values())
+
+    def stop(self, now: float) -> None:
+        """Stop all."""
+        for axis in self.by_name.values():
+            axis.stop(now)
+
+    def power_cycle(self, now: float) -> None:
+        """Switch the controller off and on."""
+        for axis in self.by_name.values():
+            axis.power_cycle(now)
+
+    def inject(self, fault: str, options: Mapping[str, Any], others: tuple[str, ...]) -> None:
+        """Suffer a fault of an axis; `others` are those that the firmware knows beside these."""
+        chosen = dict(options)
+        name = chosen.pop("axis", None)
+        if name is not None and name not in self.by_name:
+            raise ValueError(f'{fault}: no axis called "{name}"; there is {", ".join(self.by_name)}')
+        axes = list(self.by_name.values()) if name is None else [self.by_name[name]]
+        if fault == "clear":
+            for axis in axes:
+                axis.suffer(None)
+        elif fault == "lost_step":
+            steps = float(chosen.pop("steps", 100))
+            if chosen:
+                raise ValueError(f"lost_step: unknown option {', '.join(chosen)}")
+            for axis in axes:
+                axis.lose(steps)
+        elif fault in ("stall", "limit"):
+            share, busy = float(chosen.pop("share", 0.5)), bool(chosen.pop("busy", False))
+            strikes = trigger(fault, chosen)
+            for axis in axes:
+                axis.suffer(_Fault(fault, strikes, share, busy))
+        else:
+            raise ValueError(
+                f'no fault called "{fault}"; there is {", ".join((*AXIS_FAULTS, *others))}, clear'
+            )

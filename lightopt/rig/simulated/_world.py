@@ -1,0 +1,228 @@
+"""The devices of a virtual bench: firmware, its wire, and what happens on it."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+from lightopt.rig.simulated._catalogue import build
+from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware
+from lightopt.rig.simulated._line_faults import LINE_FAULTS, Line, Sent
+from lightopt.rig.simulated._wires import PtyWire, TcpWire, Wire, have_ptys
+
+_TRACE = 100_000
+
+_TICK_S = 0.005
+"""How late a device may be with what it says on its own while it is awake."""
+
+_AWAKE_S = 1.0
+"""A device is awake for so long after it was spoken to."""
+
+_ASLEEP_S = 0.05
+"""How late one that is not awake may be: a bench of many devices would be busy with asking them."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A light that changed: when [s, monotonic clock], which, and its share of the highest brightness from then on."""
+
+    time: float
+    device: str
+    channel: int
+    level: float
+
+
+class Device:
+    """A simulated device on its wire.
+
+    Parameters
+    ----------
+    kind
+        Protocol of its firmware.
+    options
+        Keyword arguments of its firmware.
+    wire
+        Its wire.
+    """
+
+    def __init__(self, kind: str, options: dict[str, Any], wire: Wire) -> None:
+        self.kind = kind
+        self.firmware: Firmware = build(kind, options)
+        self.wire = wire
+        self.deliveries = 0
+        self._line = Line()
+        self._out: list[Sent] = []
+        self._called = -math.inf
+        self._asked = -math.inf
+
+    def is_awake(self, now: float) -> bool:
+        """Whether it has something to say, or was spoken to a moment ago."""
+        return bool(self._out) or now - self._called < _AWAKE_S
+
+    def is_due(self, now: float) -> bool:
+        """Whether it is time to let it speak, though it has heard nothing."""
+        return self.is_awake(now) or now - self._asked >= _ASLEEP_S
+
+    def hear(self, now: float) -> None:
+        """Take what the client sent, and let the firmware answer."""
+        data = self.wire.receive()
+        if not data:
+            return
+        self._called = now
+        self.deliveries += 1
+        pulled = self._line.pulled()
+        if pulled is not None:
+            self.wire.pull()
+        if pulled is not False:
+            self._reply(self.firmware.feed(data, now), now)
+
+    def speak(self, now: float) -> None:
+        """Send what is due, the firmware's own words included."""
+        self._asked = now
+        self._reply(self.firmware.poll(now), now)
+        self._out.sort(key=lambda sent: sent.due)
+        while self._out and self._out[0].due <= now:
+            first = self._out.pop(0)
+            taken = self.wire.send(first.data)
+            if taken < len(first.data):
+                self._out.insert(0, Sent(first.due, first.data[taken:]))
+                return
+
+    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
+        """Suffer a fault of the line or of the device; ``clear`` ends all of both."""
+        self._called = now
+        if fault in LINE_FAULTS or fault == "clear":
+            self._line.inject(fault, options)
+        if fault == "clear":
+            self._out = [sent for sent in self._out if sent.due <= now]  # late replies do not come any more
+        if fault not in LINE_FAULTS:
+            self.firmware.inject(fault, options, now)
+
+    def levels(self) -> dict[int, float] | None:
+        """Brightness of each channel as a share of the highest; None for what is no light controller."""
+        return cast("LightFirmware", self.firmware).levels() if hasattr(self.firmware, "levels") else None
+
+    def positions(self, now: float) -> dict[str, float] | None:
+        """Where each axis really stands, in device units; None for what is no stage."""
+        if not hasattr(self.firmware, "positions"):
+            return None
+        return cast("StageFirmware", self.firmware).positions(now)
+
+    def _reply(self, data: bytes, now: float) -> None:
+        if data:
+            self._out += self._line.carry(data, now)
+
+
+class World:
+    """All devices of a bench, and the brightness of its lights through time.
+
+    Hold `lock` while touching the devices: the wires are served by one thread, requests by others.
+
+    Parameters
+    ----------
+    devices
+        By name: ``kind`` and, optionally, ``options`` of the firmware, ``tcp`` and ``wedges`` of the wire.
+    tcp
+        Whether devices that do not say are on TCP; by default where there are no pseudo-terminals.
+
+    Raises
+    ------
+    ValueError
+        For firmware that does not exist, or options that it refuses.
+    """
+
+    def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool = not have_ptys) -> None:
+        self.lock = threading.RLock()
+        self._served = threading.Event()
+        self.trace: deque[Change] = deque(maxlen=_TRACE)
+        self.devices: dict[str, Device] = {}
+        self._shone: dict[tuple[str, int], float] = {}
+        for name, spec in devices.items():
+            wire = TcpWire(wedges=spec.get("wedges", False)) if spec.get("tcp", tcp) else PtyWire()
+            self.devices[name] = Device(spec["kind"], dict(spec.get("options", {})), wire)
+        self.levels()
+
+    def ports(self) -> dict[str, str]:
+        """What clients open, by device."""
+        return {name: device.wire.port for name, device in self.devices.items()}
+
+    def waiting(self) -> list[int]:
+        """File descriptors to watch for something to read."""
+        with self.lock:
+            return [fd for device in self.devices.values() for fd in device.wire.waiting]
+
+    def pause_s(self, now: float) -> float:
+        """How long to wait for something to read before the devices are served again [s]."""
+        with self.lock:
+            return _TICK_S if any(one.is_awake(now) for one in self.devices.values()) else _ASLEEP_S
+
+    def serve(self, now: float, ready: Collection[int]) -> None:
+        """Let every device hear and speak once that has something to.
+
+        Parameters
+        ----------
+        now
+            [s], monotonic clock.
+        ready
+            Of the file descriptors that wait, those with something to read.
+        """
+        with self.lock:
+            for device in self.devices.values():
+                called = any(fd in ready for fd in device.wire.waiting)
+                if called:
+                    device.hear(now)
+                if called or device.is_due(now):
+                    device.speak(now)
+            self._look(now)
+            self._served.set()
+
+    def levels(self) -> dict[str, dict[int, float]]:
+        """Brightness of each channel of each light controller, as a share of the highest."""
+        with self.lock:
+            found = {name: device.levels() for name, device in self.devices.items()}
+        return {name: levels for name, levels in found.items() if levels is not None}
+
+    def positions(self, now: float) -> dict[str, dict[str, float]]:
+        """Where each axis of each stage really stands, in device units."""
+        with self.lock:
+            found = {name: device.positions(now) for name, device in self.devices.items()}
+        return {name: positions for name, positions in found.items() if positions is not None}
+
+    def inject(self, name: str, fault: str, options: dict[str, Any], now: float) -> None:
+        """Let a device suffer a fault."""
+        with self.lock:
+            if name not in self.devices:
+                raise ValueError(f'no device called "{name}"; there is {", ".join(self.devices)}')
+            self.devices[name].inject(fault, options, now)
+            self._look(now)
+
+    def pull(self, name: str) -> None:
+        """Pull the cable of a device, and wait until nobody holds its end any more.
+
+        Raises
+        ------
+        KeyError
+            For a device that is not there.
+        """
+        with self.lock:
+            self.devices[name].wire.pull()
+            self._served.clear()
+        # The system keeps a wire open for as long as the serving thread waits on it.
+        self._served.wait(1)
+
+    def close(self) -> None:
+        """Pull every cable."""
+        with self.lock:
+            for device in self.devices.values():
+                device.wire.pull()
+
+    def _look(self, now: float) -> None:
+        for name, levels in self.levels().items():
+            for channel, level in levels.items():
+                if self._shone.get((name, channel), 0.0) != level:
+                    self._shone[name, channel] = level
+                    self.trace.append(Change(now, name, channel, level))

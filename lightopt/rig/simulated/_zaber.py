@@ -1,0 +1,247 @@
+"""Simulated firmware of Zaber controllers in the ASCII protocol.
+
+A command is ``/``, optionally device, axis and message number, words, optionally ``:`` and a checksum, and a line feed.
+A command with a wrong checksum is not answered. Each reply tells whether the axis moves, and its gravest warning.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._travel import Axes
+
+_SPEED_UNIT = 1.6384
+_LONGEST = 256
+_COMMAND = re.compile(
+    r"/(?:(?P<device>\d{1,2})(?: (?P<axis>\d)(?: (?P<id>\d{1,2}|--))?)?)?(?: *(?P<words>[a-z].*?))? *"
+)
+
+
+class ZaberFirmware:
+    """A chain with one device.
+
+    Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
+    FS unless told, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
+    BADDATA unless told), ``checksum`` (a reply's checksum is wrong), both with ``after``, ``count``, ``probability``
+    and ``seed``; ``power_cycle``.
+
+    Parameters
+    ----------
+    axes
+        Arguments of each axis by its number; see :class:`Axes`. None: two of them.
+    limits
+        ``limit.min`` and ``limit.max`` of each axis by its number.
+    maxspeed
+        Speed at first, in the unit of the setting.
+    home_speed
+        Speed of the search for the home sensor [microsteps/s].
+    checksums
+        Whether replies carry a checksum.
+    """
+
+    def __init__(
+        self,
+        *,
+        axes: Mapping[str, Mapping[str, float]] | None = None,
+        limits: Mapping[str, tuple[int, int]] | None = None,
+        maxspeed: int = 153_600,
+        home_speed: float = 50_000.0,
+        checksums: bool = True,
+    ) -> None:
+        self._axes = Axes({"1": {}, "2": {}} if axes is None else axes)
+        names = list(self._axes.by_name)
+        if names != [str(number + 1) for number in range(len(names))]:
+            raise ValueError(f"the axes are numbered from 1, found {', '.join(names)}")
+        self._settings: dict[str, dict[str, int]] = {}
+        for name in names:
+            low, high = (limits or {}).get(name, (0, 1_000_000))
+            self._settings[name] = {"limit.min": low, "limit.max": high, "maxspeed": maxspeed, "accel": 205}
+        self._home_speed = home_speed
+        self._checksums = checksums
+        self._flags: dict[str, set[str]] = {name: set() for name in names}
+        self._moves = dict.fromkeys(names, False)
+        self._to: dict[str, float] = {}
+        self._buffer = b""
+        self._refuse: tuple[Trigger, str] | None = None
+        self._wrong: Trigger | None = None
+
+    def feed(self, data: bytes, now: float) -> bytes:
+        """Take bytes; answer each command."""
+        self._buffer += data
+        *lines, rest = self._buffer.split(b"\n")
+        self._buffer = rest[-_LONGEST:]
+        return b"".join(self._answer(line.rstrip(b"\r"), now) for line in lines)
+
+    def poll(self, now: float) -> bytes:  # noqa: ARG002
+        """Return nothing: alerts are off."""
+        return b""
+
+    def positions(self, now: float) -> dict[str, float]:
+        """Where each axis really stands [microsteps]."""
+        return self._axes.real(now)
+
+    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
+        """Suffer a fault; see the class."""
+        chosen = dict(options)
+        if fault == "alarm":
+            flag, axis = str(chosen.pop("flag", "FS")), chosen.pop("axis", None)
+            if chosen or (axis is not None and axis not in self._flags):
+                raise ValueError("alarm wants a flag, and an axis of the device")
+            self._axes.stop(now)
+            for name in self._flags if axis is None else [axis]:
+                self._flags[name].add(flag)
+        elif fault == "refuse":
+            reason = str(chosen.pop("reason", "BADDATA"))
+            self._refuse = (trigger(fault, chosen), reason)
+        elif fault == "checksum":
+            self._wrong = trigger(fault, chosen)
+        elif fault == "power_cycle":
+            self._axes.power_cycle(now)
+            self._buffer = b""
+            for name, flags in self._flags.items():
+                flags.clear()
+                self._moves[name] = False
+        else:
+            if fault == "clear":
+                self._refuse = self._wrong = None
+            self._axes.inject(fault, options, ("alarm", "refuse", "checksum", "power_cycle"))
+
+    def _answer(self, line: bytes, now: float) -> bytes:
+        start = line.rfind(b"/")
+        if start < 0:
+            return b""
+        text = line[start:].decode("ascii", "replace")
+        body, colon, checksum = text.rpartition(":")
+        if colon and re.fullmatch(r"[0-9A-F]{2}", checksum):
+            if (sum(text[1:].split(":")[0].encode()) + int(checksum, 16)) & 0xFF:
+                return b""
+            text = body
+        match = _COMMAND.fullmatch(text)
+        if match is None:
+            return self._reply(0, None, "RJ", "BADCOMMAND", now)
+        device, axis, number = int(match["device"] or 0), int(match["axis"] or 0), match["id"]
+        if device not in (0, 1):
+            return b""
+        if axis > len(self._flags):
+            return self._reply(0, number, "RJ", "BADAXIS", now)
+        words = (match["words"] or "").split()
+        names = [str(axis)] if axis else list(self._flags)
+        if words and words[0] not in ("get", "warnings") and self._refuse and self._refuse[0].strikes():
+            return self._reply(axis, number, "RJ", self._refuse[1], now)
+        data = self._obey(words, names, axis, now)
+        rejected = data in ("BADCOMMAND", "BADDATA", "DEVICEONLY")
+        return self._reply(axis, number, "RJ" if rejected else "OK", data, now)
+
+    def _reply(self, axis: int, number: str | None, flag: str, data: str, now: float) -> bytes:
+        names = [str(axis)] if axis else list(self._flags)
+        busy = any(self._axes[name].moving(now) for name in names)
+        words = ["01", str(axis)] + ([f"{int(number):02d}"] if number and number != "--" else [])
+        body = " ".join([*words, flag, "BUSY" if busy else "IDLE", self._warning(names, now), data]).encode()
+        if not self._checksums:
+            return b"@" + body + b"\r\n"
+        checksum = -sum(body) & 0xFF
+        if self._wrong is not None and self._wrong.strikes():
+            checksum ^= 0x55
+        return b"@" + body + f":{checksum:02X}\r\n".encode()
+
+    def _warnings(self, names: list[str], now: float) -> list[str]:
+        found: set[str] = set()
+        for name in names:
+            axis = self._axes[name]
+            still = not axis.moving(now)
+            if still and self._moves[name]:
+                self._moves[name] = False
+                if axis.at_limit:
+                    self._flags[name].add("WL")
+                elif name in self._to and axis.count(now) != self._to[name]:
+                    self._flags[name].add("FS")
+            found |= self._flags[name]
+            if not axis.homed:
+                found.add("WR")
+        return sorted(found, key="FD FQ FS FT FB FP FE WH WL WP WV WT WM WR NC NI ND NU NJ".find)
+
+    def _warning(self, names: list[str], now: float) -> str:
+        return next(iter(self._warnings(names, now)), "--")
+
+    def _obey(self, words: list[str], names: list[str], axis: int, now: float) -> str:
+        """Do what a command says; what is answered."""
+        if not words:
+            return "0"
+        verb, rest = words[0], words[1:]
+        if verb == "get" and len(rest) == 1:
+            return self._get(rest[0], names, axis, now)
+        if verb == "set" and len(rest) == 2:
+            return self._set(rest[0], rest[1], names)
+        if verb == "warnings" and rest in ([], ["clear"]):
+            found = self._warnings(names, now)
+            if rest:
+                for name in names:
+                    self._flags[name].clear()
+            return " ".join([f"{len(found):02d}", *found])
+        if verb in ("stop", "estop") and not rest:
+            for name in names:
+                self._axes[name].stop(now)
+                self._moves[name] = False
+            return "0"
+        if verb == "home" and not rest:
+            for name in names:
+                self._axes[name].home(self._home_speed, now)
+                self._moves[name], self._to[name] = True, 0.0
+            return "0"
+        return self._move(rest, names, now) if verb == "move" else "BADCOMMAND"
+
+    def _get(self, setting: str, names: list[str], axis: int, now: float) -> str:
+        device = {
+            "deviceid": "30222",
+            "version": "7.38",
+            "version.build": "12345",
+            "system.serial": "104857",
+            "system.axiscount": str(len(self._flags)),
+            "system.access": "1",
+            "comm.alert": "0",
+            "comm.checksum": str(int(self._checksums)),
+            "comm.address": "1",
+        }
+        if setting in device:
+            return "DEVICEONLY" if axis else device[setting]
+        if setting == "pos":
+            return " ".join(str(round(self._axes[name].count(now))) for name in names)
+        if setting in self._settings[names[0]]:
+            return " ".join(str(self._settings[name][setting]) for name in names)
+        return "BADCOMMAND"
+
+    def _set(self, setting: str, value: str, names: list[str]) -> str:
+        if setting not in self._settings[names[0]]:
+            return "BADCOMMAND"
+        if re.fullmatch(r"-?\d+", value) is None or (setting == "maxspeed" and int(value) < 1):
+            return "BADDATA"
+        for name in names:
+            self._settings[name][setting] = int(value)
+        return "0"
+
+    def _move(self, rest: list[str], names: list[str], now: float) -> str:
+        kind = rest[0] if rest else ""
+        if kind not in ("abs", "rel", "min", "max") or len(rest) != (2 if kind in ("abs", "rel") else 1):
+            return "BADCOMMAND"
+        if len(rest) == 2 and re.fullmatch(r"-?\d+", rest[1]) is None:
+            return "BADDATA"
+        targets: dict[str, int] = {}
+        for name in names:
+            low, high = self._settings[name]["limit.min"], self._settings[name]["limit.max"]
+            if kind in ("min", "max"):
+                targets[name] = low if kind == "min" else high
+            else:
+                targets[name] = int(rest[1]) + (round(self._axes[name].count(now)) if kind == "rel" else 0)
+            if not low <= targets[name] <= high:
+                return "BADDATA"
+        for name, target in targets.items():
+            if self._axes[name].moving(now):
+                self._flags[name].add("NI")
+            else:
+                self._flags[name].discard("NI")
+            self._axes[name].move(float(target), self._settings[name]["maxspeed"] / _SPEED_UNIT, now)
+            self._moves[name], self._to[name] = True, float(target)
+        return "0"
