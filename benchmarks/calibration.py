@@ -1,4 +1,4 @@
-"""False alarms on good parts that a calibration has not seen; writes a table of docs/inspection.md.
+"""False alarms on good parts that a calibration has not seen; writes a table of docs/validation/inspection.md.
 
 ``python -m benchmarks.calibration`` renders good parts with a lobe 1 % wider than the part's file says, up to 0.5 mm
 and 0.5° off their place, with noise and saturation. Half of them calibrate, the others are held against what those

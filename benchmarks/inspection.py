@@ -1,4 +1,4 @@
-"""Every detector and fusion on parts strewn with defects, and baselines; writes the tables of docs/inspection.md.
+"""Detectors and fusions on parts with random defects, and baselines; writes tables of docs/validation/inspection.md.
 
 ``python -m benchmarks.inspection [--sets N]`` renders the sample parts from a mesh four times as fine as the
 inspection's, 0.5 mm and 0.5° off their place, with noise and saturation; about a minute a set. ``--toy`` is for the
@@ -57,7 +57,7 @@ from lightopt.scene import _build
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"
-PAGE = ROOT / "docs" / "inspection.md"
+PAGE = ROOT / "docs" / "validation" / "inspection.md"
 PARTS = ("cover-knob", "spout")
 FIRST = Posture(elevation_deg=0.0, rotation_deg=0.0)
 

@@ -358,7 +358,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--step", type=float, default=5.0, help="of the lights' angles [°]")
     parser.add_argument("--out", type=Path, default=Path("out/loop"), help="folder of loop.csv")
     parser.add_argument("--plot", type=Path, help="picture to draw")
-    parser.add_argument("--page", action="store_true", help="put the tables into docs/inspection.md")
+    parser.add_argument("--page", action="store_true", help="put the tables into docs/validation/inspection.md")
     options = parser.parse_args(arguments)
     tallies: list[Tally] = []
     for name in options.parts:

@@ -26,7 +26,7 @@ PICTURES = DOCS / "pictures"
 RIGS = ROOT / "configs" / "rigs"
 PARTS = ROOT / "configs" / "parts"
 
-# the paper's Table 1; R_s of m = 1 as printed and as it is read (docs/reflection-model.md)
+# the paper's Table 1; R_s of m = 1 as printed and as it is read (docs/reference/reflection-model.md)
 TABLE_1 = [
     (1, 1_180_000.0, 0.0525),
     (1, 11_800.0, 0.0525),
@@ -231,9 +231,9 @@ def main() -> None:
         plan_pictures(PICTURES / "blind-spots.png", PICTURES / "plan.png", out)
         inspection_picture(PICTURES / "inspection.png", out)
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
-    replace_block(DOCS / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
+    replace_block(DOCS / "tutorial" / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:
-        replace_block(DOCS / "reflection-model.md", "table-1", saturated_table())
+        replace_block(DOCS / "reference" / "reflection-model.md", "table-1", saturated_table())
 
 
 if __name__ == "__main__":

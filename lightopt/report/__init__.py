@@ -16,11 +16,21 @@ from lightopt.report._inspection_tables import (
 )
 from lightopt.report._legend import with_legend
 from lightopt.report._optimum_report import optimum_report
+from lightopt.report._page import Page, Section, SurfaceView, Table
+from lightopt.report._page_html import page_html
 from lightopt.report._rig_drawing import rig_drawing
+from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 
 __all__ = [
     "BatchRow",
     "ChartPanel",
+    "ColouredSurface",
+    "Page",
+    "Section",
+    "SurfaceClass",
+    "SurfaceLayer",
+    "SurfaceView",
+    "Table",
     "add_contact_sheets",
     "batch_report",
     "contact_sheet",
@@ -32,6 +42,7 @@ __all__ = [
     "frames_drawing",
     "inspection_report",
     "optimum_report",
+    "page_html",
     "placement_told",
     "residual_picture",
     "rig_drawing",

@@ -1,4 +1,4 @@
-"""Captures that suffer faults, one each; renews the table of docs/reliability.md: ``python tests/hardware/faults.py``.
+"""Captures that suffer one fault each: ``python tests/hardware/faults.py``; renews docs/validation/reliability.md.
 
 Every run is a capture of 8 images and 4 frames without light on the virtual bench, with the drivers and wires of a real
 one. A run passes when it finishes with the images of an undisturbed run, or stops with an error that names the step,
@@ -30,7 +30,7 @@ from lightopt.images import read_image_set
 
 __all__ = ["Row", "main", "rows_of", "table"]
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "validation" / "reliability.md"
 BEGIN, END = "<!-- faults: begin -->", "<!-- faults: end -->"
 KILLED = "kill -9 at a random moment"
 

@@ -1,4 +1,4 @@
-"""What a capture notices of a rig that fails, and how; renews a table of docs/reliability.md.
+"""What a capture notices of a rig that fails, and how; renews a table of docs/validation/reliability.md.
 
 ``python tests/hardware/rig_faults.py``. Every run is a capture of 8 images and 4 frames without light with the GigE
 camera of the virtual bench, behind its real driver, and one fault: of the camera, of a lamp, of the stage, of the
@@ -34,7 +34,7 @@ from lightopt.rig.simulated import BenchProcess, BenchTruth
 
 __all__ = ["RigCase", "Seen", "gige_rig", "main", "rig_cases", "table", "undergo"]
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "validation" / "reliability.md"
 BEGIN, END = "<!-- rig faults: begin -->", "<!-- rig faults: end -->"
 
 HOW = (

@@ -1,4 +1,4 @@
-"""A long capture on a rig that fails at random: ``python tests/hardware/soak.py`` renews a line of docs/reliability.md.
+"""A long capture on a rig that fails at random: ``python tests/hardware/soak.py`` (docs/validation/reliability.md).
 
 Images are taken with the GigE camera of the virtual bench behind its real driver. At a stated rate each, frames do not
 come, come in part, or have an older time stamp, and replies of the light controller and the stage are lost or spoilt. A
@@ -27,7 +27,7 @@ from lightopt.rig.simulated import BenchProcess
 
 __all__ = ["Soaked", "main", "soak"]
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "validation" / "reliability.md"
 BEGIN, END = "<!-- soak: begin -->", "<!-- soak: end -->"
 FAULTS = (
     ("camera", "lost"),

@@ -1,4 +1,4 @@
-"""Tables of docs/reliability.md: every run of a campaign is counted once."""
+"""Tables of docs/validation/reliability.md: every run of a campaign is counted once."""
 
 from __future__ import annotations
 

@@ -187,7 +187,7 @@ def test_a_file_that_nothing_can_be_added_to_is_refused(text):
 
 
 def test_what_the_documentation_shows_is_read(bench):
-    page = (Path(__file__).parents[2] / "docs" / "defects.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "defects.md").read_text(encoding="utf-8")
     snippets = re.findall(r"^```yaml\n(.*?)^```", page, re.M | re.S)
     bench.part.write_text(bench.part.read_text(encoding="utf-8") + "".join(snippets), encoding="utf-8")
     part = load_part(bench.part)

@@ -448,7 +448,7 @@ def test_the_page_has_every_key_with_its_default() -> None:
             default = field.default
             text = f"{default:g}" if isinstance(default, float) else str(default).lower()
             expected.append((section, f"`{key}`", "required" if field.is_required() else text))
-    page = (CONFIGS.parent / "docs" / "hardware.md").read_text(encoding="utf-8")
+    page = (CONFIGS.parent / "docs" / "reference" / "devices.md").read_text(encoding="utf-8")
     _, _, table = page.partition("## All keys of `hardware`")
     rows = [line.strip("| ").split(" | ")[:3] for line in table.splitlines() if line.startswith("| `")]
     assert [tuple(row) for row in rows] == expected

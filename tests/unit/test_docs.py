@@ -72,12 +72,12 @@ def test_the_error_that_getting_started_quotes_is_the_programs(cli, tmp_path, mo
     rig.write_text(text, encoding="utf-8")
     ran = cli("check", "myrig/rig.yaml", "myrig/part.yaml")
     assert ran.status == 2
-    page = (ROOT / "docs" / "getting-started.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "tutorial" / "getting-started.md").read_text(encoding="utf-8")
     assert f"```text\n{ran.err.replace(chr(92), '/')}```\n" in page
 
 
 def test_the_manifest_that_the_conventions_show_is_enough(tmp_path):
-    text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
     shown = re.search(r"^```json\n(.*?)^```", text, re.M | re.S)
     assert shown is not None
     (tmp_path / "manifest.json").write_text(shown[1], encoding="utf-8")
@@ -91,7 +91,7 @@ def test_the_manifest_that_the_conventions_show_is_enough(tmp_path):
 
 def test_the_hardware_that_a_rig_from_zero_is_tried_with_is_one(cli, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "how-to" / "rig-from-zero.md").read_text(encoding="utf-8")
     (section,) = re.findall(r"^```yaml\n(hardware:\n.*?)^```", text, re.M | re.S)
     assert cli("init", "myrig").status == 0
     rig = tmp_path / "myrig" / "rig.yaml"

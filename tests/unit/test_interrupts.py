@@ -36,8 +36,8 @@ print(end)
 """
 
 HANDLERS = {
-    "command line": ("interrupts", "interrupt", "signal.signal(signal.SIGINT, interrupt)"),
-    "capture": ("capture._signals", "EndSignals", "EndSignals().install()"),
+    "command line": ("core.interrupts", "interrupt", "signal.signal(signal.SIGINT, interrupt)"),
+    "capture": ("rig.capture._signals", "EndSignals", "EndSignals().install()"),
 }
 
 
@@ -67,7 +67,7 @@ def test_raised_after_the_lock_was_released(handler, wait, inside):
 
 def test_pythons_own_handler_would_lose_it():
     script = SCRIPT.format(
-        module="interrupts", name="interrupt", install="", wait="time.sleep(0.1)", inside="llvmlite"
+        module="core.interrupts", name="interrupt", install="", wait="time.sleep(0.1)", inside="llvmlite"
     )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert ran.stdout.splitlines() == ["lock taken", "lost"]
