@@ -8,7 +8,7 @@ OUT    ?= out
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help install lock demo plan batch test test-all test-nightly coverage check golden golden-check bench docs clean
+.PHONY: help install lock demo plan batch test test-all test-nightly coverage check golden golden-check bench docs docs-site clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -111,6 +111,16 @@ bench: $(BENCH)/.peers  ## speed against the raw ray caster and peers; prints ra
 
 docs: $(BIN)/.installed  ## make the pictures and figures of docs/ anew
 	PYTHONPATH=tests $(BIN)/python scripts/make_docs.py
+
+SITE ?= .venv-docs
+$(SITE)/.installed: requirements/docs.lock
+	$(PYTHON) -m venv $(SITE)
+	$(SITE)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes --requirement requirements/docs.lock
+	@touch $@
+
+docs-site: $(SITE)/.installed  ## build the documentation site into out/site; a broken link is an error
+	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/python -m mkdocs build --strict --quiet --site-dir $(OUT)/site
+	@echo "$(OUT)/site/index.html"
 
 clean:  ## remove what was made, but not the virtual environment
 	rm -rf $(OUT) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache

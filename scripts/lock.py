@@ -14,7 +14,7 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-LOCKS = {"ci": ("dev", "aravis", "genicam"), "dev": ("dev",)}
+LOCKS = {"ci": ("dev", "aravis", "genicam"), "dev": ("dev",), "docs": ("docs",)}
 """Extras of each lock; those after the first are constrained by it, so that versions agree."""
 
 

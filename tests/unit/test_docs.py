@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
 from pathlib import Path
 
@@ -51,6 +52,37 @@ def clone(shared_bench, tmp_path_factory) -> Path:
         ]
         assert run(list(map(str, arguments))) == 0
     return folder
+
+
+def anchors_of(page: Path) -> set[str]:
+    """Anchors of a page's headings, as MkDocs and GitHub make them."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    titles = (re.sub(r"[^\w\- ]", "", title.lower()) for title in re.findall(r"^#+ (.*)$", text, re.M))
+    return {title.strip().replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[page.relative_to(ROOT).as_posix() for page in PAGES])
+def test_links_lead_somewhere(page):
+    text = re.sub(r"^```.*?^```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match("[a-z]+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors_of(target), link
+
+
+def test_every_page_is_in_the_sites_navigation():
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+    assert pages == set(re.findall(r"- ([\w/-]+\.md)$", text, re.M))
+
+
+def test_the_command_line_reference_is_what_the_commands_say():
+    program = runpy.run_path(str(ROOT / "scripts" / "write_cli_reference.py"))
+    page = ROOT / "docs" / "reference" / "command-line.md"
+    assert page.read_text(encoding="utf-8") == program["page"]()
 
 
 def test_there_are_snippets():
