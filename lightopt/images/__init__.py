@@ -1,8 +1,7 @@
 """Images on disk: EXR, PNG and the sets that rendering and capturing share. The one home of OpenImageIO."""
 
-from lightopt.images._atomic import write_bytes_atomic, write_npz_atomic, write_text_atomic
+from lightopt.images._atomic import make_folder, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
-from lightopt.images._folders import make_folder
 from lightopt.images._manifest import (
     CAME_BACK_KEY,
     ENDED_DARK_KEY,
@@ -13,8 +12,13 @@ from lightopt.images._manifest import (
     SourceFile,
 )
 from lightopt.images._names import dark_name, png_name, posture_folder, sheet_name
-from lightopt.images._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map
-from lightopt.images._overlap_files import write_overlaps
+from lightopt.images._overlap import (
+    Overlap,
+    find_overlaps,
+    overlap_map_name,
+    write_overlap_map,
+    write_overlaps,
+)
 from lightopt.images._parse import read_manifest
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, read_image_set

@@ -37,24 +37,18 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class ImageEntry:
-    """One image of a set.
+    """One image of a set: light, posture, exposure, and its files.
 
     Attributes
     ----------
-    light
-        The light's name.
-    light_elevation_deg, light_azimuth_deg
-        Where the light stood [°].
-    posture
-        The stage's posture.
     exposure
-        Exposure relative to that of the reflectance's levels, as it was asked for.
+        Requested exposure, relative to that of the reflectance's levels.
     png, exr
-        Files of the image, relative to the set's folder, POSIX style; at least one in a valid set.
+        Files relative to the set's folder, POSIX style; at least one in a valid set.
     sha256
-        SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of others.
+        SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of other programs.
     extra
-        Keys of the JSON object that lightopt does not know, kept as they are.
+        Unknown keys of the JSON object, kept as they are.
     """
 
     light: str
@@ -69,12 +63,12 @@ class ImageEntry:
 
     @property
     def key(self) -> tuple[str, Posture, float]:
-        """Light, posture and exposure, which tell the images of a set apart."""
+        """Light, posture and exposure, which identify an image in its set."""
         return self.light, self.posture, self.exposure
 
     @property
     def held_exposure(self) -> float:
-        """The exposure that the levels were taken at: what the camera held where the set says so, else `exposure`."""
+        """Actual exposure of the levels: what the camera held where the set says so, else `exposure`."""
         try:
             times = self.extra["capture"]["exposure_us"]
             share = float(times["read"]) / float(times["asked"])
@@ -114,36 +108,26 @@ class GeometryEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What ``manifest.json`` says.
+    """The content of ``manifest.json``.
 
     Attributes
     ----------
     kind
         ``simulated`` or ``captured``.
-    bit_depth
-        Bits of the camera's levels, 1 to 16.
     full_scale
         Grey level of a full-scale sensor level at exposure 1: the scale of the reflectance.
     saturation_level
-        Sensor level from which a pixel counts as saturated; full scale of the sensor when not given.
+        Sensor level from which a pixel counts as saturated; None is full scale.
     black_level
         Sensor level without light.
     lightopt
-        Version that wrote the set; None in sets of others.
-    rig, part
-        The files that the images came from.
+        Version that wrote the set; None in sets of other programs.
     provenance
-        What the images depend on, in the layout of :mod:`lightopt.core.provenance`; empty in sets of others.
-    images, geometry
-        The entries, in the order of writing.
-    patches
-        File of the patch table, relative to the set's folder.
+        In the layout of :mod:`lightopt.core.provenance`; empty in sets of other programs.
     files
         Further files of the set (the patch table among them): name to SHA-256 in hex.
-    warnings
-        What was noticed and repaired, with numbers.
     extra
-        Keys of the JSON object that lightopt does not know, kept as they are.
+        Unknown keys of the JSON object, kept as they are.
     """
 
     kind: str
@@ -164,7 +148,7 @@ class Manifest:
 
     @property
     def options(self) -> Mapping[str, Any]:
-        """What the run was asked for, as far as it changes the images."""
+        """Options of the run, as far as they change the images."""
         # sets that were written before there was a provenance have them at the top
         options = self.provenance.get("options", self.extra.get("options"))
         return options if isinstance(options, Mapping) else {}

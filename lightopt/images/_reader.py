@@ -20,7 +20,7 @@ from lightopt.images._png import read_png
 
 @dataclass(frozen=True)
 class LoadedImage:
-    """An image as the program works with it; arrays of shape (H, W), read-only.
+    """A loaded image; arrays of shape (H, W), read-only.
 
     Attributes
     ----------
@@ -32,8 +32,6 @@ class LoadedImage:
         exposure.
     sensor
         Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
-    source
-        Which file was read.
     """
 
     levels: NDArray[np.float32]
@@ -65,14 +63,9 @@ class ImageSet:
 
     @cached_property
     def fingerprint(self) -> dict[str, Any]:
-        """What a result of this set depends on: hashes of the manifest, and of the images as they are on disk.
+        """Hashes of the manifest, and of the images as they are on disk: what a result of this set depends on.
 
-        The manifest's own hashes of images are not asked: a file may have been edited since. Worked out once.
-
-        Raises
-        ------
-        OSError
-            When the manifest cannot be read.
+        The manifest's own hashes of images are not used: a file may have been edited since. Raises OSError.
         """
         read = [name for i in self.images if (name := i.png or i.exr) is not None]
         read += [name for name in self.manifest.files if name.endswith(".png")]  # frames without light
@@ -87,7 +80,7 @@ class ImageSet:
         Raises
         ------
         InputError
-            When the file is missing, damaged, or has levels beyond the manifest's bit depth.
+            The file is missing, damaged, or has levels beyond the manifest's bit depth.
         """
         image = self._load_exr(entry) if entry.png is None else self._load_png(entry, entry.png)
         for array in (image.levels, image.saturated, image.sensor):
@@ -96,13 +89,7 @@ class ImageSet:
         return image
 
     def load_geometry(self, entry: GeometryEntry) -> dict[str, NDArray[np.float32]]:
-        """Read a geometry image: channels by name, each (H, W), world frame, mm.
-
-        Raises
-        ------
-        InputError
-            When the file is missing or damaged.
-        """
+        """Read a geometry image: channels by name, each (H, W), world frame [mm]."""
         return read_exr(self.path(entry.exr))
 
     def _load_png(self, entry: ImageEntry, name: str) -> LoadedImage:
@@ -138,19 +125,14 @@ class ImageSet:
 
 
 def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
-    """Open an image set.
+    """Open an image set: its folder or its ``manifest.json``.
 
-    Parameters
-    ----------
-    path
-        The set's folder or its ``manifest.json``.
-    verify
-        Check that all files are there, with the hashes listed where there are any.
+    With `verify` all files must be there, with the hashes listed where there are any.
 
     Raises
     ------
     InputError
-        When the manifest is missing or wrong, or files are missing or changed; with one message per problem.
+        The manifest is missing or wrong, or files are missing or changed; with one message per problem.
     """
     path = Path(path)
     manifest_path = path / MANIFEST_NAME if path.is_dir() else path

@@ -10,27 +10,22 @@ from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
-from lightopt.images._atomic import write_text_atomic
-from lightopt.images._folders import make_folder
+from lightopt.images._atomic import make_folder, write_text_atomic
 
 
 class ResultFolder:
-    """A folder that a result is written to; what an earlier one left there goes before the first file of the new one.
+    """A folder for the files of a result; the previous result is removed before the first new file is written.
 
     Parameters
     ----------
-    folder
-        Made with the first file where it does not exist.
     made_from
         From :func:`lightopt.core.provenance.provenance`: kept under ``provenance`` of the JSON file.
-    name
-        Of the JSON file.
-    format
-        Its format, such as ``lightopt-fit/1``; an earlier file may be of another version of it.
+    name, format
+        The JSON file and its format, such as ``lightopt-fit/1``; the previous file may be of another version of it.
     what
         The result in words, for messages: ``a fit``.
     also
-        Names of further files that are a result of this kind whoever lists them.
+        Names of further files that belong to such a result even where the JSON file does not list them.
     force
         Whether files of a result of other inputs are replaced.
 
@@ -65,7 +60,7 @@ class ResultFolder:
             )
 
     def place(self, name: str) -> Path:
-        """Where to write a file of the result, by its name relative to the folder; its own folder is made."""
+        """Path for a file of the result, by its name relative to the folder; its own folder is made."""
         if not self._files:
             self._remove_earlier()
         if name not in self._files:
@@ -81,7 +76,7 @@ class ResultFolder:
         return path
 
     def finish(self, content: Mapping[str, Any]) -> Path:
-        """Write the JSON file, which makes the result whole: its format, `content`, the other files, provenance."""
+        """Write the JSON file, which completes the result: its format, `content`, the other files, provenance."""
         whole = {
             "format": self._format,
             **content,

@@ -25,12 +25,12 @@ _CONTENT_KEYS = (
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
-    """Return the manifest to continue, the header's warnings added, or None where the folder holds no set.
+    """Manifest to continue, the header's warnings added; None where the folder holds no set.
 
     Raises
     ------
     InputError
-        When the folder holds the set of another run, or a damaged one.
+        The folder holds the set of another run, or a damaged one.
     """
     path = folder / MANIFEST_NAME
     if not path.exists():
@@ -46,19 +46,14 @@ def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
 
 
 def remove_set(folder: Path, header: Manifest) -> int:
-    """Remove the files that a folder's manifest lists, and the subfolders that this leaves empty.
+    """Remove the files that a folder's manifest lists, and the subfolders that this leaves empty; returns their number.
 
     Files that the manifest does not list stay, as does everything where there is no manifest or a damaged one.
-
-    Returns
-    -------
-    int
-        Number of files removed.
 
     Raises
     ------
     InputError
-        When the folder holds captured images and the header is of others, or a file cannot be removed.
+        The folder holds captured images and the header is of others, or a file cannot be removed.
     """
     try:
         manifest = read_manifest(folder / MANIFEST_NAME)
@@ -73,19 +68,14 @@ def remove_set(folder: Path, header: Manifest) -> int:
 
 
 def remove_image_set(folder: Path) -> int:
-    """Remove a simulated image set: the files that its manifest lists, and the manifest; nothing else.
+    """Remove a simulated image set, that is its listed files and the manifest; returns the number of files.
 
     A folder without a manifest, with a damaged one or with one of captured images stays as it is.
-
-    Returns
-    -------
-    int
-        Number of files removed.
 
     Raises
     ------
     InputError
-        When a file cannot be removed.
+        A file cannot be removed.
     """
     try:
         manifest = read_manifest(folder / MANIFEST_NAME)
@@ -98,13 +88,7 @@ def remove_image_set(folder: Path) -> int:
 
 
 def remove_file(path: Path) -> bool:
-    """Remove a file; whether it was there.
-
-    Raises
-    ------
-    InputError
-        When the operating system refuses.
-    """
+    """Remove a file; returns whether it was there. InputError when the operating system refuses."""
     try:
         path.unlink()
     except FileNotFoundError:

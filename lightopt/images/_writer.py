@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 from lightopt.core.transforms import Posture
-from lightopt.images._atomic import write_bytes_atomic, write_npz_atomic, write_text_atomic
+from lightopt.images._atomic import make_folder, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._exr import write_exr
-from lightopt.images._folders import make_folder
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
 from lightopt.images._names import ImageKey, Names, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
@@ -26,16 +25,15 @@ _PATCHES_NAME = "patches.npz"
 
 
 class ImageSetWriter:
-    """A folder that is becoming an image set.
+    """Writes an image set file by file.
 
     The manifest is on disk from the start and is rewritten after each file that it names, so whenever the run
     stops the folder holds a valid set of what was finished. Opened again with the same header, it resumes:
-    `done` tells what need not be made again. Threads may add files of their own at the same time.
+    `done` says what need not be made again. Threads may add files of their own at the same time. Every method that
+    writes raises InputError when a foreign file is in the way or the disk refuses.
 
     Parameters
     ----------
-    folder
-        The set's folder; made where it does not exist.
     header
         The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
         same run.
@@ -48,8 +46,8 @@ class ImageSetWriter:
     Raises
     ------
     InputError
-        When the folder cannot be written, holds the set of another run or files in the way (without `force`),
-        or two images of the plan would share a file; with `force`, when the folder holds captured images and the run
+        The folder cannot be written, holds the set of another run or files in the way (without `force`),
+        or two images of the plan would share a file; with `force`, the folder holds captured images and the run
         makes others.
     """
 
@@ -104,17 +102,17 @@ class ImageSetWriter:
         )
 
     def linear_done(self, light: str, posture: Posture) -> bool:
-        """Whether the linear image of a light and posture is listed and its file is there with the hash listed."""
+        """Whether the linear image of a light and posture is listed and intact."""
         entry = next((e for e in self._manifest.images if e.key[:2] == (light, posture) and e.exr), None)
         return entry is not None and self._intact(entry.exr or "", entry.sha256.get("exr"))
 
     def geometry_done(self, posture: Posture) -> bool:
-        """Whether the geometry of a posture is listed and its file is there with the hash listed."""
+        """Whether the geometry of a posture is listed and intact."""
         entry = next((e for e in self._manifest.geometry if e.posture == posture), None)
         return entry is not None and self._intact(entry.exr, entry.sha256.get("exr"))
 
     def file_done(self, name: str = _PATCHES_NAME) -> bool:
-        """Whether a further file (the patch table unless named) is listed and there with the hash listed."""
+        """Whether a further file (the patch table unless named) is listed and intact."""
         return name in self._manifest.files and self._intact(name, self._manifest.files[name])
 
     def add_image(
@@ -124,7 +122,7 @@ class ImageSetWriter:
         png: NDArray[np.uint8] | NDArray[np.uint16] | None = None,
         exr: Mapping[str, NDArray[np.float32]] | None = None,
     ) -> ImageEntry:
-        """Write an image's files, then list it; an entry of the same light, posture and exposure is replaced.
+        """Write an image's files, then list it; returns the entry as listed, which replaces one of the same key.
 
         The linear image belongs to light and posture: all exposures of them list the same EXR.
 
@@ -136,17 +134,6 @@ class ImageSetWriter:
             Camera levels (H, W), as :func:`write_png` takes them.
         exr
             Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
-
-        Returns
-        -------
-        ImageEntry
-            The entry as listed.
-
-        Raises
-        ------
-        InputError
-            When there is no file to write, a level exceeds the bit depth, a file of others is in the way, or
-            the disk refuses.
         """
         self._names.claim_images([entry.key])
         shared = next(
@@ -178,17 +165,7 @@ class ImageSetWriter:
     def add_linear(self, light: str, posture: Posture, channels: Mapping[str, NDArray[np.float32]]) -> None:
         """Write the linear image that listed exposures of a light and posture share, then list it with each of them.
 
-        Parameters
-        ----------
-        light, posture
-            Of images that are listed.
-        channels
-            Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
-
-        Raises
-        ------
-        InputError
-            When no image of them is listed, a file of others is in the way, or the disk refuses.
+        `channels` are (H, W) at exposure 1 [grey level], as :func:`write_exr` takes them.
         """
         of_it = [e for e in self._manifest.images if e.key[:2] == (light, posture)]
         if not of_it:
@@ -209,22 +186,7 @@ class ImageSetWriter:
     def add_levels(
         self, name: str, levels: NDArray[np.uint8] | NDArray[np.uint16], *, metadata: Mapping[str, Any]
     ) -> None:
-        """Write camera levels that are no image of a light (a dark frame) as a further file, then list it.
-
-        Parameters
-        ----------
-        name
-            Path relative to the set's folder, POSIX style.
-        levels
-            Camera levels (H, W), as :func:`write_png` takes them.
-        metadata
-            What the file says of itself, JSON-able.
-
-        Raises
-        ------
-        InputError
-            When the path leaves the folder, a file of others is in the way or the disk refuses.
-        """
+        """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
         if problem := inside_problem(name):
             raise InputError(f"{name!r}: {problem}")
         self._names.claim(name, f"the file {name}")
@@ -243,20 +205,8 @@ class ImageSetWriter:
     ) -> GeometryEntry:
         """Write a posture's geometry image, then list it.
 
-        Parameters
-        ----------
-        posture
-            The stage's posture.
-        channels
-            ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray], ``patch``
-            and, for parts with defects, ``defect``; float32 (H, W).
-        metadata
-            More to say in the file, JSON-able.
-
-        Raises
-        ------
-        InputError
-            When a file of others is in the way or the disk refuses.
+        Channels, float32 (H, W): ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray],
+        ``patch`` and, for parts with defects, ``defect``.
         """
         name = geometry_name(posture)
         self._names.claim(name, f"the geometry of {name.partition('/')[0]}")
@@ -270,13 +220,7 @@ class ImageSetWriter:
         return listed
 
     def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write the patch table as ``patches.npz``, then list it.
-
-        Raises
-        ------
-        InputError
-            When a file of others is in the way or the disk refuses.
-        """
+        """Write the patch table as ``patches.npz``, then list it."""
         self._names.claim(_PATCHES_NAME, "the patch table")
         digest = write_npz_atomic(self._place(_PATCHES_NAME), arrays)
         self._verified[_PATCHES_NAME] = digest
@@ -284,20 +228,7 @@ class ImageSetWriter:
             self._save(patches=_PATCHES_NAME, files={**self._manifest.files, _PATCHES_NAME: digest})
 
     def add_file(self, name: str, data: bytes | str) -> None:
-        """Write a further file of the set (a report, a contact sheet), then list it.
-
-        Parameters
-        ----------
-        name
-            Path relative to the set's folder, POSIX style.
-        data
-            Its content; text is written as UTF-8.
-
-        Raises
-        ------
-        InputError
-            When the path leaves the folder, a file of others is in the way or the disk refuses.
-        """
+        """Write a further file of the set (a report, a contact sheet; text as UTF-8), then list it."""
         if problem := inside_problem(name):
             raise InputError(f"{name!r}: {problem}")
         self._names.claim(name, f"the file {name}")
@@ -317,19 +248,8 @@ class ImageSetWriter:
     ) -> None:
         """Take images and further files off the list, then from the disk, so that no listed file is ever written anew.
 
-        Parameters
-        ----------
-        images
-            Light and posture; all exposures of them go, and their linear image.
-        files
-            Names of further files.
-        extra
-            Keys of the manifest that change together with the list, as for :meth:`add_extra`.
-
-        Raises
-        ------
-        InputError
-            When the disk refuses.
+        Of `images` (light and posture) all exposures go, and their linear image. `extra` are keys of the manifest that
+        change together with the list, as for :meth:`add_extra`.
         """
         of_them, names = set(images), set(files)
         with self._lock:
@@ -349,26 +269,14 @@ class ImageSetWriter:
             remove_file(self._folder / name)
 
     def add_warnings(self, warnings: Iterable[str]) -> None:
-        """List warnings that are not listed yet.
-
-        Raises
-        ------
-        InputError
-            When the disk refuses.
-        """
+        """List warnings that are not listed yet."""
         with self._lock:
             merged = tuple(dict.fromkeys((*self._manifest.warnings, *warnings)))
             if merged != self._manifest.warnings:
                 self._save(warnings=merged)
 
     def add_extra(self, key: str, value: Any) -> None:
-        """Put a JSON-able value under a key of the manifest that belongs to what was found, not to what was asked.
-
-        Raises
-        ------
-        InputError
-            When the disk refuses.
-        """
+        """Put a JSON-able value under a key of the manifest: a finding of the run, not an option."""
         with self._lock:
             self._save(extra={**self._manifest.extra, key: value})
 
@@ -410,7 +318,7 @@ class ImageSetWriter:
         return {"lightopt": self._manifest.lightopt, "kind": self._manifest.kind}
 
     def _metadata(self, entry: ImageEntry, *, linear: bool) -> dict[str, Any]:
-        """Say what a file tells of itself when it is found alone."""
+        """What a file says of itself when it is found alone."""
         facts = {**self._origin(), **replace(entry, png=None, exr=None, sha256={}).as_dict()}
         facts["full_scale"] = self._manifest.full_scale
         if linear:  # the same whatever the exposure

@@ -1,12 +1,13 @@
-"""What the camera resolves, sees and delivers."""
+"""What the camera resolves and delivers, and where the part lies in its image and on the table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lightopt.preflight._report import Finding, Level
-from lightopt.preflight._subject import RigSubject
-from lightopt.scene import pixel_footprint, view_size
+from lightopt.preflight._findings import Finding, Level, percent
+from lightopt.preflight._inputs import RigSubject, SceneSubject
+from lightopt.rendering import too_few_pixels
+from lightopt.scene import Framing, frame_part, pixel_footprint, view_size
 
 LOST_RANGE = 0.25
 """A black level or a saturation level that costs more than this share of the full scale is worth a warning."""
@@ -87,3 +88,117 @@ def check_sensor(subject: RigSubject) -> Iterator[Finding]:
             at("camera", "sensor", "electrons_per_level"),
             {"electrons_at_saturation": electrons},
         )
+
+
+SIDES = ("left", "top", "right", "bottom")
+TABLE_TOLERANCE_MM = 1e-3
+
+
+def _framings(subject: SceneSubject) -> list[Framing]:
+    return [frame_part(look.view.camera, subject.scene.mesh) for look in subject.looks]
+
+
+def check_depth(subject: SceneSubject) -> Iterator[Finding]:
+    """Range of depths that the lens has to keep sharp, and a pixel's footprint at both ends."""
+    framings = _framings(subject)
+    near, far = min(f.nearest for f in framings), max(f.farthest for f in framings)
+    if near <= 0.0:
+        yield Finding(
+            "warning",
+            "depth",
+            f"the part reaches {-near:.3g} mm behind the camera; check its units and its placement",
+            subject.part.source.at("placement"),
+            {"nearest_mm": near, "farthest_mm": far},
+        )
+        return
+    small, large = min(f.footprint[0] for f in framings), max(f.footprint[1] for f in framings)
+    yield Finding(
+        "ok",
+        "depth",
+        f"the part lies {near:.4g} to {far:.4g} mm from the camera ({far - near:.3g} mm of depth): a pixel's footprint "
+        f"is {small:.3g} mm ({1000 * small:.3g} µm) at the nearest and {large:.3g} mm ({1000 * large:.3g} µm) at the "
+        "farthest point",
+        None,
+        {
+            "nearest_mm": near,
+            "farthest_mm": far,
+            "nearest_footprint_mm": small,
+            "farthest_footprint_mm": large,
+        },
+    )
+
+
+def check_part_in_view(subject: SceneSubject) -> Iterator[Finding]:
+    """The margin around the part's image, or by how much it leaves the view."""
+    for index, (look, framing) in enumerate(zip(subject.looks, _framings(subject), strict=True)):
+        where = subject.at_posture(index)
+        posture = look.posture.as_dict()
+        if framing.nearest <= 0.0:
+            text = f"posture {look.posture}: the part reaches behind the camera"
+            yield Finding("warning", "view", text, where, {"posture": posture})
+            continue
+        camera = look.view.camera
+        margins = (framing.left, framing.top, camera.width - framing.right, camera.height - framing.bottom)
+        per_pixel = framing.footprint[0]
+        values: dict[str, object] = {
+            "posture": posture,
+            "margin_px": dict(zip(SIDES, margins, strict=True)),
+            "margin_mm": {side: per_pixel * m for side, m in zip(SIDES, margins, strict=True)},
+        }
+        told = {
+            side: f"{abs(m):.0f} px ({abs(m) * per_pixel:.3g} mm)"
+            for side, m in zip(SIDES, margins, strict=True)
+        }
+        leaves = [f"{told[side]} at the {side}" for side, m in zip(SIDES, margins, strict=True) if m < 0.0]
+        if leaves:
+            text = f"the part leaves the view by {', '.join(leaves)}; move it, or let the camera see more"
+        else:
+            side, least = min(zip(SIDES, margins, strict=True), key=lambda pair: pair[1])
+            shares = {
+                "width": (framing.right - framing.left) / camera.width,
+                "height": (framing.bottom - framing.top) / camera.height,
+            }
+            along = max(shares, key=lambda name: shares[name])
+            text = (
+                f"the part is inside the view, least margin {told[side]} at the {side}; it fills "
+                f"{percent(shares[along])} of the image's {along}"
+            )
+            values["least_margin_px"] = least
+        yield Finding("warning" if leaves else "ok", "view", f"posture {look.posture}: {text}", where, values)
+
+
+def check_pixels(subject: SceneSubject) -> Iterator[Finding]:
+    """Whether next to no pixel sees the part."""
+    found = too_few_pixels(subject.scene, subject.caster)
+    if found is not None:
+        where = subject.part.source.at("mesh", "file")
+        yield Finding("error", "view", found.text, where, {"pixels": found.pixels})
+
+
+def check_below_table(subject: SceneSubject) -> Iterator[Finding]:
+    """By how much the part would have to pass through the table."""
+    vertices = subject.scene.mesh.vertices
+    for index, look in enumerate(subject.looks):
+        height = vertices @ look.view.rotation[2] + look.view.translation[2]
+        lowest = float(height.min())
+        if lowest >= -TABLE_TOLERANCE_MM:
+            continue
+        values = {"posture": look.posture.as_dict(), "lowest_mm": lowest}
+        if look.posture.elevation_deg == 0.0:
+            yield Finding(
+                "warning",
+                "table",
+                f"posture {look.posture}: the part reaches {-lowest:.3g} mm below the table; raise it by placement "
+                "translate_mm, or let it rest_on_table",
+                subject.part.source.at("placement"),
+                values,
+            )
+        else:
+            yield Finding(
+                "note",
+                "table",
+                f"posture {look.posture}: the tilt makes the part dip {-lowest:.3g} mm below the plane Z = 0. Nothing "
+                "is hidden by the table here; on a stage whose table does not tilt along, raise the part or the pivot",
+                subject.at_posture(index),
+                values,
+            )

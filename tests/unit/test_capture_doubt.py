@@ -18,8 +18,8 @@ from lightopt.core.provenance import file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
 from lightopt.rig.capture import Plan
+from lightopt.rig.capture._acquisition import Shooter
 from lightopt.rig.capture._background_writer import MOST_LINEARS, DiskWork
-from lightopt.rig.capture._exposure_sequence import Shooter
 from lightopt.rig.capture._image_records import CapturedSet
 from lightopt.rig.capture._lock import LOCK_NAME
 from lightopt.rig.capture._timing import Timing

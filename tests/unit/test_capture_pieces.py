@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt.optics import Sensor
-from lightopt.rig.capture._exposure_fusion import merge_bracket
-from lightopt.rig.capture._frames import mean_of_frames
+from lightopt.rig.capture._exposures import mean_of_frames, merge_bracket
 from lightopt.rig.capture._light_checks import Predictions, check_lit, lights_left_on
 
 EIGHT = Sensor(bit_depth=8, saturation_level=250, black_level=4)

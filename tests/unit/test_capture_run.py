@@ -17,7 +17,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata
 from lightopt.rig.capture import Plan
-from lightopt.rig.capture._exposure_sequence import Shooter
+from lightopt.rig.capture._acquisition import Shooter
 from lightopt.rig.capture._timing import Timing
 from lightopt.rig.simulated import BenchTruth
 
@@ -186,7 +186,7 @@ def test_a_light_waits_for_a_quick_disk(take, world):
 
 
 def test_the_light_is_out_before_anything_is_made_of_its_frames(take, world, monkeypatch):
-    from lightopt.rig.capture._frames import FrameMean
+    from lightopt.rig.capture._exposures import FrameMean
 
     monkeypatch.setattr(Plan, "relighting_s", 0.02)
     burning = burning_after(monkeypatch, world, FrameMean, "image", seconds=0.1)

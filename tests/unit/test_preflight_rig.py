@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from lightopt.config import RigConfig, load_rig
 from lightopt.core.errors import InputError
 from lightopt.preflight import check_rig
-from lightopt.preflight._report import Finding, Report
+from lightopt.preflight._findings import Finding, Report
 from lightopt.scene import (
     PanelLight,
     image_area,

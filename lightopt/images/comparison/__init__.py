@@ -3,8 +3,7 @@
 from lightopt.images.comparison._channels import Thresholds
 from lightopt.images.comparison._files import FileComparison, compare_files
 from lightopt.images.comparison._picture import difference_picture
-from lightopt.images.comparison._provenance import comparison_provenance
-from lightopt.images.comparison._sets import SetComparison, compare_sets
+from lightopt.images.comparison._sets import SetComparison, compare_sets, comparison_provenance
 
 __all__ = [
     "FileComparison",

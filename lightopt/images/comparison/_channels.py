@@ -32,14 +32,14 @@ class Thresholds:
         In geometry images and patch tables a value differs by more than this [mm; 1 for normals], nothing
         relative.
     min_iou
-        Least intersection over union of the saturated masks; not asked for when None.
+        Least intersection over union of the saturated masks; None: not checked.
     saturation
-        Level from which a pixel counts as saturated; what the file or its manifest says when None.
+        Level from which a pixel counts as saturated; None: what the file or its manifest says.
 
     Raises
     ------
     InputError
-        When a threshold is negative, not finite, or a share above 1.
+        A threshold is negative, not finite, or a share above 1.
     """
 
     absolute: float = 0.05
@@ -61,14 +61,12 @@ class Thresholds:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelDifference:
-    """How one channel differs.
+    """Difference of one channel.
 
     Attributes
     ----------
-    name
-        The channel.
-    pixels, compared
-        Pixels of the image, and those whose values were compared: not background in both images.
+    compared
+        Pixels whose values were compared: not background in both images.
     max, rms, percentiles
         Of |a − b| over the compared pixels where both are finite; None where there are none.
     differing, share
@@ -125,28 +123,11 @@ def compare_arrays(
     saturation: tuple[float, float] | None = None,
     min_iou: float | None = None,
 ) -> ChannelDifference:
-    """Compare two arrays of numbers.
+    """Compare golden values `a` with new values `b` of one shape, only those in the mask `where`.
 
     A NaN equals a NaN and an infinity the same infinity; any value that is not finite where the golden's is
-    fails.
-
-    Parameters
-    ----------
-    name
-        What the arrays are called in reports.
-    a, b
-        Golden and new values, of one shape.
-    absolute, relative, max_share, min_iou
-        See :class:`Thresholds`.
-    where
-        Which values to compare, boolean, same shape; all when None.
-    saturation
-        Levels from which `a` and `b` count as saturated; None for values that do not saturate.
-
-    Raises
-    ------
-    InputError
-        When the shapes differ.
+    fails. `saturation` has the levels from which `a` and `b` count as saturated. For the limits see
+    :class:`Thresholds`. Raises InputError when the shapes differ.
     """
     if a.shape != b.shape:
         raise InputError(f"{name}: different shapes: {a.shape} against {b.shape}")

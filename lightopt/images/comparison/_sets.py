@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from lightopt.core.errors import InputError
-from lightopt.core.provenance import file_sha256
+from lightopt.core.provenance import file_sha256, files_sha256, provenance
 from lightopt.core.transforms import Posture
-from lightopt.images import ImageSet, Manifest, read_image_set
+from lightopt.images import MANIFEST_NAME, ImageSet, Manifest, read_image_set
 from lightopt.images.comparison._channels import Thresholds
-from lightopt.images.comparison._files import FileComparison, compare_files
-from lightopt.images.comparison._tables import compare_tables
+from lightopt.images.comparison._files import FileComparison, compare_files, compare_tables
 
 _DEFAULTS = Thresholds()
 _ANGLE_TOLERANCE_DEG = 1e-6
@@ -21,12 +20,10 @@ _ANGLE_TOLERANCE_DEG = 1e-6
 
 @dataclass(frozen=True)
 class SetComparison:
-    """How two image sets differ.
+    """Comparison of two image sets: the golden `a` and the new `b`.
 
     Attributes
     ----------
-    a, b
-        The golden and the new set.
     files
         The files of the golden set against their counterparts.
     missing, extra
@@ -34,7 +31,7 @@ class SetComparison:
     reasons
         Why the comparison fails, those of the files included; empty when it passes.
     notes
-        What is worth knowing and fails nothing.
+        Differences that fail nothing.
     """
 
     a: str
@@ -65,21 +62,14 @@ class SetComparison:
 
 
 def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULTS) -> SetComparison:
-    """Compare two image sets, golden against new; images are matched by light, posture and exposure.
+    """Compare two image sets, golden `a` against new `b`; images are matched by light, posture and exposure.
 
     A file that is missing, damaged or changed since it was listed is a failed comparison with its reason.
-
-    Parameters
-    ----------
-    a, b
-        Folder or ``manifest.json`` of the golden and of the new set.
-    thresholds
-        When a difference is too large.
 
     Raises
     ------
     InputError
-        When one of them is no image set, or its manifest is damaged.
+        One of them is no image set, or its manifest is damaged.
     """
     problems: list[str] = []
     golden, new = (_open(role, path, problems) for role, path in (("golden", a), ("new", b)))
@@ -138,7 +128,7 @@ _PATCHES = "patch table"
 
 
 def _listed(manifest: Manifest) -> dict[str, tuple[str, str | None]]:
-    """Map what a set holds, in words, to the file and its SHA-256; an EXR that exposures share comes once."""
+    """Map the items of a set, in words, to their files and SHA-256; an EXR that exposures share comes once."""
     listed: dict[str, tuple[str, str | None]] = {}
     for image in manifest.images:
         what = f"{image.light} at {_words(image.posture)}"
@@ -182,3 +172,21 @@ def _notes(golden: Manifest, new: Manifest) -> Iterator[str]:
     for name, old, now in (("rig", golden.rig, new.rig), ("part", golden.part, new.part)):
         if old and now and old.sha256 != now.sha256:
             yield f"different {name} file: golden {old.file}, new {now.file}"
+
+
+def comparison_provenance(result: FileComparison | SetComparison, thresholds: Thresholds) -> dict[str, Any]:
+    """Inputs and thresholds of a comparison, in the layout of :mod:`lightopt.core.provenance`. Raises OSError."""
+    if isinstance(result, SetComparison):
+        inputs = {
+            "golden": _set_hashes(result.a, [file.a for file in result.files]),
+            "new": _set_hashes(result.b, [file.b for file in result.files]),
+        }
+    else:
+        inputs = {"golden": {"sha256": file_sha256(result.a)}, "new": {"sha256": file_sha256(result.b)}}
+    return provenance(inputs, asdict(thresholds))
+
+
+def _set_hashes(given: str, files: Sequence[str]) -> dict[str, str]:
+    manifest = Path(given) / MANIFEST_NAME if Path(given).is_dir() else Path(given)
+    names = (Path(file).relative_to(manifest.parent).as_posix() for file in files)
+    return {"manifest_sha256": file_sha256(manifest), "files_sha256": files_sha256(manifest.parent, names)}

@@ -6,6 +6,7 @@ The only room that chooses between the virtual bench and real devices.
 from lightopt.rig.capture._connect import check_devices, connect_devices
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._image_records import check_folder
+from lightopt.rig.capture._lights import switch_off
 from lightopt.rig.capture._manual_control import (
     burn,
     check_angles,
@@ -20,7 +21,6 @@ from lightopt.rig.capture._options import CaptureOptions
 from lightopt.rig.capture._plan import Plan, make_plan
 from lightopt.rig.capture._run import Captured, capture
 from lightopt.rig.capture._simulated_rig import start_bench
-from lightopt.rig.capture._switch_off import switch_off
 from lightopt.rig.capture._timing import Timing
 from lightopt.rig.capture._wiring import wiring_of
 

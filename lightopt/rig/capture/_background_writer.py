@@ -19,11 +19,6 @@ class DiskWork:
     The next exposure waits for the image before it, not for linear ones, which can be made from the images at any time.
     After an error no further image is written. A disk that refuses is a device that fails: what the workers raise as
     :class:`InputError` is raised here as :class:`HardwareError`.
-
-    Parameters
-    ----------
-    timing
-        Where waiting is counted.
     """
 
     def __init__(self, timing: Timing) -> None:
@@ -38,9 +33,9 @@ class DiskWork:
         self._last = self._images.submit(self._after(self._last, work, arguments))
 
     def linear(self, work: Callable[..., None], *arguments: object) -> None:
-        """Write a linear image, once the images so far are done, of which it is made.
+        """Write a linear image, once the images that it is made of are done.
 
-        Waits while as many as may be are not written yet; an error of those before is raised here.
+        Waits while the queue is full; an earlier error is raised here.
         """
         with self._timing.spent("writing_s"):
             while len(self._unwritten()) >= MOST_LINEARS:
@@ -48,7 +43,7 @@ class DiskWork:
         self._queued.append(self._linears.submit(self._after(self._last, work, arguments)))
 
     def wait_for_image(self, longest_s: float | None = None) -> bool:
-        """Wait until the last image is on disk, at most so long [s]; whether it is. Its error is raised here."""
+        """Wait until the last image is on disk, at most so long [s]; returns whether it is. Raises its error."""
         if self._last is None:
             return True
         with self._timing.spent("writing_s"):
@@ -66,16 +61,16 @@ class DiskWork:
                 wait(self._queued, return_when=FIRST_COMPLETED)
 
     def give_up_linears(self) -> None:
-        """Let linear images be that nobody has begun with."""
+        """Cancel linear images that have not been started."""
         self._linears.shutdown(wait=False, cancel_futures=True)
 
     def idle(self, longest_s: float) -> bool:
-        """Whether all is done, within so long [s] at most."""
+        """Wait at most so long [s]; returns whether all is done."""
         last = [self._last] if self._last is not None else []
         return not wait([f for f in (*self._queued, *last) if not f.done()], longest_s).not_done
 
     def close(self) -> None:
-        """Let all be finished, whatever fails."""
+        """Finish all work, whatever fails."""
         self._images.shutdown(wait=True)
         self._linears.shutdown(wait=True)
 

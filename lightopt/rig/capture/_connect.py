@@ -11,14 +11,25 @@ from lightopt.config import PartConfig, RigConfig, StageDeviceConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._folder_camera import FolderCamera
-from lightopt.rig.capture._open_camera import check_camera_software, opened_camera
-from lightopt.rig.capture._open_lights import open_lights
+from lightopt.rig.capture._lights import open_lights
 from lightopt.rig.capture._plan import Plan
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._simulated_rig import STAGE, start_bench
-from lightopt.rig.capture._wiring import VIRTUAL, Wiring
-from lightopt.rig.devices import Axis, Camera, Event, SerialLog, Stage, check_stage, open_stage, port_problem
-from lightopt.rig.simulated import BenchProcess, BenchTruth
+from lightopt.rig.capture._wiring import CAMERA, VIRTUAL, Wiring
+from lightopt.rig.devices import (
+    Axis,
+    Camera,
+    CameraSettings,
+    Event,
+    SerialLog,
+    Stage,
+    check_camera_driver,
+    check_stage,
+    open_camera,
+    open_stage,
+    port_problem,
+)
+from lightopt.rig.simulated import BenchProcess, BenchTruth, VirtualCamera
 
 
 def connect_devices(
@@ -38,18 +49,14 @@ def connect_devices(
     """Open lights, stage and camera; nothing is lit or moved.
 
     Lights are opened first, and each controller goes dark as it opens: after a run that was killed this is the only
-    way to darken what burns while another device is out of order.
+    way to darken lights that are on while another device is out of order.
 
     Parameters
     ----------
-    rig, wiring
-        The rig and its devices.
     part
         What lies on the virtual bench; needed for its camera.
     plan
         What a folder camera must have.
-    camera
-        Whether the camera is needed.
     serial_log
         File that gets every byte on the wires.
     truth
@@ -57,20 +64,20 @@ def connect_devices(
     bench
         A virtual bench that runs already; it is left running.
     touch_lights
-        False for a mere look at the devices: nothing is switched.
+        False to only look at the devices: nothing is switched.
     warn
-        Called with what is out of the ordinary on the wires, as it happens, and if the serial log ends early, which
+        Called with irregularities on the wires, as they happen, and if the serial log ends early, which
         ends nothing else.
     silent
-        For a mere look: gets the controllers and the stage that do not answer, with why, and the others are opened all
+        To only look: collects the controllers and the stage that do not answer, with why, and the others are opened all
         the same. None: that is an error.
 
     Raises
     ------
     InputError
-        When a port is not there or in use, or a folder lacks images of the plan.
+        A port is not there or in use, or a folder lacks images of the plan.
     HardwareError
-        When a device does not answer. By then every controller that can be reached was darkened, unless `touch_lights`
+        A device does not answer. By then every controller that can be reached was darkened, unless `touch_lights`
         is false, and the message names the lights that may still burn.
     """
     replay = check_devices(rig, wiring, plan, camera=camera)
@@ -139,10 +146,7 @@ def check_devices(
 ) -> FolderCamera | None:
     """Check what can be known of devices before any is opened: ports, axes and speeds, the folder to replay.
 
-    Returns
-    -------
-    FolderCamera or None
-        The folder that is replayed, where one is.
+    Returns the folder that is replayed, where one is.
 
     Raises
     ------
@@ -245,3 +249,62 @@ def _axes(rig: RigConfig, config: StageDeviceConfig) -> list[Axis]:
 
 def _events(drivers: list[Any]) -> list[Event]:
     return [event for driver in drivers for event in getattr(driver, "events", ())]
+
+
+def check_camera_software(rig: RigConfig, wiring: Wiring) -> None:
+    """Refuse a camera whose software is not on this computer, before anything is opened."""
+    config = wiring.hardware.camera
+    if config.driver not in ("aravis", "genicam"):
+        return
+    try:
+        check_camera_driver(config.driver, _producer(rig, wiring))
+    except InputError as error:
+        where = rig.source.at("hardware", "camera")
+        raise InputError(*(f"{where}: {message}" for message in error.messages)) from None
+
+
+def opened_camera(
+    rig: RigConfig,
+    wiring: Wiring,
+    *,
+    replay: FolderCamera | None,
+    bench: BenchProcess | None,
+    log: SerialLog | None,
+) -> Camera:
+    """Open the camera with the rig's settings; no frame is taken.
+
+    InputError when it is not there or cannot be set so, HardwareError when it does not answer.
+    """
+    if replay is not None:
+        return replay
+    config = wiring.hardware.camera
+    ports: Mapping[str, str] = {} if bench is None else bench.ports
+    if config.driver == VIRTUAL:
+        assert bench is not None
+        return VirtualCamera(bench)
+    producer = _producer(rig, wiring)
+    settings = CameraSettings(
+        where=rig.source.at("hardware", "camera"),
+        resolution_px=rig.camera.resolution_px,
+        bit_depth=rig.camera.sensor.bit_depth,
+        port=ports[CAMERA] if wiring.camera_is_gige else config.port,
+        producer=None if producer is None else str(producer),
+        pixel_format=config.pixel_format,
+        offset_px=config.offset_px,
+        gain=config.gain,
+        trigger=config.trigger,
+        fixed_exposure_us=config.fixed_exposure_us,
+        packet_size=config.packet_size,
+        packet_delay_ns=config.packet_delay_ns,
+    )
+    return open_camera(
+        config.driver,
+        settings,
+        tell=None if log is None else log.note,
+        ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
+    )
+
+
+def _producer(rig: RigConfig, wiring: Wiring) -> Path | None:
+    producer = wiring.hardware.camera.producer
+    return None if producer is None else rig.source.resolve(producer)

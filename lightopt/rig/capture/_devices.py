@@ -10,7 +10,7 @@ from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._open_lights import NONE_OF_THE_RIG, lights_on
+from lightopt.rig.capture._lights import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._watchdog import BurnWatch
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
@@ -34,20 +34,16 @@ class Devices:
 
     Parameters
     ----------
-    wiring
-        What is plugged in where.
-    controllers
-        By name.
     stage, camera
         None where the rig has none, or none is needed.
     events
-        What was out of the ordinary on the links so far.
+        Irregularities on the links so far.
     closing
         Called last, in order: the links' log, the virtual bench.
     signals
         Installed already where devices were opened under their protection.
     touch_lights
-        False for a mere look at the devices: what burns then burns on.
+        False to only look at the devices: lights that are on stay on.
     dark
         Whether every channel has been switched off since it was opened.
     """
@@ -132,16 +128,16 @@ class Devices:
             raise KeyboardInterrupt(self._signals.pending)
 
     def light_on(self, name: str, level: int | None = None) -> int | None:
-        """Light a panel, at its level unless another is given; returns what is read back, None where nothing can be.
+        """Light a panel, at its level unless another is given; returns the level read back, None where impossible.
 
-        From here on the channel burns for its `max_on_s` at most, whatever hangs: see :meth:`check_burning`.
+        From here on the channel is lit for its `max_on_s` at most, whatever hangs: see :meth:`check_burning`.
 
         Raises
         ------
         InputError
-            When the level is above the channel's `max_level`; nothing was sent.
+            The level is above the channel's `max_level`; nothing was sent.
         HardwareError
-            When the controller does not obey.
+            The controller does not obey.
         """
         channel = self.wiring.light(name)
         controller = self.controllers[channel.controller]
@@ -160,16 +156,13 @@ class Devices:
         return held
 
     def told_s(self, name: str) -> float:
-        """When [s, monotonic clock] the controller of a panel had its last intensity, before it was read back."""
+        """When [s, monotonic clock] the controller of a panel got its last level, before it was read back."""
         return self.controllers[self.wiring.light(name).controller].told_s
 
     def light_off(self, name: str) -> None:
         """Darken a panel.
 
-        Raises
-        ------
-        HardwareError
-            When it had to be darkened before, because it had burned for its `max_on_s`.
+        HardwareError when the watchdog had to darken it before, because it had been lit for its `max_on_s`.
         """
         self._darken(name)
         self._lit.discard(name)
@@ -177,11 +170,11 @@ class Devices:
         self.check_burning(name)
 
     def may_burn_s(self, name: str) -> float | None:
-        """How long a panel that is lit may burn on [s]; None where nothing limits it."""
+        """How long a lit panel may stay lit [s]; None where nothing limits it."""
         return self._watch.left_s(name)
 
     def check_burning(self, name: str) -> None:
-        """Raise a :class:`HardwareError` when a panel was darkened because it had burned for its `max_on_s`."""
+        """Raise a :class:`HardwareError` when the watchdog darkened a panel that had been lit for its `max_on_s`."""
         if problem := self._watch.ended(name):
             raise HardwareError(problem)
 
@@ -190,13 +183,7 @@ class Devices:
         self.controllers[channel.controller].set_level(channel.channel, 0)
 
     def all_off(self) -> list[str]:
-        """Switch every channel off, what this program lit first, each tried even if another fails.
-
-        Returns
-        -------
-        list of str
-            What failed, in words.
-        """
+        """Switch every channel off, what this program lit first, each even if another fails; returns failures."""
         burning: dict[str, list[int]] = {}
         for channel in map(self.wiring.light, tuple(self._lit)):
             burning.setdefault(channel.controller, []).append(channel.channel)
@@ -212,12 +199,9 @@ class Devices:
         return []
 
     def check_referenced(self) -> None:
-        """Refuse a real stage of which nobody knows whether it was homed since it was switched on; moves nothing.
+        """Refuse a real stage that may not have been homed since it was switched on; moves nothing.
 
-        Raises
-        ------
-        HardwareError
-            When it says that it was not, or cannot say it and the rig file does not vouch for it.
+        HardwareError when it says that it was not, or cannot say it and the rig file does not vouch for it.
         """
         config = self.wiring.hardware.stage
         if self.stage is None or config is None or config.port == VIRTUAL:
@@ -267,7 +251,7 @@ class Devices:
         self._stage_may_move = False
 
     def identities(self) -> dict[str, Any]:
-        """Who the devices say they are, in JSON form."""
+        """Identities of the devices, in JSON form."""
         return {
             "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
             "stage": self.stage.identify().as_dict() if self.stage is not None else None,
@@ -275,7 +259,7 @@ class Devices:
         }
 
     def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:
-        """Lights first, then the stage; returns lights that may burn and how the stage is."""
+        """Lights first, then the stage; returns failures of the lights and the state of the stage."""
         burning = self.all_off() if self._touch_lights else []
         self._watch.end_all()
         if self.stage is None or not failed:
@@ -322,7 +306,7 @@ class Devices:
 
 
 def _attempt(action: Callable[[], None]) -> str | None:
-    """Do it; why that failed, or None."""
+    """Run an action; returns why it failed, or None."""
     try:
         action()
     except Exception as error:  # noqa: BLE001  (whatever fails here, the rest must be done, too)

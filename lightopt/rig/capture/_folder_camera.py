@@ -15,21 +15,10 @@ from lightopt.rig.devices import Frame, Identity
 
 
 class FolderCamera:
-    """Delivers the PNG of the light, posture and exposure that the capture is at.
+    """A camera that delivers the PNG of the light, posture and exposure that the capture is at.
 
-    Parameters
-    ----------
-    folder
-        An image set; its files are verified by the manifest's hashes.
-    resolution_px
-        Width and height that its images must have.
-    exposure_us
-        Exposure time [µs] of exposure 1.
-
-    Raises
-    ------
-    InputError
-        When it is no image set or damaged.
+    `resolution_px` is width and height that the images must have, `exposure_us` the exposure time of exposure 1 [µs].
+    InputError when the folder holds no image set or a damaged one; its files are verified by the manifest's hashes.
     """
 
     triggered = True
@@ -62,7 +51,7 @@ class FolderCamera:
         return (min(times, default=0.0), max(times, default=0.0))
 
     def missing(self, light: str | None, posture: Posture, exposure: float) -> str | None:
-        """Say which image of a plan the set lacks; None where it has it."""
+        """Why an image of a plan cannot be replayed; None where it can."""
         if light is None:
             name = dark_name(posture, exposure)
             return (
@@ -78,11 +67,11 @@ class FolderCamera:
         )
 
     def show(self, light: str | None, posture: Posture, exposure: float) -> None:
-        """Say what the next frames are of; the dark has no light."""
+        """Select what the next frames show; None is the dark."""
         self._now = (light, posture, exposure)
 
     def identify(self) -> Identity:
-        """The folder, and what its manifest says."""
+        """The folder, and the kind of its set."""
         return Identity(driver="folder", port=str(self._set.folder), says={"kind": self._set.manifest.kind})
 
     def set_exposure(self, exposure_us: float) -> float:
@@ -98,13 +87,7 @@ class FolderCamera:
         return self._held_us
 
     def grab(self, *, timeout_s: float) -> Frame:
-        """Read the image.
-
-        Raises
-        ------
-        HardwareError
-            When the set does not have it.
-        """
+        """Read the image; HardwareError when the set does not have it."""
         del timeout_s
         if self._now is None:
             raise HardwareError("the folder camera was not told what to replay")

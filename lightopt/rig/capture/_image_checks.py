@@ -13,9 +13,8 @@ from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
 from lightopt.rendering import cast_rays_at
-from lightopt.rig.capture._exposure_consistency import exposures_disagree
-from lightopt.rig.capture._exposure_sequence import Shot
-from lightopt.rig.capture._frames import Exposed
+from lightopt.rig.capture._acquisition import Shot
+from lightopt.rig.capture._exposures import Exposed, exposures_disagree
 from lightopt.rig.capture._light_checks import Predictions, check_lit, lights_left_on, predict
 from lightopt.scene import Scene
 
@@ -26,16 +25,9 @@ AMBIENT_LEVELS = 0.5
 
 
 class Judge:
-    """Holds the predictions of the latest postures, made while the stage travels, and the frame without light.
+    """Checks images as they come, with predictions of the latest postures, computed while the stage travels.
 
-    Parameters
-    ----------
-    scene
-        With all lights of the rig.
-    check
-        Whether to judge at all.
-    with_dark
-        Whether the set has frames without light, so that what is always there is known.
+    `with_dark` says whether the set has frames without light, so that ambient light is known.
     """
 
     def __init__(self, scene: Scene, *, check: bool, with_dark: bool) -> None:
@@ -59,7 +51,7 @@ class Judge:
     def begin(self, posture: Posture) -> None:
         """Predict what the lights make of the part in a posture, in a thread of its own.
 
-        The prediction of the posture before is kept: its last frames may not have been judged yet.
+        The prediction of the posture before is kept: its last frames may not have been checked yet.
         """
         if self._caster is not None:
             before = list(self._predicted.items())[-1:]
@@ -67,16 +59,13 @@ class Judge:
             self._predicted = dict([*before, (posture, predicted)])
 
     def refer(self, dark: Float32, exposure: float) -> None:
-        """Compare frames without light with one [sensor level], (H, W), that an earlier run found dark and kept."""
+        """Set the reference for frames without light [sensor level], (H, W): one that an earlier run kept."""
         self._reference.setdefault(exposure, dark)
 
     def dark(self, shot: Shot, posture: Posture, exposure: float, warn: Callable[[str], None]) -> None:
-        """Keep a frame without light, the first at its exposure, once it shows that no light burns.
+        """Check that no light is on in a frame without light; the first one at its exposure becomes the reference.
 
-        Raises
-        ------
-        HardwareError
-            When it looks like the image of a light.
+        HardwareError when it looks like the image of a light.
         """
         if not self._check:
             return
@@ -112,12 +101,9 @@ class Judge:
         others: Mapping[float, Exposed],
         warn: Callable[[str], None],
     ) -> dict[str, Any] | None:
-        """Check that an image is lit by its light; returns what was found, in JSON form.
+        """Check that an image is lit by its light; returns the findings in JSON form.
 
-        Raises
-        ------
-        HardwareError
-            When it is lit by another light, by two, or by none, or not as at its other exposures.
+        HardwareError when it is lit by another light, by two, or by none, or not as at its other exposures.
         """
         if not self._check:
             return None
@@ -157,7 +143,7 @@ class Judge:
 
 
 def clipped_mean(sensor: Sensor) -> float:
-    """How far read noise, of which nothing is below level 0, lifts the mean level of a dark frame above black."""
+    """How far read noise, clipped at level 0, lifts the mean level of a dark frame above black."""
     noise = sensor.read_noise_levels
     z = sensor.black_level / noise if noise else np.inf
     density = np.exp(-0.5 * min(z, 40.0) ** 2) / np.sqrt(2.0 * np.pi)

@@ -31,9 +31,8 @@ from lightopt.images import (
     remove_file,
     resumable_manifest,
 )
-from lightopt.rig.capture._exposure_fusion import merge_bracket
-from lightopt.rig.capture._exposure_sequence import Shot
-from lightopt.rig.capture._frames import Exposed, mean_of_frames
+from lightopt.rig.capture._acquisition import Shot
+from lightopt.rig.capture._exposures import Exposed, mean_of_frames, merge_bracket
 from lightopt.rig.capture._plan import Plan, PostureTask
 from lightopt.scene import Scene, build_scene
 
@@ -45,11 +44,8 @@ def open_set(
 ) -> CapturedSet:
     """Begin a captured set, or continue one; one in which nothing is listed is begun anew.
 
-    Raises
-    ------
-    InputError
-        When the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan; the
-        message says what differs.
+    InputError when the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan;
+    the message says what differs.
     """
     _refuse_set(folder, resume=resume, force=force)
     header = _header(rig, part, scene, plan)
@@ -66,7 +62,7 @@ def open_set(
 def check_folder(
     folder: Path, rig: RigConfig, part: PartConfig, plan: Plan, *, resume: bool, force: bool
 ) -> None:
-    """Say whether a set could be begun or continued in a folder; nothing is written.
+    """Check whether a set could be begun or continued in a folder; nothing is written.
 
     Raises
     ------
@@ -113,15 +109,7 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan) -> Manif
 
 
 class CapturedSet:
-    """What of a plan is on disk, and the way for the rest to get there.
-
-    Parameters
-    ----------
-    writer
-        Of the set's folder.
-    scene, plan
-        What is captured.
-    """
+    """The image set of a plan: what is on disk, and how the rest is written."""
 
     def __init__(self, writer: ImageSetWriter, scene: Scene, plan: Plan) -> None:
         self.writer = writer
@@ -136,9 +124,9 @@ class CapturedSet:
         }
 
     def missing(self, light: str, posture: Posture) -> tuple[float, ...]:
-        """Exposures to take: all of them where one is, because what the lamp gives now may be another brightness.
+        """Exposures to take: all of them where one is, because the lamp may now give another brightness.
 
-        The images of a posture count once a frame at its end has shown that no light burned on. Means of frames are
+        The images of a posture count once a frame at its end has shown that no light stayed on. Means of frames are
         not on disk, only rounded, so that no linear image is made of them.
         """
         exposures = self._plan.exposures
@@ -150,7 +138,7 @@ class CapturedSet:
         return exposures if again else ()
 
     def todo(self, task: PostureTask) -> dict[str, tuple[float, ...]]:
-        """Lights of a posture that are not complete, and their exposures to take; none where the linear image lacks."""
+        """Incomplete lights of a posture with their exposures to take; none where only the linear image lacks."""
         missing = {light: self.missing(light, task.posture) for light in task.lights}
         return {
             light: exposures
@@ -159,15 +147,15 @@ class CapturedSet:
         }
 
     def ended_dark(self, posture: Posture) -> bool:
-        """Whether a frame after the images of a posture showed that no light burned on."""
+        """Whether a frame after the images of a posture showed that no light stayed on."""
         return posture.as_dict() in self._ended_dark
 
     def end_dark(self, posture: Posture) -> None:
-        """Note that a frame after the images of a posture showed that no light burned on."""
+        """Record that a frame after the images of a posture showed that no light stayed on."""
         self.writer.add_extra(ENDED_DARK_KEY, [*self._ended_dark, posture.as_dict()])
 
     def forget(self, posture: Posture, lights: Iterable[str]) -> None:
-        """Drop images of a posture, which then has not ended dark: to take them anew, or because they are in doubt."""
+        """Drop images of a posture, to take them anew or because they are in doubt, and its final dark check."""
         ended = [there for there in self._ended_dark if there != posture.as_dict()]
         changed = {ENDED_DARK_KEY: ended} if ended != self._ended_dark else None
         self.writer.drop(images=[(light, posture) for light in lights], extra=changed)
@@ -226,11 +214,11 @@ class CapturedSet:
         return read_png(self.writer.folder / (entry.png or ""))
 
     def note_came_back(self, facts: Mapping[str, Any]) -> None:
-        """Put into the manifest's header how the stage stood when it came back to its first posture."""
+        """Record the result of the repeatability check in the manifest."""
         self.writer.add_extra(CAME_BACK_KEY, dict(facts))
 
     def note_events(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """Put what happened on the links, but at no image, into the manifest's header."""
+        """Record irregularities on the links that belong to no image in the manifest."""
         if events:
             before = self.writer.manifest.extra.get(EVENTS_KEY, ())
             self.writer.add_extra(EVENTS_KEY, [*before, *events])
@@ -264,7 +252,7 @@ class CapturedSet:
 
 
 def _facts(shot: Shot) -> dict[str, Any]:
-    """How a shot was taken, and what share of it says too little."""
+    """How an image was taken, and its saturated share."""
     return {
         **shot.facts,
         "saturated_share": np.count_nonzero(shot.image.saturated) / shot.image.saturated.size,

@@ -50,7 +50,7 @@ LEFT_ON = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Predictions:
-    """What each light makes of the part in one posture, seen coarsely.
+    """Coarse prediction of what each light makes of the part in one posture.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Predictions:
 
 @dataclass(frozen=True, kw_only=True)
 class LitCheck:
-    """What the check found.
+    """Result of the check that an image is lit by its light.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class LitCheck:
     next_best
         The other light that the image resembles most, and the correlation with it.
     undecided
-        Why the image cannot tell, in words; None where it can.
+        Why the image allows no decision, in words; None where it does.
     """
 
     problem: str | None
@@ -106,18 +106,9 @@ class LitCheck:
 
 
 def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> Predictions:
-    """Render what the camera should see, one pixel for a cell of pixels.
+    """Render what the camera should see with all lights of the scene, one pixel for a cell of pixels.
 
-    Parameters
-    ----------
-    scene
-        With all lights of the rig.
-    posture
-        Of the part.
-    caster
-        From :func:`lightopt.rendering.cast_rays_at`.
-    supersample
-        Rays across a cell.
+    `caster` is from :func:`lightopt.rendering.cast_rays_at`, `supersample` the number of rays across a cell.
     """
     camera = scene.camera
     cell = max(1, round(camera.width / COARSE_COLUMNS))
@@ -153,13 +144,9 @@ def check_lit(
     Parameters
     ----------
     light
-        That should have burned, and no other.
+        The only light that should have been on.
     image, dark
         [sensor level], shape (H, W); the dark may be one level.
-    predictions
-        Of the posture.
-    sensor
-        That took the image.
     exposure
         Relative exposure of the image.
     """
@@ -235,16 +222,9 @@ def lights_left_on(
     exposure: float,
     before: NDArray[Any] | None = None,
 ) -> str | None:
-    """Name the light that a frame without light shows to burn; None where it shows none.
+    """Name of the light that a frame without light [sensor level], shape (H, W), shows to be on; None where none is.
 
-    Parameters
-    ----------
-    dark
-        [sensor level], shape (H, W).
-    predictions, sensor, exposure
-        As for :func:`check_lit`.
-    before
-        An earlier frame without light at this exposure, which showed that none burned: against it, a weaker one shows.
+    `before` is an earlier frame at this exposure, which showed none: against it, a weaker one shows.
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:

@@ -24,11 +24,7 @@ def locked(folder: Path) -> Generator[None]:
     """Keep other captures out of a folder, which is made where it does not exist.
 
     The operating system holds the lock: that of a process that was killed is gone, though its file may be there.
-
-    Raises
-    ------
-    InputError
-        When another process captures into the folder, or it cannot be written.
+    InputError when another process captures into the folder, or it cannot be written.
     """
     path = folder / LOCK_NAME
     file = _opened(path)

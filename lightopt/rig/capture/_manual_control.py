@@ -13,7 +13,7 @@ from lightopt.core.transforms import Posture
 from lightopt.images import write_png
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._folder_camera import FolderCamera
-from lightopt.rig.capture._plan_checks import exposure_problems
+from lightopt.rig.capture._options import exposure_problems
 from lightopt.rig.capture._simulated_rig import STAGE
 from lightopt.rig.capture._timing import utc
 from lightopt.rig.capture._wiring import Wiring
@@ -25,7 +25,7 @@ _DARKENING_S = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceRow:
-    """One line of a table of devices: which, what it says, and whether that was a failure."""
+    """One line of a table of devices."""
 
     name: str
     says: str
@@ -35,16 +35,9 @@ class DeviceRow:
 def device_rows(
     devices: Devices, rig: RigConfig, silent: Mapping[str, LightoptError] | None = None
 ) -> Iterator[DeviceRow]:
-    """Ask every device how it is, without changing anything; a failure is told and the others are asked.
+    """Ask every device for its state, without changing anything; a failure is reported and the others are asked.
 
-    Parameters
-    ----------
-    devices
-        Those that could be opened.
-    rig
-        The rig.
-    silent
-        Why others could not, by name.
+    `silent` has the devices that could not be opened, by name, with why.
     """
     wiring = devices.wiring
     unopened = silent or {}
@@ -103,13 +96,7 @@ def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) ->
 
 
 def check_angles(rig: RigConfig, *, elevation: float | None, rotation: float | None) -> None:
-    """Check angles [°] against the stage's range; None is not looked at.
-
-    Raises
-    ------
-    InputError
-        With one message per angle outside the range.
-    """
+    """Check angles [°] against the stage's range; None is not checked. InputError with one message per angle."""
     asked = (
         ("elevation", elevation, rig.stage.elevation_range_deg),
         ("rotation", rotation, rig.stage.rotation_range_deg),
@@ -125,13 +112,7 @@ def check_angles(rig: RigConfig, *, elevation: float | None, rotation: float | N
 
 
 def check_burning(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> None:
-    """Refuse to let a light burn longer [s] than its `max_on_s`; nothing is opened.
-
-    Raises
-    ------
-    InputError
-        When it would.
-    """
+    """Refuse to keep a light on longer [s] than its `max_on_s` (InputError); nothing is opened."""
     longest = wiring.light(name).max_on_s
     if longest is not None and seconds > longest:
         raise InputError(
@@ -141,19 +122,13 @@ def check_burning(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> 
 
 
 def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
-    """Refuse a relative exposure that the camera is known not to have; nothing is opened.
-
-    Raises
-    ------
-    InputError
-        With the camera's range.
-    """
+    """Refuse a relative exposure that the camera is known not to have (InputError); nothing is opened."""
     if problems := tuple(exposure_problems(rig, wiring, (exposure,))):
         raise InputError(*problems)
 
 
 def snap_s(wiring: Wiring, exposure: float) -> float:
-    """How long a light burns for one frame at a relative exposure [s]: settling, and the frames' exposures."""
+    """How long a light is on for one frame at a relative exposure [s]: settling, and the frames' exposures."""
     timing = wiring.hardware.timing
     return timing.light_ms / 1e3 + (1 + timing.discard_frames) * exposure * wiring.exposure_us / 1e6
 
@@ -161,23 +136,10 @@ def snap_s(wiring: Wiring, exposure: float) -> float:
 def burn(
     devices: Devices, name: str, level: int, *, seconds: float | None, wait: Callable[[float | None], None]
 ) -> int | None:
-    """Light a panel for a while, never longer than its channel may burn.
+    """Light a panel for a while, never longer than its channel may; returns the level that the controller held.
 
-    Parameters
-    ----------
-    devices
-        Opened.
-    name, level
-        Which light, how bright.
-    seconds
-        How long; None: until `wait` returns.
-    wait
-        Waits at most so many seconds (None: for ever), or until somebody has seen enough.
-
-    Returns
-    -------
-    int or None
-        Level that the controller held.
+    `wait` waits at most so many seconds (None: for ever), or until somebody has seen enough. `seconds` None: until
+    `wait` returns.
     """
     devices.step = f"lighting {name}"
     held = devices.light_on(name, level)
@@ -198,27 +160,9 @@ def snap(
     posture: Posture | None = None,
     overwrite: bool = False,
 ) -> tuple[int, int, float]:
-    """Take one frame, in the dark or under one light, and write it as PNG.
+    """Take one frame, in the dark or under one light, and write it as PNG; returns lowest, highest and mean level.
 
-    Parameters
-    ----------
-    devices
-        Opened, with the camera.
-    path
-        The PNG.
-    light
-        Lit at its level; None: none.
-    exposure
-        Relative to the rig's exposure time.
-    posture
-        What a folder camera replays.
-    overwrite
-        Whether a file of other content may be replaced.
-
-    Returns
-    -------
-    tuple
-        Lowest and highest level, and the mean.
+    `exposure` is relative to the rig's exposure time, `posture` what a folder camera replays.
     """
     timing = devices.wiring.hardware.timing
     camera = devices.camera
@@ -242,7 +186,7 @@ def snap(
 
 
 def _grab(devices: Devices, exposure_us: float, light: str | None) -> Frame:
-    """Wait for a frame no longer than the light may burn."""
+    """Wait for a frame no longer than the light may stay on."""
     limit_s = frame_limit_s(exposure_us, devices.wiring.hardware.timing.frame_timeout_s)
     left_s = None if light is None else devices.may_burn_s(light)
     frame = devices.camera.grab(timeout_s=limit_s if left_s is None else max(0.0, min(limit_s, left_s)))

@@ -9,8 +9,7 @@ from typing import Any, Literal
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._options import CaptureOptions
-from lightopt.rig.capture._plan_checks import exposure_problems, light_problems, posture_problems
+from lightopt.rig.capture._options import CaptureOptions, exposure_problems, light_problems, posture_problems
 from lightopt.rig.capture._wiring import Wiring, wiring_of
 from lightopt.scene import part_postures, travel_order, travel_s
 
@@ -31,14 +30,12 @@ class Step:
 
     Attributes
     ----------
-    kind
-        What is done.
     what
-        To what: a posture, a light, an exposure.
+        Its object: a posture, a light, an exposure.
     seconds
-        How long it should take [s].
+        Estimated duration [s].
     posture, light, exposure
-        Where the stage stands, which light burns (None: none does), at which relative exposure.
+        Where the stage stands, which light is on (None: none), at which relative exposure.
     """
 
     kind: StepKind
@@ -54,17 +51,7 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class PostureTask:
-    """What is taken in one posture.
-
-    Attributes
-    ----------
-    posture
-        Where the stage stands.
-    lights
-        The lights, one after the other.
-    dark_exposures
-        Exposures of the frames without light that belong to the set.
-    """
+    """Images of one posture: the lights one after the other, and the exposures of the set's frames without light."""
 
     posture: Posture
     lights: tuple[str, ...]
@@ -73,20 +60,18 @@ class PostureTask:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a capture will do.
+    """A capture as data.
 
     Attributes
     ----------
-    wiring
-        The devices.
-    options
-        What was asked for.
     tasks
         Posture by posture, in the order of travel.
     exposures
         Relative, the longest first.
     home
         Whether the stage seeks its origin first.
+    pixels
+        Number of pixels of a frame.
     """
 
     wiring: Wiring
@@ -121,7 +106,7 @@ class Plan:
         return sum(step.seconds for step in self.steps())
 
     def burning_s(self) -> float:
-        """How long a light burns at a stretch [s]: settling and all its exposures."""
+        """How long a light is on at a stretch [s]: settling and all its exposures."""
         return self.wiring.hardware.timing.light_ms / 1e3 + sum(
             self.frames_s(exposure) for exposure in self.exposures
         )
@@ -215,7 +200,7 @@ class Plan:
         return self.options.average * (self.exposure_us(exposure) / 1e6 + transfer)
 
     def as_dict(self) -> dict[str, Any]:
-        """What tells this plan from another when a capture is resumed, in JSON form."""
+        """What identifies this plan when a capture is resumed, in JSON form."""
         hardware = self.wiring.hardware
         levels = {name: channel.level for name, channel in hardware.lights.items()}
         return {
@@ -228,16 +213,7 @@ class Plan:
 
 
 def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None = None) -> Plan:
-    """Plan a capture and check it against what stage, lights and camera can do.
-
-    Nothing is opened.
-
-    Parameters
-    ----------
-    rig, part
-        What is captured.
-    options
-        Which images.
+    """Plan a capture and check it against what stage, lights and camera can do. Nothing is opened.
 
     Raises
     ------

@@ -53,14 +53,14 @@ BOUNDED = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class CameBack:
-    """How far the part has turned between two images.
+    """Rotation of the part between two images.
 
     Attributes
     ----------
     tilt_deg, turn_deg
         About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
     tilt_error_deg, turn_error_deg
-        Standard errors [°]; those of an axis that cannot be seen are large.
+        Standard errors [°]; those of an unobservable axis are large.
     converged
         Whether the comparison found its optimum; if not, the angles say nothing.
     """
@@ -73,7 +73,7 @@ class CameBack:
 
     @property
     def off(self) -> str | None:
-        """What stands elsewhere, in words; None where nothing does for certain."""
+        """The axes that certainly deviate, in words; None where none does."""
         if not self.converged:
             return None
         said = [
@@ -88,7 +88,7 @@ class CameBack:
 
     @property
     def unseen(self) -> str:
-        """Angles of which the images would not tell `UNSEEN_DEG`; empty where there is none."""
+        """Axes of which the images would not show `UNSEEN_DEG`; empty where there is none."""
         errors = (("elevation", self.tilt_error_deg), ("rotation", self.turn_error_deg))
         return " and ".join(name for name, error in errors if CERTAIN * error > UNSEEN_DEG)
 
@@ -108,18 +108,10 @@ def came_back(
     posture: Posture,
     scene: Scene,
 ) -> CameBack | None:
-    """How far the part has turned between two images of the same posture; None where too little of it shows.
+    """Rotation of the part between two images of the same posture; None where too little of it shows.
 
-    Parameters
-    ----------
-    first, last
-        Of one exposure [sensor level], shape (H, W).
-    light
-        That burned for both.
-    posture
-        Where the stage said that it stood for both.
-    scene
-        With that light among its lights.
+    `first` and `last` are of one exposure [sensor level], shape (H, W), both under `light`, which is among the scene's.
+    `posture` is where the stage said that it stood for both.
     """
     caster = cast_rays_at(scene)
     # highlights are where the reflectance puts them; diffuse light and outlines are where the part is

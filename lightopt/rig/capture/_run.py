@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.rig.capture._camera_identity import check_camera
+from lightopt.core.errors import InputError
 from lightopt.rig.capture._connect import connect_devices
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._image_records import open_set
@@ -26,26 +26,20 @@ Connect = Callable[[Plan], Devices]
 
 @dataclass(frozen=True, kw_only=True)
 class Captured:
-    """What a capture did.
+    """Result of a capture.
 
     Attributes
     ----------
-    folder
-        The image set.
-    images
-        Number of images of the plan.
-    taken
-        Number of those taken now; the others were there.
+    images, taken
+        Number of images of the plan, and of those taken now; the others were there.
     replaced
-        Files of another set that were removed.
+        Number of files of another set that were removed.
     retries
-        Commands that were sent again.
+        Number of commands that were sent again.
     virtual_bench
         Whether the rig has no hardware section, so that all devices were simulated.
-    timing
-        Where the time went.
     warnings
-        What was noticed, also in the manifest.
+        Also in the manifest.
     """
 
     folder: Path
@@ -75,35 +69,27 @@ def capture(
 
     Parameters
     ----------
-    rig, part
-        The rig and the part on it.
-    folder
-        Of the image set; made where it does not exist.
-    options
-        Which images.
     resume
         Continue the set that is there: only what is missing is taken.
     force
         Replace the set that is there.
     connect
-        Opens the devices; those of the rig's file if not given.
+        Opens the devices; by default those of the rig's file.
     serial_log
         File that gets every byte on the wires with its time.
     warn
-        Called with warnings, and with what is out of the ordinary on the wires, as it happens.
-    report
-        Called with progress.
+        Called with warnings, and with irregularities on the wires, as they happen.
 
     Raises
     ------
     InputError
-        When the plan cannot be, the folder holds something else, or the disk refuses; before anything is opened
+        The plan is impossible, the folder holds something else, or the disk refuses; before anything is opened
         wherever that can be known.
     HardwareError
-        When a device fails or an image is not lit by its light; the message says in which step and what state things
-        are in. The lights are off then, or it says which may not be.
+        A device fails or an image is not lit by its light; the message says in which step and the state of the
+        devices. The lights are off then, or it says which may not be.
     Interrupted
-        After Ctrl-C and the signals that end a program, once the lights are off; the message says what is there.
+        After Ctrl-C and the signals that end a program, once the lights are off; the message says what is on disk.
     """
     folder, timing, begun = Path(folder), Timing(), time.monotonic()
     with timing.spent("opening_s"):
@@ -157,3 +143,14 @@ def _connecting(
     return lambda plan: connect_devices(
         rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, warn=warn
     )
+
+
+def check_camera(devices: Devices, *, resolution_px: tuple[int, int], bit_depth: int, where: str) -> None:
+    """Refuse a camera of another resolution or bit depth than the rig's, before anything is lit or moved."""
+    camera = devices.camera
+    if camera.resolution_px != tuple(resolution_px) or camera.bit_depth != bit_depth:
+        raise InputError(
+            f"{where}: the rig has {resolution_px[0]} × {resolution_px[1]} pixels of {bit_depth} bits, the camera "
+            f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
+            "camera or the rig"
+        )

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
 from lightopt.core.transforms import Posture
+from lightopt.rig.capture._acquisition import Shooter, Shot
 from lightopt.rig.capture._background_writer import DiskWork
 from lightopt.rig.capture._devices import Devices
-from lightopt.rig.capture._exposure_sequence import Shooter, Shot
-from lightopt.rig.capture._frames import Exposed
+from lightopt.rig.capture._exposures import Exposed
 from lightopt.rig.capture._image_checks import Judge
 from lightopt.rig.capture._image_records import CapturedSet
 from lightopt.rig.capture._plan import Plan, PostureTask
@@ -34,25 +34,9 @@ CaptureReport = Callable[[str, float], None]
 
 
 class Taking:
-    """A plan on its way to disk: takes what is missing, and says where an interrupted run stands.
+    """Takes the missing images of a plan, and reports where an interrupted run stands.
 
-    Parameters
-    ----------
-    plan, scene
-        What is taken of what.
-    records
-        The set on disk.
-    timing
-        Where the time goes.
-    warn, report
-        Called with warnings and with progress.
-
-    Attributes
-    ----------
-    taken
-        Number of images taken so far.
-    warnings
-        What was noticed so far.
+    `taken` is the number of images taken so far, `warnings` what was noticed so far.
     """
 
     def __init__(
@@ -102,7 +86,7 @@ class Taking:
             raise Interrupted(f"all lights are off; {self._standing()}") from error
 
     def _standing(self) -> str:
-        """What is there and how to go on, in words."""
+        """What is on disk and how to go on, in words."""
         there, planned = len(self._records.writer.manifest.images), len(self._plan.keys)
         on_disk = f"{there} of {counted(planned, 'image')} {'is' if planned == 1 else 'are'} on disk"
         if not self.todo():
@@ -121,7 +105,7 @@ class Taking:
         return self._records.writer.replaced
 
     def warn(self, *texts: str) -> None:
-        """Say something once, and note it for the manifest."""
+        """Issue a warning once, and keep it for the manifest."""
         for text in texts:
             if text not in self.warnings:
                 self.warnings += (text,)
@@ -161,7 +145,7 @@ class Taking:
         self._disk.wait()
 
     def _come_back(self, devices: Devices, shooter: Shooter) -> None:
-        """Look at the first posture once more: a stage that lost steps since then shows another image."""
+        """Take the first posture once more: a stage that lost steps since then shows another image."""
         task, exposure = self._plan.tasks[0], self._plan.exposures[0]
         light, posture = task.lights[0], task.posture
         devices.step = "checking and writing the image before"
@@ -193,7 +177,7 @@ class Taking:
             self.warn(f"{told}images cannot tell whether its {found.unseen} is what it was")
 
     def flush(self) -> None:
-        """Put what was noticed into the manifest."""
+        """Write warnings and events to the manifest."""
         try:
             self._records.writer.add_warnings(self.warnings)
             self._note_events()
@@ -206,7 +190,7 @@ class Taking:
             ) from error
 
     def _note_events(self) -> None:
-        """Put what was out of the ordinary on the links, and is not in the entry of an image, into the manifest."""
+        """Write irregularities on the links that are not in the entry of an image to the manifest."""
         events = (
             self._shooter.events_since() if self._shooter else self._devices.events() if self._devices else ()
         )
@@ -254,7 +238,7 @@ class Taking:
             self._disk.image(self._end_dark, task.posture, anew, exposure, shot)
 
     def _confirm_stage(self, shooter: Shooter, posture: Posture, lights: Sequence[str]) -> None:
-        """See that the stage stood still for the images of a posture; without that they do not count."""
+        """Check that the stage stood still for the images of a posture; without that they do not count."""
         try:
             shooter.confirm_stage()
         except HardwareError as error:
@@ -331,7 +315,7 @@ class Taking:
         dark[exposure] = shot.image.mean
 
     def _end_dark(self, posture: Posture, lights: Sequence[str], exposure: float, shot: Shot) -> None:
-        """Check that no light burned on; only then do the images of the posture count."""
+        """Check that no light stayed on; only then do the images of the posture count."""
         try:
             self._judge.dark(shot, posture, exposure, self.warn)
         except HardwareError as error:
@@ -355,8 +339,8 @@ class Taking:
     ) -> Shot:
         """Take an image once everything has settled and the image before it is on disk.
 
-        A light that burns waits for the disk no longer than lighting it anew would take, nor longer than it may burn:
-        then it goes dark until the image is there. `rest` are the exposures that it is still to burn for.
+        A light that is on waits for the disk no longer than lighting it anew would take, nor longer than it may be on:
+        then it goes dark until the image is there. `rest` are the exposures that it is still needed for.
         """
         self._tell(f"{light or 'dark'} {task.posture} exposure {exposure:g}")
         shooter.set_exposure(exposure)

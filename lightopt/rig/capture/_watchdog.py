@@ -23,16 +23,12 @@ class _Burning:
 
 
 class BurnWatch:
-    """Darkens lights that burn for as long as they may, each from a thread of its own.
+    """Darkens lights that have been on for their `max_on_s`, each from a thread of its own.
 
     A camera that hangs, a disk that is slow, a person who went away: the light goes dark all the same. What was being
     done then fails at its next step, because its images would be wrong. Whatever the driver raises, the light is tried
-    again, and no light waits for another whose controller hangs.
-
-    Parameters
-    ----------
-    darken
-        Switches a light off; a command that is under way on its link is broken off for it.
+    again, and no light waits for another whose controller hangs. `darken` switches a light off; a command that is under
+    way on its link is broken off for it.
     """
 
     def __init__(self, darken: Callable[[str], None]) -> None:
@@ -44,7 +40,7 @@ class BurnWatch:
         self._darkening: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
 
     def begin(self, light: str, longest_s: float) -> None:
-        """From now on a light may burn so long [s]."""
+        """Allow a light to be on for so long [s] from now."""
         self.end(light)
         burning = _Burning(longest_s, time.monotonic() + longest_s)
         with self._lock:
@@ -57,24 +53,24 @@ class BurnWatch:
             raise
 
     def left_s(self, light: str) -> float | None:
-        """How long a light may burn on [s]; None where nothing limits it."""
+        """Remaining time that a light may be on [s]; None where nothing limits it."""
         with self._lock:
             burning = self._burning.get(light)
             return None if burning is None else burning.until - time.monotonic()
 
     def end(self, light: str) -> None:
-        """A light is dark; waits while it is being darkened."""
+        """Stop watching a light, which is dark; waits while it is being darkened."""
         with self._darkening_of(light), self._lock:
             if burning := self._burning.pop(light, None):
                 burning.over.set()
 
     def end_all(self) -> None:
-        """All lights are dark, or all was tried."""
+        """Stop watching: all lights are dark, or all was tried."""
         for light in tuple(self._burning):
             self.end(light)
 
     def ended(self, light: str) -> str | None:
-        """What to say of a light that had to be darkened; None where it had not. It is said once."""
+        """Message about a light that had to be darkened, once; None where it had not."""
         with self._lock:
             return self._ended.pop(light, None)
 

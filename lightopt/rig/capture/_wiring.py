@@ -37,9 +37,9 @@ class Wiring:
     Attributes
     ----------
     hardware
-        What the rig file says, or the virtual bench.
+        From the rig file, or the virtual bench.
     given
-        Whether the rig file says it.
+        Whether the rig file has it.
     exposure_us
         Exposure time of exposure 1 [µs].
     """

@@ -1,4 +1,4 @@
-"""What a check has to say."""
+"""Findings of the checks."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ def _nothing() -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing worth knowing.
+    """One finding of a check.
 
     Attributes
     ----------
-    level
-        How serious it is, see :data:`Level`.
     topic
         What it is about, in a word or two.
     text
@@ -55,13 +53,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """All findings about a rig, or about a rig and a part.
-
-    Attributes
-    ----------
-    findings
-        In the order of the checks.
-    """
+    """All findings about a rig, or about a rig and a part, in the order of the checks."""
 
     findings: tuple[Finding, ...]
 
@@ -85,5 +77,5 @@ class Report:
 
 
 def percent(share: float) -> str:
-    """A share as people read it: two digits of a small one, no more than whole percents of a large one."""
+    """A share as percent: two digits of a small one, no more than whole percents of a large one."""
     return f"{100.0 * share:.2g} %" if share < 0.095 else f"{100.0 * share:.0f} %"

@@ -12,8 +12,8 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
 from lightopt.rig.capture._devices import Devices
+from lightopt.rig.capture._exposures import Exposed, FrameMean
 from lightopt.rig.capture._folder_camera import FolderCamera
-from lightopt.rig.capture._frames import Exposed, FrameMean
 from lightopt.rig.capture._plan import Plan
 from lightopt.rig.capture._timing import Timing, utc
 from lightopt.rig.devices import Event, Frame, frame_limit_s
@@ -29,7 +29,7 @@ class Shot:
     Attributes
     ----------
     developed
-        The image of the frames, which is made while the light goes out.
+        The image of the frames, which is computed while the light goes out.
     facts
         How it was taken, JSON-able, for the manifest.
     """
@@ -39,27 +39,15 @@ class Shot:
 
     @property
     def image(self) -> Exposed:
-        """Of the frames; waits for it."""
+        """The image of the frames; waits for it."""
         return self.developed.result()
 
 
 class Shooter:
     """Takes the images of a plan with opened devices.
 
-    Parameters
-    ----------
-    devices, plan, sensor
-        What takes them, which, and how levels count.
-    identities
-        Who the devices are, for the manifest.
-    timing
-        Where the time that is spent is counted.
-
-    Raises
-    ------
-    InputError
-        When the camera cannot expose as long or as short as the plan wants, or not in such steps, with the exposures
-        that it can hold instead; nothing was lit or moved.
+    InputError when the camera cannot expose as long or as short as the plan wants, or not in such steps, with the
+    exposures that it can hold instead; nothing was lit or moved. `identities` of the devices are for the manifest.
     """
 
     def __init__(
@@ -88,7 +76,7 @@ class Shooter:
         self._darkroom = ThreadPoolExecutor(1, thread_name_prefix="frames")
 
     def close(self) -> None:
-        """Let the images be made of which the frames are there."""
+        """Wait for the images whose frames are there."""
         self._darkroom.shutdown(wait=True)
 
     def home(self) -> None:
@@ -109,7 +97,7 @@ class Shooter:
         self._changed = True
 
     def confirm_stage(self) -> None:
-        """See that the stage still stands where it was left."""
+        """Check that the stage still stands where it was left."""
         self._devices.step = "asking whether the stage still stands where it was left"
         with self._timing.spent("moving_s"):
             self._devices.confirm_stage()
@@ -136,7 +124,7 @@ class Shooter:
         self._changed = True
 
     def light_off(self) -> None:
-        """Darken the panel that burns."""
+        """Darken the panel that is lit."""
         assert self._lit is not None
         self._devices.step = f"switching {self._lit[0]} off"
         with self._timing.spent("lights_s"):
@@ -146,7 +134,7 @@ class Shooter:
         self._changed = True
 
     def set_exposure(self, exposure: float) -> None:
-        """Set the camera's exposure time, which takes while stage and light settle."""
+        """Set the camera's exposure time, while stage and light settle."""
         asked = self._plan.exposure_us(exposure)
         self._devices.step = f"setting the exposure to {asked:g} µs"
         held = self._devices.camera.set_exposure(asked)
@@ -158,15 +146,15 @@ class Shooter:
         self._held_us = held
 
     def settle(self, *, counted: str = "settling_s") -> None:
-        """Wait until stage and light have settled; as what the time counts can be said."""
+        """Wait until stage and light have settled; `counted` names the entry of the timing."""
         self._devices.step = "letting stage and light settle"
         self._wait_until(max(self._stage_settled, self._light_settled), counted)
 
     def patience_s(self, exposures: Sequence[float]) -> float:
-        """How long a light that has settled may burn for nothing before its exposures [s].
+        """How long a settled light may stay lit unused before its exposures [s].
 
-        As long as lighting it anew would take: so it never burns more than twice as long as needed, and what is saved
-        is never less than half of what could be. Never so long that it could not burn for all of them.
+        As long as lighting it anew would take: so it is never lit more than twice as long as needed, and what is saved
+        is never less than half of what could be. Never so long that it could not stay lit for all of them.
         """
         anew_s = self._plan.relighting_s
         if (left_s := self._may_burn_s()) is None:
@@ -174,7 +162,7 @@ class Shooter:
         return max(0.0, min(anew_s, left_s - sum(map(self._plan.frames_s, exposures))))
 
     def expose(self, posture: Posture, exposure: float) -> Shot:
-        """Take an image under the light that burns, or in the dark."""
+        """Take an image under the light that is lit, or in the dark."""
         light = self._lit[0] if self._lit else None
         self._devices.step = f"exposing {light or 'dark'} {posture} at exposure {exposure:g}"
         if light is not None:
@@ -224,7 +212,7 @@ class Shooter:
         return Shot(developed=self._darkroom.submit(develop), facts=facts)
 
     def events_since(self) -> tuple[Event, ...]:
-        """What was out of the ordinary on the links since the image before."""
+        """Irregularities on the links since the image before."""
         events = tuple(self._devices.events())
         new = tuple(event for event in events if id(event) not in self._told)
         self._told.update((id(event), event) for event in new)
@@ -263,7 +251,7 @@ class Shooter:
             )
 
     def _may_burn_s(self) -> float | None:
-        """How long the light may burn on [s]; None where nothing limits it."""
+        """How long the light may stay lit [s]; None where nothing limits it."""
         return None if self._lit is None else self._devices.may_burn_s(self._lit[0])
 
     def _burns_too_long(self, left_s: float) -> None:
@@ -280,12 +268,12 @@ class Shooter:
 
 
 def _holds(held_us: float, asked_us: float) -> bool:
-    """Whether an exposure time is as good as the one that was asked for."""
+    """Whether the camera holds the requested exposure time."""
     return abs(held_us - asked_us) <= EXPOSURE_TOLERANCE * asked_us
 
 
 def _check_steps(devices: Devices, plan: Plan) -> None:
-    """Let the camera hold every exposure of a plan once, and refuse the plan when it holds others."""
+    """Set every exposure of a plan once, and refuse the plan when the camera holds others."""
     problems: list[str] = []
     for exposure in plan.exposures:
         asked = plan.exposure_us(exposure)

@@ -1,4 +1,4 @@
-"""What the checks look at, made once."""
+"""The rig and scene under test, and samples of what the camera sees."""
 
 from __future__ import annotations
 
