@@ -10,7 +10,7 @@ from lightopt.cli._terminal import say, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
-    from lightopt.images.comparison import FileComparison, SetComparison, Thresholds
+    from lightopt.images.comparison import ComparisonThresholds, FileComparison, SetComparison
 
 
 def compare(
@@ -65,12 +65,17 @@ def compare(
     import json
 
     from lightopt.images import write_text_atomic
-    from lightopt.images.comparison import Thresholds, compare_files, compare_sets, comparison_provenance
+    from lightopt.images.comparison import (
+        ComparisonThresholds,
+        compare_files,
+        compare_sets,
+        comparison_provenance,
+    )
 
     sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
     if sets and diff is not None:
         make_folder(diff)
-    thresholds = Thresholds(
+    thresholds = ComparisonThresholds(
         absolute=absolute,
         relative=relative,
         max_share=max_share,
@@ -122,7 +127,9 @@ def _show(result: FileComparison | SetComparison) -> None:
             say(f"note: {note}")
 
 
-def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thresholds, force: bool) -> None:
+def _draw(
+    result: FileComparison | SetComparison, target: Path, thresholds: ComparisonThresholds, force: bool
+) -> None:
     from lightopt.images.comparison import SetComparison, difference_picture
 
     drawn = 0

@@ -3,10 +3,10 @@
 from lightopt.images._atomic import make_folder, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
 from lightopt.images._manifest import (
-    CAME_BACK_KEY,
-    ENDED_DARK_KEY,
+    DARK_CHECKED_KEY,
     EVENTS_KEY,
     MANIFEST_NAME,
+    REPEATABILITY_KEY,
     ImageEntry,
     Manifest,
     SourceFile,
@@ -27,10 +27,10 @@ from lightopt.images._resume import remove_file, remove_image_set, resumable_man
 from lightopt.images._writer import ImageSetWriter
 
 __all__ = [
-    "CAME_BACK_KEY",
-    "ENDED_DARK_KEY",
+    "DARK_CHECKED_KEY",
     "EVENTS_KEY",
     "MANIFEST_NAME",
+    "REPEATABILITY_KEY",
     "ImageEntry",
     "ImageSet",
     "ImageSetWriter",

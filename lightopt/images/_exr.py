@@ -64,12 +64,12 @@ def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Ma
             yield np.stack([channel[top : top + _BLOCK_ROWS] for channel in channels.values()], axis=-1)
 
     def write(temporary: Path) -> None:
-        write_rows(temporary, file_format="openexr", spec=spec, rows=blocks(), whole=_is_whole)
+        write_rows(temporary, file_format="openexr", spec=spec, rows=blocks(), is_complete=_is_complete)
 
     return write_atomically(path, write)
 
 
-def _is_whole(path: Path) -> bool:
+def _is_complete(path: Path) -> bool:
     """Whether the last row, which is written last, can be read."""
     OpenImageIO = openimageio()
     source = OpenImageIO.ImageInput.open(str(path))

@@ -13,13 +13,13 @@ from lightopt.core.transforms import Posture
 FORMAT = "lightopt-images/1"
 MANIFEST_NAME = "manifest.json"
 
-CAME_BACK_KEY = "came_back"
+REPEATABILITY_KEY = "came_back"
 """Key of a captured set's manifest for how far the part had turned when the stage came back to its first posture."""
 
 EVENTS_KEY = "events"
 """Key of a captured set's manifest for what happened on the devices' links while no image was taken."""
 
-ENDED_DARK_KEY = "ended_dark"
+DARK_CHECKED_KEY = "ended_dark"
 """Key of a captured set's manifest for the postures after whose images a frame showed that no light burned on."""
 
 

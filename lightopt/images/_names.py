@@ -57,7 +57,7 @@ def geometry_name(posture: Posture) -> str:
     return f"{posture_folder(posture)}/geometry.exr"
 
 
-class Names:
+class FileNames:
     """File names of a run, each reserved by one image: two images must not share a file on any platform."""
 
     def __init__(self) -> None:

@@ -58,7 +58,7 @@ def write_rows(
     file_format: str,
     spec: OpenImageIO.ImageSpec,
     rows: Iterator[NDArray[Any]],
-    whole: Callable[[Path], bool],
+    is_complete: Callable[[Path], bool],
 ) -> None:
     """Encode an image block by block into an existing file; raises OSError with the system's reason.
 
@@ -80,7 +80,7 @@ def write_rows(
     closed = output.close()
     # The PNG writer reports success on a full disk; only its error text tells.
     message = output.geterror()
-    if not (done and closed) or message or not whole(path):
+    if not (done and closed) or message or not is_complete(path):
         _raise_system_reason(path)
         raise OSError(message.strip().split("\n")[0] or "the file came out incomplete")
 

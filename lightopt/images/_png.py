@@ -72,12 +72,12 @@ def write_png(
     spec.attribute(METADATA_KEY, text)
 
     def write(temporary: Path) -> None:
-        write_rows(temporary, file_format="png", spec=spec, rows=iter([pixels]), whole=_is_whole)
+        write_rows(temporary, file_format="png", spec=spec, rows=iter([pixels]), is_complete=_is_complete)
 
     return write_atomically(path, write, overwrite=overwrite)
 
 
-def _is_whole(path: Path) -> bool:
+def _is_complete(path: Path) -> bool:
     """Whether the file ends as every PNG ends."""
     size = path.stat().st_size
     if size < len(_END_CHUNK):

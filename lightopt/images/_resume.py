@@ -9,7 +9,7 @@ from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
-from lightopt.images._manifest import CAME_BACK_KEY, ENDED_DARK_KEY, EVENTS_KEY, MANIFEST_NAME, Manifest
+from lightopt.images._manifest import DARK_CHECKED_KEY, EVENTS_KEY, MANIFEST_NAME, REPEATABILITY_KEY, Manifest
 from lightopt.images._parse import read_manifest
 
 _CONTENT_KEYS = (
@@ -18,9 +18,9 @@ _CONTENT_KEYS = (
     "patches",
     "files",
     "warnings",
-    CAME_BACK_KEY,
+    REPEATABILITY_KEY,
     EVENTS_KEY,
-    ENDED_DARK_KEY,
+    DARK_CHECKED_KEY,
 )
 
 

@@ -15,9 +15,9 @@ from lightopt.preflight._camera import (
     check_resolution,
     check_sensor,
 )
-from lightopt.preflight._findings import Finding, Report
+from lightopt.preflight._findings import CheckResult, Finding
 from lightopt.preflight._highlights import check_facets, check_levels, check_points
-from lightopt.preflight._inputs import RigSubject, SceneSubject, rig_subject, scene_subject
+from lightopt.preflight._inputs import CheckedRig, CheckedScene, prepare_rig, prepare_scene
 from lightopt.preflight._lights import (
     check_below_horizon,
     check_collisions,
@@ -28,7 +28,7 @@ from lightopt.preflight._lights import (
 from lightopt.preflight._part import check_back_faces, check_mesh, check_size, check_unseen_surface
 from lightopt.scene import build_scene
 
-RIG_CHECKS: tuple[Callable[[RigSubject], Iterable[Finding]], ...] = (
+RIG_CHECKS: tuple[Callable[[CheckedRig], Iterable[Finding]], ...] = (
     check_lens,
     check_resolution,
     check_field_of_view,
@@ -38,7 +38,7 @@ RIG_CHECKS: tuple[Callable[[RigSubject], Iterable[Finding]], ...] = (
     check_collisions,
 )
 
-SCENE_CHECKS: tuple[Callable[[SceneSubject], Iterable[Finding]], ...] = (
+SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     check_size,
     check_mesh,
     check_depth,
@@ -55,12 +55,12 @@ SCENE_CHECKS: tuple[Callable[[SceneSubject], Iterable[Finding]], ...] = (
 )
 
 
-def check_rig(rig: RigConfig) -> Report:
+def check_rig(rig: RigConfig) -> CheckResult:
     """Check a rig alone; InputError when the lens model folds the image over."""
-    return Report(_run_rig(rig))
+    return CheckResult(_run_rig(rig))
 
 
-def check_scene(rig: RigConfig, part: PartConfig) -> Report:
+def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
     """Check a rig and a part on it, in all the part's postures.
 
     Raises
@@ -68,10 +68,10 @@ def check_scene(rig: RigConfig, part: PartConfig) -> Report:
     InputError
         The scene cannot be built (see :func:`lightopt.scene.build_scene`).
     """
-    subject = scene_subject(rig, part, build_scene(rig, part))
-    return Report((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(subject))))
+    checked = prepare_scene(rig, part, build_scene(rig, part))
+    return CheckResult((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(checked))))
 
 
 def _run_rig(rig: RigConfig) -> tuple[Finding, ...]:
-    subject = rig_subject(rig)
-    return tuple(finding for check in RIG_CHECKS for finding in check(subject))
+    checked = prepare_rig(rig)
+    return tuple(finding for check in RIG_CHECKS for finding in check(checked))

@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 Level = Literal["ok", "note", "warning", "error"]
-"""From best to worst: as it should be; good to know; will probably disappoint; cannot be so."""
-
-
-def _nothing() -> Mapping[str, Any]:
-    return {}
+"""From best to worst: as it should be; good to know; will probably disappoint; impossible."""
 
 
 @dataclass(frozen=True)
@@ -35,41 +31,26 @@ class Finding:
     topic: str
     text: str
     where: str | None = None
-    values: Mapping[str, Any] = field(default_factory=_nothing)
+    values: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {
-            "level": self.level,
-            "topic": self.topic,
-            "text": self.text,
-            "where": self.where,
-            "values": dict(self.values),
-        }
+        return {**vars(self), "values": dict(self.values)}
 
 
 @dataclass(frozen=True)
-class Report:
+class CheckResult:
     """All findings about a rig, or about a rig and a part, in the order of the checks."""
 
     findings: tuple[Finding, ...]
 
     @property
     def worst(self) -> Level:
-        """The worst level found; ok where there is nothing to say."""
-        found = {finding.level for finding in self.findings}
-        return (
-            "error"
-            if "error" in found
-            else "warning"
-            if "warning" in found
-            else "note"
-            if "note" in found
-            else "ok"
-        )
+        """The worst level found; ok where there is none."""
+        return max((finding.level for finding in self.findings), key=get_args(Level).index, default="ok")
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""

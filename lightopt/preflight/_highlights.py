@@ -1,4 +1,4 @@
-"""The mesh's facets against the width of the lobe.
+"""Whether highlights are rendered right: panel points and mesh facets against the lobe, levels against saturation.
 
 Flat shading is off by up to half the angle β between two facets, an error of first order in the edge length h. Between
 vertices with normals, interpolation is off by the second order, κ'·h²/8, where the curvature κ changes along the edge,
@@ -25,22 +25,30 @@ from numpy.typing import NDArray
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
 from lightopt.optics import Sensor
 from lightopt.preflight._findings import Finding
-from lightopt.preflight._inputs import SceneSubject
+from lightopt.preflight._inputs import CheckedScene
 from lightopt.rendering import highlight_level
 from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
 
+Float64 = NDArray[np.float64]
+
 NEGLIGIBLE_ERROR = 0.015
 
+VISIBLE_ERROR = 0.5
+"""Normals that are off by this share of σ change the level on a highlight's flank by about half: facets show."""
 
-def check_points(subject: SceneSubject) -> Iterator[Finding]:
-    """The panels' point lights against σ; panels of the same kind are told together."""
-    sigma = subject.scene.reflectance.sigma
-    for indices in like_panels(subject.scene.lights):
-        light = subject.scene.lights[indices[0]]
-        names = ", ".join(subject.scene.lights[i].name for i in indices)
-        own = subject.rig.lights[indices[0]].points is not None
+LEAST_BEND = 0.05
+"""Edges where the normal turns by less than this share of σ are flat to this lobe and do not count."""
+
+
+def check_points(checked: CheckedScene) -> Iterator[Finding]:
+    """The panels' point lights against σ; like panels are reported together."""
+    sigma = checked.scene.reflectance.sigma
+    for indices in like_panels(checked.scene.lights):
+        light = checked.scene.lights[indices[0]]
+        names = ", ".join(checked.scene.lights[i].name for i in indices)
+        own = checked.rig.lights[indices[0]].points is not None
         keys = ("lights", indices[0], "points") if own else ("light_source", "points")
-        yield _points(replace(light, name=names), sigma, subject.rig.source.at(*keys))
+        yield _points(replace(light, name=names), sigma, checked.rig.source.at(*keys))
 
 
 def _points(light: PanelLight, sigma: float, where: str) -> Finding:
@@ -71,20 +79,18 @@ def _points(light: PanelLight, sigma: float, where: str) -> Finding:
     return Finding("note", "points", f"{text}. {points_advice(light, found.enough)}", where, values)
 
 
-def check_levels(subject: SceneSubject) -> Iterator[Finding]:
+def check_levels(checked: CheckedScene) -> Iterator[Finding]:
     """The brightest diffuse level at exposure 1 against saturation."""
-    reflectance, sensor = subject.scene.reflectance, subject.scene.sensor
-    where = subject.part.source.at("reflectance")
+    reflectance, sensor = checked.scene.reflectance, checked.scene.sensor
+    where = checked.part.source.at("reflectance")
     if reflectance.R_d == 0.0 and reflectance.R_s == 0.0:
         yield Finding("warning", "levels", "R_d and R_s are both 0: every image will be black", where)
         return
     # in levels of the reflectance's full scale, as R_d is
     saturation = (sensor.saturated_from - sensor.black_level) / sensor.max_level * reflectance.full_scale
-    brightest = max(subject.scene.lights, key=lambda light: light.total_weight)
+    brightest = max(checked.scene.lights, key=lambda light: light.total_weight)
     level = reflectance.R_d * brightest.total_weight
-    peak, mirrored = max(
-        (highlight_level(subject.scene, light), light.name) for light in subject.scene.lights
-    )
+    peak, mirrored = max((highlight_level(checked.scene, one), one.name) for one in checked.scene.lights)
     values = {
         "diffuse_level": level,
         "highlight_level": peak,
@@ -95,35 +101,21 @@ def check_levels(subject: SceneSubject) -> Iterator[Finding]:
     text = (
         f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one that "
         f"mirrors the whole panel of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}"
-        f"{_taken_off(sensor, reflectance.full_scale)}"
+        f"{_scale_text(sensor, reflectance.full_scale)}"
     )
     if level >= saturation:
         exposure = 0.5 * saturation / level
-        yield Finding(
-            "warning",
-            "levels",
-            f"{text}: it saturates without any highlight. Check R_d, gain, normalisation, or expose by {exposure:.2g}",
-            where,
-            values,
-        )
+        text += f": it saturates without any highlight. Check R_d, gain, normalisation, or expose by {exposure:.2g}"
+        yield Finding("warning", "levels", text, where, values)
     else:
         yield Finding("ok", "levels", text, where, values)
 
 
-def _taken_off(sensor: Sensor, full_scale: float) -> str:
+def _scale_text(sensor: Sensor, full_scale: float) -> str:
     # why light saturates at another level than the sensor file says
     black = f" less its black level of {sensor.black_level:g}" if sensor.black_level else ""
     scale = f", in levels of full_scale {full_scale:g}" if sensor.max_level != full_scale else ""
     return f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""
-
-
-Float64 = NDArray[np.float64]
-
-SHOWS = 0.5
-"""Normals that are off by this share of σ change the level on a highlight's flank by about half: facets show."""
-
-BENT = 0.05
-"""Edges where the normal turns by less than this share of σ are flat to this lobe and do not count."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +145,8 @@ def facet_angles(mesh: TriangleMesh, *, bent: float, crease: float) -> NormalErr
     normals = face_normals(mesh)
     chord = np.linalg.norm(normals[found.faces[pair, 0]] - normals[found.faces[pair, 1]], axis=1)
     angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * chord))
-    length = _lengths(mesh, found.ends[pair])
+    ends = found.ends[pair]
+    length = np.linalg.norm(mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]], axis=1)
     return _summary(angle, angle, length, (angle > bent) & (angle <= crease))
 
 
@@ -169,23 +162,23 @@ def interpolation_errors(mesh: TriangleMesh, *, bent: float) -> NormalErrors | N
     return _summary(error, angle, length, angle > bent)
 
 
-def check_facets(subject: SceneSubject) -> Iterator[Finding]:
+def check_facets(checked: CheckedScene) -> Iterator[Finding]:
     """Whether the highlight shows the mesh's facets."""
-    sigma = subject.scene.reflectance.sigma
-    mesh = subject.scene.mesh
+    sigma = checked.scene.reflectance.sigma
+    mesh = checked.scene.mesh
     if mesh.normals is None:
-        crease = math.radians(subject.part.mesh.crease_angle_deg)
-        yield _flat(subject, facet_angles(mesh, bent=BENT * sigma, crease=crease))
+        crease = math.radians(checked.part.mesh.crease_angle_deg)
+        yield _flat(checked, facet_angles(mesh, bent=LEAST_BEND * sigma, crease=crease))
     else:
-        yield _smooth(subject, interpolation_errors(mesh, bent=BENT * sigma))
+        yield _smooth(checked, interpolation_errors(mesh, bent=LEAST_BEND * sigma))
 
 
-def _flat(subject: SceneSubject, found: NormalErrors | None) -> Finding:
-    sigma = subject.scene.reflectance.sigma
-    where = subject.part.source.at("mesh", "normals")
+def _flat(checked: CheckedScene, found: NormalErrors | None) -> Finding:
+    sigma = checked.scene.reflectance.sigma
+    where = checked.part.source.at("mesh", "normals")
     if found is None:
         return Finding("ok", "facets", f"no curved surface: no facets to show at σ = {sigma:g} rad", where)
-    shows = found.median > SHOWS * sigma
+    shows = found.median > VISIBLE_ERROR * sigma
     text = (
         f"shaded flat, with angles of {_angle(found.median)} between facets (median over curved surface; 90 % below "
         f"{_angle(found.high)}) against σ = {sigma:g} rad ({_angle(sigma)})"
@@ -193,31 +186,29 @@ def _flat(subject: SceneSubject, found: NormalErrors | None) -> Finding:
     if shows:
         text += (
             f": highlights break up into facets. Use normals: smooth, a STEP file, or an export with facets at most "
-            f"{_angle(SHOWS * sigma)} apart ({found.median / (SHOWS * sigma):.2g} times shorter)"
+            f"{_angle(VISIBLE_ERROR * sigma)} apart ({found.median / (VISIBLE_ERROR * sigma):.2g} times shorter)"
         )
     return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))
 
 
-def _smooth(subject: SceneSubject, found: NormalErrors | None) -> Finding:
-    sigma = subject.scene.reflectance.sigma
+def _smooth(checked: CheckedScene, found: NormalErrors | None) -> Finding:
+    sigma = checked.scene.reflectance.sigma
     if found is None:
-        text = (
-            f"normals turn by less than {BENT:g}·σ along every edge: no facets to show at σ = {sigma:g} rad"
-        )
-        return Finding("ok", "facets", text, subject.part.source.at("mesh", "normals"))
-    shows = found.high > SHOWS * sigma
+        text = f"normals turn by less than {LEAST_BEND:g}·σ along every edge: no facets to show at σ = {sigma:g} rad"
+        return Finding("ok", "facets", text, checked.part.source.at("mesh", "normals"))
+    shows = found.high > VISIBLE_ERROR * sigma
     text = (
         f"normals turn by {_angle(found.angle)} along an edge of {found.edge:.3g} mm (medians over curved surface); "
         f"interpolated, they are off by about {_angle(found.median)}, at 90 % of the edges by less than "
         f"{_angle(found.high)}, against σ = {sigma:g} rad ({_angle(sigma)})"
     )
     if shows:
-        finer = math.sqrt(found.high / (SHOWS * sigma))
+        finer = math.sqrt(found.high / (VISIBLE_ERROR * sigma))
         text += (
             f": highlights show the mesh's facets. Use a STEP file, an export with edges {finer:.2g} times shorter on "
             "curved surface or, where sharp edges were smoothed over, a smaller crease_angle_deg"
         )
-    where = subject.part.source.at("mesh", "file")
+    where = checked.part.source.at("mesh", "file")
     return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))
 
 
@@ -233,10 +224,6 @@ def _values(found: NormalErrors, sigma: float) -> dict[str, float]:
 
 def _angle(radians: float) -> str:
     return f"{math.degrees(radians):.2g}°"
-
-
-def _lengths(mesh: TriangleMesh, ends: NDArray[np.int64]) -> Float64:
-    return np.linalg.norm(mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]], axis=1)
 
 
 def _summary(

@@ -20,18 +20,18 @@ from lightopt.geometry import (
     refine,
 )
 from lightopt.preflight._findings import Finding, Level, percent
-from lightopt.preflight._inputs import SceneSubject
+from lightopt.preflight._inputs import CheckedScene
 from lightopt.rendering import visible_points
 from lightopt.scene import guess_unit, is_absurd, view_size
 
 
-def check_size(subject: SceneSubject) -> Iterator[Finding]:
+def check_size(checked: CheckedScene) -> Iterator[Finding]:
     """Size of the part, and what other units of its file would make of it."""
-    low, high = subject.scene.mesh.bounds
+    low, high = checked.scene.mesh.bounds
     sides = [float(side) for side in high - low]
-    where = subject.part.source.at("mesh", "units")
+    where = checked.part.source.at("mesh", "units")
     values = {"size_mm": sides}
-    size = view_size(subject.scene.camera)
+    size = view_size(checked.scene.camera)
     text = f"{' × '.join(f'{side:.4g}' for side in sides)} mm"
     if size is None:
         yield Finding("ok", "size", text, where, values)
@@ -41,7 +41,7 @@ def check_size(subject: SceneSubject) -> Iterator[Finding]:
     absurd = is_absurd(longest, view)
     times = f"{share:.3g} times the length" if absurd and share > 1.0 else percent(share)
     text += f", {times} of the view's shorter side of {view:.4g} mm"
-    guess = guess_unit(subject.part, longest, view)
+    guess = guess_unit(checked.part, longest, view)
     if guess is not None:
         values = {**values, "unit": guess.unit, "likely_units": list(guess.likely)}
         yield Finding("warning", "size", f"{text}: {guess.text}", where, values)
@@ -57,15 +57,15 @@ SILHOUETTE_SHARE = 1e-4
 may slip through between two faces."""
 
 
-def check_mesh(subject: SceneSubject) -> Iterator[Finding]:
+def check_mesh(checked: CheckedScene) -> Iterator[Finding]:
     """Repairs made while loading, and edges that belong to one face only or to more than two."""
-    where = subject.part.source.at("mesh", "file")
+    where = checked.part.source.at("mesh", "file")
     # whether the part leaves the view is a check of its own
-    framing = tuple(f"posture {posture}: " for posture in subject.scene.postures)
-    for text in subject.scene.warnings:
+    framing = tuple(f"posture {posture}: " for posture in checked.scene.postures)
+    for text in checked.scene.warnings:
         if not text.startswith(framing):
             yield Finding("warning", "mesh", text, where)
-    mesh = subject.scene.mesh
+    mesh = checked.scene.mesh
     found = mesh_edges(merge_rows(mesh.vertices)[1][mesh.faces])
     open_edges = int(np.count_nonzero(found.uses == 1))
     tangled = int(np.count_nonzero(found.uses > 2))
@@ -81,48 +81,47 @@ def check_mesh(subject: SceneSubject) -> Iterator[Finding]:
         )
     if tangled:
         kinds.append(f"{counted(tangled, 'edge')} shared by three or more triangles")
-    told = f"{text}, not a closed surface: {' and '.join(kinds)}. It renders as it is"
-    yield Finding("note", "mesh", told, where, values)
+    text += f", not a closed surface: {' and '.join(kinds)}. It renders as it is"
+    yield Finding("note", "mesh", text, where, values)
 
 
-def check_back_faces(subject: SceneSubject) -> Iterator[Finding]:
+def check_back_faces(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the part's image shows backs of faces, which are black."""
-    for index, look in enumerate(subject.looks):
-        back = int(np.count_nonzero(~look.surface.front))
-        if back <= SILHOUETTE_SHARE * len(look.surface):
+    for index, sample in enumerate(checked.samples):
+        back = int(np.count_nonzero(~sample.surface.front))
+        if back <= SILHOUETTE_SHARE * len(sample.surface):
             continue
-        pixels = back * look.step**2
-        share = back / len(look.surface)
-        yield Finding(
-            "warning",
-            "back faces",
-            f"posture {look.posture}: about {pixels:,} px ({percent(share)} of the part's image) show the back of "
-            "faces and will be black; close the surface, give it a thickness, or turn its faces outwards",
-            subject.at_posture(index),
-            {"posture": look.posture.as_dict(), "pixels": pixels, "share": share},
+        pixels = back * sample.step**2
+        share = back / len(sample.surface)
+        text = (
+            f"posture {sample.posture}: about {pixels:,} px ({percent(share)} of the part's image) show the back of "
+            "faces and will be black; close the surface, give it a thickness, or turn its faces outwards"
         )
+        values = {"posture": sample.posture.as_dict(), "pixels": pixels, "share": share}
+        yield Finding("warning", "back faces", text, checked.at_posture(index), values)
 
 
 BUDGET = 200_000
 """Patches that are looked at; a mesh with more triangles is taken as it is."""
 
-WORTH_A_WARNING = 0.01
+WARNING_SHARE = 0.01
 """Share of the upper side that is unseen."""
 
 UPPER = math.sin(math.radians(5.0))
 """A patch belongs to the upper side from this Z component of its normal on: not the vertical walls."""
 
-_SOME = 0.38
+_CLEAR_COMPONENT = 0.38
+"""A mean normal faces along an axis if its component is at least this: short means point all ways."""
 
 
-def check_unseen_surface(subject: SceneSubject) -> Iterator[Finding]:
+def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
     """Area of the surface that the camera sees in no posture, of the upper side and of all, and where it is."""
-    mesh = subject.scene.mesh
+    mesh = checked.scene.mesh
     patches = _patches(mesh)
     normals = face_normals(mesh)[patches.face]
     seen = np.zeros(len(patches), np.bool_)
-    for look in subject.looks:
-        seen |= visible_points(patches.centroids, normals, look.view, subject.caster)
+    for sample in checked.samples:
+        seen |= visible_points(patches.centroids, normals, sample.view, checked.caster)
     upper = normals[:, 2] > UPPER
     total, top = float(patches.areas.sum()), float(patches.areas[upper].sum())
     unseen = float(patches.areas[~seen].sum())
@@ -135,13 +134,12 @@ def check_unseen_surface(subject: SceneSubject) -> Iterator[Finding]:
         "unseen_upper_mm2": unseen_top,
         "unseen_upper_share": unseen_top / top if top > 0.0 else 0.0,
     }
-    where = subject.part.source.at("postures")
-    many = len(subject.looks)
+    where = checked.part.source.at("postures")
+    many = len(checked.samples)
     in_any = "in the only posture" if many == 1 else f"in any of the {many} postures"
     if unseen == 0.0:
-        yield Finding(
-            "ok", "unseen surface", f"the camera sees all of the part's {total:.4g} mm²", where, values
-        )
+        text = f"the camera sees all of the part's {total:.4g} mm²"
+        yield Finding("ok", "unseen surface", text, where, values)
         return
     text = (
         f"the camera does not see {unseen:.4g} mm² {in_any}, {percent(unseen / total)} of the part's "
@@ -161,7 +159,7 @@ def check_unseen_surface(subject: SceneSubject) -> Iterator[Finding]:
         f"; of the upper side it is {unseen_top:.4g} mm² or {percent(share)}, {facing(mean / unseen_top)}, "
         f"within {box} mm in posture (0°, 0°)"
     )
-    level: Level = "warning" if share > WORTH_A_WARNING else "note"
+    level: Level = "warning" if share > WARNING_SHARE else "note"
     if level == "warning":
         text += ". Add postures that turn it to the camera"
     yield Finding(level, "unseen surface", text, where, values)
@@ -175,13 +173,11 @@ def facing(mean: NDArray[np.float64]) -> str:
     >>> facing(np.array([0.7, 0.0, 0.6]))
     'facing +X and up'
     """
+    directions = (("+X", "−X"), ("+Y", "−Y"), ("up", "down"))
     words = [
-        name
-        for value, (plus, minus) in zip(
-            mean.tolist(), (("+X", "−X"), ("+Y", "−Y"), ("up", "down")), strict=True
-        )
-        for name, sign in ((plus, 1.0), (minus, -1.0))
-        if sign * value > _SOME
+        plus if value > 0.0 else minus
+        for value, (plus, minus) in zip(mean.tolist(), directions, strict=True)
+        if abs(value) > _CLEAR_COMPONENT
     ]
     return f"facing {' and '.join(words)}" if words else "facing several ways"
 

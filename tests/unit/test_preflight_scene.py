@@ -15,7 +15,7 @@ from lightopt.config import PartConfig, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.geometry import TriangleMesh, merge_rows, mesh_edges
 from lightopt.preflight import _part, check_scene
-from lightopt.preflight._findings import Report
+from lightopt.preflight._findings import CheckResult
 from lightopt.preflight._highlights import facet_angles, interpolation_errors
 from lightopt.preflight._part import facing
 from lightopt.scene._part_size import likely_units
@@ -75,7 +75,7 @@ def few_patches(monkeypatch):
 def check(tmp_path):
     """Check triangles on the test rig; `part` and `rig` go to the configurations."""
 
-    def run(triangles, *, sigma=0.0475, mesh=None, rig=None, reflectance=None, **part) -> Report:
+    def run(triangles, *, sigma=0.0475, mesh=None, rig=None, reflectance=None, **part) -> CheckResult:
         file = write_stl(tmp_path / "part.stl", triangles)
         config = PartConfig.model_validate(
             {

@@ -18,7 +18,7 @@ PERCENTILES: Mapping[str, float] = MappingProxyType({"p50": 50, "p95": 95, "p99"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Thresholds:
+class ComparisonThresholds:
     """When a difference is too large.
 
     Attributes
@@ -127,7 +127,7 @@ def compare_arrays(
 
     A NaN equals a NaN and an infinity the same infinity; any value that is not finite where the golden's is
     fails. `saturation` has the levels from which `a` and `b` count as saturated. For the limits see
-    :class:`Thresholds`. Raises InputError when the shapes differ.
+    :class:`ComparisonThresholds`. Raises InputError when the shapes differ.
     """
     if a.shape != b.shape:
         raise InputError(f"{name}: different shapes: {a.shape} against {b.shape}")

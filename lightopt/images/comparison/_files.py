@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_exr_metadata, read_png, read_png_metadata
-from lightopt.images.comparison._channels import ChannelDifference, Thresholds, compare_arrays
+from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, compare_arrays
 
 LEVELS = "levels"
 """Name given to a grey PNG's only channel."""
@@ -82,7 +82,7 @@ def lit_mask(image: LoadedFile, channel: str) -> NDArray[np.bool_]:
 
 
 _SATURATING = frozenset({LEVELS, "Y"})
-_DEFAULTS = Thresholds()
+_DEFAULTS = ComparisonThresholds()
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class FileComparison:
 def compare_files(
     a: str | Path,
     b: str | Path,
-    thresholds: Thresholds = _DEFAULTS,
+    thresholds: ComparisonThresholds = _DEFAULTS,
     *,
     saturation: tuple[float | None, float | None] = (None, None),
     black: tuple[float | None, float | None] = (None, None),
@@ -189,7 +189,9 @@ def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
             yield f"{role} channel {', '.join(sorted(names))}"
 
 
-def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: Thresholds) -> Iterator[ChannelDifference]:
+def _compare_channels(
+    golden: LoadedFile, new: LoadedFile, limits: ComparisonThresholds
+) -> Iterator[ChannelDifference]:
     hit_a = hit_b = None
     if geometry := golden.is_geometry and new.is_geometry:
         hit_a, hit_b = hit_mask(golden), hit_mask(new)
@@ -227,7 +229,7 @@ def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: Thresholds) -
         yield replace(difference, max=None, rms=None, percentiles=None) if patch else difference
 
 
-def compare_tables(a: Path, b: Path, thresholds: Thresholds) -> FileComparison:
+def compare_tables(a: Path, b: Path, thresholds: ComparisonThresholds) -> FileComparison:
     """Compare the arrays of two ``.npz`` files: floats within `geometry_absolute`, the rest exactly."""
     reasons: list[str] = []
     golden, new = _load_arrays("golden", a, reasons), _load_arrays("new", b, reasons)

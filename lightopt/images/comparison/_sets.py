@@ -11,10 +11,10 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256, files_sha256, provenance
 from lightopt.core.transforms import Posture
 from lightopt.images import MANIFEST_NAME, ImageSet, Manifest, read_image_set
-from lightopt.images.comparison._channels import Thresholds
+from lightopt.images.comparison._channels import ComparisonThresholds
 from lightopt.images.comparison._files import FileComparison, compare_files, compare_tables
 
-_DEFAULTS = Thresholds()
+_DEFAULTS = ComparisonThresholds()
 _ANGLE_TOLERANCE_DEG = 1e-6
 
 
@@ -61,7 +61,7 @@ class SetComparison:
         }
 
 
-def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULTS) -> SetComparison:
+def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds = _DEFAULTS) -> SetComparison:
     """Compare two image sets, golden `a` against new `b`; images are matched by light, posture and exposure.
 
     A file that is missing, damaged or changed since it was listed is a failed comparison with its reason.
@@ -116,7 +116,11 @@ def _open(role: str, path: str | Path, problems: list[str]) -> ImageSet | None:
 
 
 def _images(
-    a: Path, b: Path, thresholds: Thresholds, saturation: tuple[float, float], black: tuple[float, float]
+    a: Path,
+    b: Path,
+    thresholds: ComparisonThresholds,
+    saturation: tuple[float, float],
+    black: tuple[float, float],
 ) -> FileComparison:
     try:
         return compare_files(a, b, thresholds, saturation=saturation, black=black)
@@ -174,7 +178,9 @@ def _notes(golden: Manifest, new: Manifest) -> Iterator[str]:
             yield f"different {name} file: golden {old.file}, new {now.file}"
 
 
-def comparison_provenance(result: FileComparison | SetComparison, thresholds: Thresholds) -> dict[str, Any]:
+def comparison_provenance(
+    result: FileComparison | SetComparison, thresholds: ComparisonThresholds
+) -> dict[str, Any]:
     """Inputs and thresholds of a comparison, in the layout of :mod:`lightopt.core.provenance`. Raises OSError."""
     if isinstance(result, SetComparison):
         inputs = {

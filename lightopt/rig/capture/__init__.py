@@ -8,38 +8,38 @@ from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._image_records import check_folder
 from lightopt.rig.capture._lights import switch_off
 from lightopt.rig.capture._manual_control import (
-    burn,
     check_angles,
-    check_burning,
     check_exposure,
     check_level,
-    device_rows,
+    check_on_time,
+    device_statuses,
+    hold_light,
     snap,
     snap_s,
 )
 from lightopt.rig.capture._options import CaptureOptions
-from lightopt.rig.capture._plan import Plan, make_plan
-from lightopt.rig.capture._run import Captured, capture
+from lightopt.rig.capture._plan import CapturePlan, make_plan
+from lightopt.rig.capture._run import CaptureResult, capture
 from lightopt.rig.capture._simulated_rig import start_bench
 from lightopt.rig.capture._timing import Timing
 from lightopt.rig.capture._wiring import wiring_of
 
 __all__ = [
     "CaptureOptions",
-    "Captured",
+    "CapturePlan",
+    "CaptureResult",
     "Devices",
-    "Plan",
     "Timing",
-    "burn",
     "capture",
     "check_angles",
-    "check_burning",
     "check_devices",
     "check_exposure",
     "check_folder",
     "check_level",
+    "check_on_time",
     "connect_devices",
-    "device_rows",
+    "device_statuses",
+    "hold_light",
     "make_plan",
     "snap",
     "snap_s",

@@ -13,7 +13,7 @@ MOST_LINEARS = 2
 """Linear images that wait or are being written, at most: their exposures are held in memory until then."""
 
 
-class DiskWork:
+class BackgroundWriter:
     """One worker checks and writes images, one merges and writes linear ones.
 
     The next exposure waits for the image before it, not for linear ones, which can be made from the images at any time.
@@ -28,11 +28,11 @@ class DiskWork:
         self._last: Future[None] | None = None
         self._queued: list[Future[None]] = []
 
-    def image(self, work: Callable[..., None], *arguments: object) -> None:
+    def submit_image(self, work: Callable[..., None], *arguments: object) -> None:
         """Check and write an image, once those before it are done."""
         self._last = self._images.submit(self._after(self._last, work, arguments))
 
-    def linear(self, work: Callable[..., None], *arguments: object) -> None:
+    def submit_linear(self, work: Callable[..., None], *arguments: object) -> None:
         """Write a linear image, once the images that it is made of are done.
 
         Waits while the queue is full; an earlier error is raised here.
@@ -60,11 +60,11 @@ class DiskWork:
             while self._unwritten():
                 wait(self._queued, return_when=FIRST_COMPLETED)
 
-    def give_up_linears(self) -> None:
+    def cancel_linears(self) -> None:
         """Cancel linear images that have not been started."""
         self._linears.shutdown(wait=False, cancel_futures=True)
 
-    def idle(self, longest_s: float) -> bool:
+    def wait_idle(self, longest_s: float) -> bool:
         """Wait at most so long [s]; returns whether all is done."""
         last = [self._last] if self._last is not None else []
         return not wait([f for f in (*self._queued, *last) if not f.done()], longest_s).not_done

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from lightopt.core.errors import InputError, LightoptError
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._folder_camera import FolderCamera
 from lightopt.rig.capture._lights import open_lights
-from lightopt.rig.capture._plan import Plan
+from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._simulated_rig import STAGE, start_bench
 from lightopt.rig.capture._wiring import CAMERA, VIRTUAL, Wiring
@@ -37,14 +37,14 @@ def connect_devices(
     wiring: Wiring,
     *,
     part: PartConfig | None = None,
-    plan: Plan | None = None,
+    plan: CapturePlan | None = None,
     camera: bool = True,
     serial_log: Path | None = None,
     truth: BenchTruth | None = None,
     bench: BenchProcess | None = None,
     touch_lights: bool = True,
     warn: Callable[[str], None] | None = None,
-    silent: dict[str, LightoptError] | None = None,
+    unreachable: dict[str, LightoptError] | None = None,
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
 
@@ -54,9 +54,9 @@ def connect_devices(
     Parameters
     ----------
     part
-        What lies on the virtual bench; needed for its camera.
+        The part on the virtual bench; needed for its camera.
     plan
-        What a folder camera must have.
+        The images that a folder camera must have.
     serial_log
         File that gets every byte on the wires.
     truth
@@ -66,11 +66,9 @@ def connect_devices(
     touch_lights
         False to only look at the devices: nothing is switched.
     warn
-        Called with irregularities on the wires, as they happen, and if the serial log ends early, which
-        ends nothing else.
-    silent
-        To only look: collects the controllers and the stage that do not answer, with why, and the others are opened all
-        the same. None: that is an error.
+        Called with irregularities on the wires as they happen, and if the serial log ends early (which ends no more).
+    unreachable
+        Collects the controllers and the stage that do not answer, with why; the others are opened. None: an error.
 
     Raises
     ------
@@ -93,33 +91,34 @@ def connect_devices(
             stack.callback(bench.close)
             closing.append(bench.close)
         ports: Mapping[str, str] = {} if bench is None else bench.ports
+        controllers = wiring.hardware.controllers
         lights = open_lights(
             wiring,
-            wiring.hardware.controllers,
-            ports={name: ports[name] for name in ports if _virtual(wiring, name)},
+            controllers,
+            ports={n: p for n, p in ports.items() if n in controllers and controllers[n].port == VIRTUAL},
             log=log,
             darken=touch_lights,
             opened=lambda controller: stack.callback(controller.close),
         )
-        if silent is not None:
-            silent |= lights.problems
+        if unreachable is not None:
+            unreachable |= lights.problems
         elif lights.problems:
-            raise lights.raised()
+            raise lights.error()
         stage: Stage | None = None
         try:
             stage = _stage(rig, wiring, ports, log)
             if stage is not None:
                 stack.callback(stage.close)
         except LightoptError as error:
-            if silent is None:
-                raise (lights.raised(error) if touch_lights else error) from error
-            silent[STAGE] = error
+            if unreachable is None:
+                raise (lights.error(error) if touch_lights else error) from error
+            unreachable[STAGE] = error
         seen: Camera | None = None
         if camera:
             try:
-                seen = opened_camera(rig, wiring, replay=replay, bench=bench, log=log)
+                seen = _open_rig_camera(rig, wiring, replay=replay, bench=bench, log=log)
             except LightoptError as error:
-                raise (lights.raised(error) if touch_lights else error) from error
+                raise (lights.error(error) if touch_lights else error) from error
             stack.callback(seen.close)
         devices = Devices(
             wiring=wiring,
@@ -136,13 +135,13 @@ def connect_devices(
             try:
                 devices.check_referenced()
             except LightoptError as error:
-                raise lights.raised(error) from error
+                raise lights.error(error) from error
         stack.pop_all()  # from here on the devices close themselves
     return devices
 
 
 def check_devices(
-    rig: RigConfig, wiring: Wiring, plan: Plan | None = None, *, camera: bool = True
+    rig: RigConfig, wiring: Wiring, plan: CapturePlan | None = None, *, camera: bool = True
 ) -> FolderCamera | None:
     """Check what can be known of devices before any is opened: ports, axes and speeds, the folder to replay.
 
@@ -155,37 +154,34 @@ def check_devices(
     """
     problems: list[str] = []
     replay: FolderCamera | None = None
-    try:
-        if camera:
-            check_camera_software(rig, wiring)
+    driver = wiring.hardware.camera.driver
+    if camera and driver in ("aravis", "genicam"):  # is its software on this computer?
+        with _collected(problems, where=rig.source.at("hardware", "camera")):
+            check_camera_driver(driver, _producer(rig, wiring))
+    if camera and driver == "folder":
+        with _collected(problems):
             replay = _folder_camera(rig, wiring, plan)
-    except InputError as error:
-        problems += error.messages
-    try:
-        _check_ports(rig, wiring)
-    except InputError as error:
-        problems += error.messages
+    problems += _port_problems(rig, wiring)
     if (stage := wiring.hardware.stage) is not None:
-        try:
+        with _collected(problems, where=rig.source.at("hardware", "stage")):
             check_stage(stage.driver, _axes(rig, stage))
-        except InputError as error:
-            problems += [f"{rig.source.at('hardware', 'stage')}: {message}" for message in error.messages]
     if problems:
         raise InputError(*problems)
     return replay
 
 
-def _virtual(wiring: Wiring, name: str) -> bool:
-    config = wiring.hardware.controllers.get(name)
-    return config is not None and config.port == VIRTUAL
+@contextmanager
+def _collected(problems: list[str], *, where: str = "") -> Generator[None]:
+    """Collect the messages of an input error instead of raising it."""
+    try:
+        yield
+    except InputError as error:
+        problems += [f"{where}: {message}" if where else message for message in error.messages]
 
 
-def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderCamera | None:
-    config = wiring.hardware.camera
-    if config.driver != "folder":
-        return None
+def _folder_camera(rig: RigConfig, wiring: Wiring, plan: CapturePlan | None) -> FolderCamera:
     camera = FolderCamera(
-        rig.source.resolve(config.folder or ""),
+        rig.source.resolve(wiring.hardware.camera.folder or ""),
         resolution_px=rig.camera.resolution_px,
         exposure_us=wiring.exposure_us,
     )
@@ -197,8 +193,8 @@ def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderC
     return camera
 
 
-def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
-    """Refuse ports that are not there before any other is opened; a URL is only known when it is opened."""
+def _port_problems(rig: RigConfig, wiring: Wiring) -> list[str]:
+    """Ports that are not there; whether a URL can be opened is not known before."""
     hardware = wiring.hardware
     named = [
         (rig.source.at("hardware", "controllers", name, "port"), config.port)
@@ -206,13 +202,11 @@ def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
     ]
     if hardware.stage is not None:
         named.append((rig.source.at("hardware", "stage", "port"), hardware.stage.port))
-    problems = [
+    return [
         f"{where}: {problem}"
         for where, port in named
         if port != VIRTUAL and (problem := port_problem(port)) is not None
     ]
-    if problems:
-        raise InputError(*problems)
 
 
 def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog) -> Stage | None:
@@ -251,30 +245,15 @@ def _events(drivers: list[Any]) -> list[Event]:
     return [event for driver in drivers for event in getattr(driver, "events", ())]
 
 
-def check_camera_software(rig: RigConfig, wiring: Wiring) -> None:
-    """Refuse a camera whose software is not on this computer, before anything is opened."""
-    config = wiring.hardware.camera
-    if config.driver not in ("aravis", "genicam"):
-        return
-    try:
-        check_camera_driver(config.driver, _producer(rig, wiring))
-    except InputError as error:
-        where = rig.source.at("hardware", "camera")
-        raise InputError(*(f"{where}: {message}" for message in error.messages)) from None
-
-
-def opened_camera(
+def _open_rig_camera(
     rig: RigConfig,
     wiring: Wiring,
     *,
     replay: FolderCamera | None,
     bench: BenchProcess | None,
-    log: SerialLog | None,
+    log: SerialLog,
 ) -> Camera:
-    """Open the camera with the rig's settings; no frame is taken.
-
-    InputError when it is not there or cannot be set so, HardwareError when it does not answer.
-    """
+    """Open the camera with the rig's settings; no frame is taken."""
     if replay is not None:
         return replay
     config = wiring.hardware.camera
@@ -300,7 +279,7 @@ def opened_camera(
     return open_camera(
         config.driver,
         settings,
-        tell=None if log is None else log.note,
+        tell=log.note,
         ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
     )
 

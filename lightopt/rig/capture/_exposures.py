@@ -16,7 +16,7 @@ Levels = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Exposed:
+class ExposureImage:
     """An image at one exposure; arrays of shape (H, W).
 
     Attributes
@@ -58,17 +58,17 @@ class FrameMean:
         self._sum += levels
         self._highest = np.maximum(self._highest, levels)
 
-    def image(self, exposure: float) -> Exposed:
+    def image(self, exposure: float) -> ExposureImage:
         """The image of the frames so far, at least one, at the relative exposure that the camera held."""
         highest = self._highest
         assert highest is not None
         saturated = highest >= self._sensor.saturated_from
         if self._sum is None:
-            return Exposed(
+            return ExposureImage(
                 exposure=exposure, mean=highest.astype(np.float32), saturated=saturated, png=highest
             )
         mean = self._sum / self._number
-        return Exposed(
+        return ExposureImage(
             exposure=exposure,
             mean=mean.astype(np.float32),
             saturated=saturated,
@@ -76,7 +76,7 @@ class FrameMean:
         )
 
 
-def mean_of_frames(frames: Iterable[Levels], *, sensor: Sensor, exposure: float) -> Exposed:
+def mean_of_frames(frames: Iterable[Levels], *, sensor: Sensor, exposure: float) -> ExposureImage:
     """One image from frames (H, W) [sensor level], at least one; `exposure` as the camera held it."""
     mean = FrameMean(sensor)
     for levels in frames:
@@ -101,10 +101,10 @@ TOLERANCE_LEVELS = 0.4
 Float32 = NDArray[np.float32]
 
 
-def exposures_disagree(
+def exposure_mismatch(
     light: str,
-    one: Exposed,
-    other: Exposed,
+    one: ExposureImage,
+    other: ExposureImage,
     *,
     darks: tuple[Float32 | float, Float32 | float],
     sensor: Sensor,
@@ -150,8 +150,8 @@ def exposures_disagree(
 Float32 = NDArray[np.float32]
 
 
-def merge_bracket(
-    images: Sequence[Exposed],
+def merge_exposures(
+    images: Sequence[ExposureImage],
     *,
     sensor: Sensor,
     full_scale: float,

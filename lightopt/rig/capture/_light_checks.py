@@ -49,7 +49,7 @@ LEFT_ON = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class Predictions:
+class PredictedImages:
     """Coarse prediction of what each light makes of the part in one posture.
 
     Attributes
@@ -68,7 +68,7 @@ class Predictions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LitCheck:
+class LightCheck:
     """Result of the check that an image is lit by its light.
 
     Attributes
@@ -85,27 +85,27 @@ class LitCheck:
         Why the image allows no decision, in words; None where it does.
     """
 
-    problem: str | None
-    brightness: float
-    resemblance: float
+    problem: str | None = None
+    brightness: float = 0.0
+    resemblance: float = 0.0
     next_best: tuple[str, float] | None = None
     undecided: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {
+        facts: dict[str, Any] = {
             "brightness": round(self.brightness, 4),
             "resemblance": round(self.resemblance, 4),
-            **(
-                {"next_best": {"light": self.next_best[0], "resemblance": round(self.next_best[1], 4)}}
-                if self.next_best
-                else {}
-            ),
-            **({"undecided": self.undecided} if self.undecided else {}),
         }
+        if self.next_best is not None:
+            light, resemblance = self.next_best
+            facts["next_best"] = {"light": light, "resemblance": round(resemblance, 4)}
+        if self.undecided:
+            facts["undecided"] = self.undecided
+        return facts
 
 
-def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> Predictions:
+def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> PredictedImages:
     """Render what the camera should see with all lights of the scene, one pixel for a cell of pixels.
 
     `caster` is from :func:`lightopt.rendering.cast_rays_at`, `supersample` the number of rays across a cell.
@@ -113,32 +113,29 @@ def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: i
     camera = scene.camera
     cell = max(1, round(camera.width / COARSE_COLUMNS))
     coarse = replace(
-        scene,
-        camera=replace(
-            camera,
-            width=max(1, camera.width // cell),
-            height=max(1, camera.height // cell),
-            pixel_size=camera.pixel_size * cell,
-        ),
+        camera,
+        width=max(1, camera.width // cell),
+        height=max(1, camera.height // cell),
+        pixel_size=camera.pixel_size * cell,
     )
-    images = render_posture(coarse, posture, caster=caster, supersample=supersample)
+    images = render_posture(replace(scene, camera=coarse), posture, caster=caster, supersample=supersample)
     scale = scene.sensor.max_level / scene.reflectance.full_scale
-    return Predictions(
+    return PredictedImages(
         cell=cell,
         levels={image.light: image.level.astype(np.float64) * scale for image in images.lights},
         part=images.geometry.hit,
     )
 
 
-def check_lit(
+def check_light(
     light: str,
     image: NDArray[Any],
     dark: NDArray[Any] | float,
     *,
-    predictions: Predictions,
+    predictions: PredictedImages,
     sensor: Sensor,
     exposure: float,
-) -> LitCheck:
+) -> LightCheck:
     """Compare an image with the frame without light and with what every light of the rig would make of the part.
 
     Parameters
@@ -152,26 +149,21 @@ def check_lit(
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
-        return LitCheck(
-            problem=None, brightness=0.0, resemblance=0.0, undecided="too little of the part shows"
-        )
-    seen = cells(image, predictions)[part] - (
-        cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
-    )
+        return LightCheck(undecided="too little of the part shows")
+    background = cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
+    seen = cells(image, predictions)[part] - background
     room = sensor.saturated_from - sensor.black_level
     alone = {name: np.minimum(level[part] * exposure, room) for name, level in predictions.levels.items()}
     expected = float(alone[light].mean())
-    noise = float(np.std(seen - _smooth_guess(seen, alone[light]))) / np.sqrt(seen.size)
+    noise = float(np.std(seen - _scaled(seen, alone[light]))) / np.sqrt(seen.size)
     if expected <= 5.0 * max(noise, 0.02):
-        return LitCheck(
-            problem=None, brightness=0.0, resemblance=0.0, undecided="too dark at this exposure to tell"
-        )
+        return LightCheck(undecided="too dark at this exposure to tell")
     brightness = float(seen.mean()) / expected
     resemblance = {name: _correlation(seen, level) for name, level in alone.items()}
     own = resemblance[light]
     others = {name: value for name, value in resemblance.items() if name != light}
     best = max(others.items(), key=lambda item: item[1], default=None)
-    found = LitCheck(problem=None, brightness=brightness, resemblance=own, next_best=best)
+    found = LightCheck(brightness=brightness, resemblance=own, next_best=best)
     if brightness < STAYED_DARK:
         return replace(
             found,
@@ -184,25 +176,21 @@ def check_lit(
             problem=f"{light} was lit, but the image looks like {best[0]} (correlation {best[1]:.2f}, with {light} "
             f"{own:.2f}): are their plugs swapped?",
         )
-    also = {
-        name: _correlation(
-            seen, np.minimum((predictions.levels[light] + predictions.levels[name])[part] * exposure, room)
-        )
+    levels = predictions.levels
+    both = {
+        name: _correlation(seen, np.minimum((levels[light] + levels[name])[part] * exposure, room))
         for name in others
     }
-    worst = max(also.items(), key=lambda item: item[1], default=None)
-    if (
-        worst is not None
-        and worst[1] >= max(RESEMBLES, own + CLEARLY_MORE)
-        and brightness > 1.0 + STAYED_DARK
-    ):
+    worst = max(both.items(), key=lambda item: item[1], default=None)
+    clearly = max(RESEMBLES, own + CLEARLY_MORE)
+    if worst is not None and worst[1] >= clearly and brightness > 1.0 + STAYED_DARK:
         return replace(
             found,
             problem=f"{worst[0]} burns together with {light}: the image looks like both (correlation {worst[1]:.2f}, "
             f"with {light} alone {own:.2f})",
         )
     if own < RESEMBLES:
-        if _shows(alone[light], sensor, predictions.cell) < PLAIN:
+        if _self_correlation(alone[light], sensor, predictions.cell) < PLAIN:
             return replace(found, undecided="too little pattern at this exposure to tell")
         return replace(
             found,
@@ -214,10 +202,10 @@ def check_lit(
     return found
 
 
-def lights_left_on(
+def find_light_left_on(
     dark: NDArray[Any],
     *,
-    predictions: Predictions,
+    predictions: PredictedImages,
     sensor: Sensor,
     exposure: float,
     before: NDArray[Any] | None = None,
@@ -229,9 +217,8 @@ def lights_left_on(
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
         return None
-    seen = cells(dark, predictions)[part] - (
-        sensor.black_level if before is None else cells(before, predictions)[part]
-    )
+    background = sensor.black_level if before is None else cells(before, predictions)[part]
+    seen = cells(dark, predictions)[part] - background
     room = sensor.saturated_from - sensor.black_level
     for name, level in predictions.levels.items():
         alone = np.minimum(level[part] * exposure, room)
@@ -244,7 +231,7 @@ def lights_left_on(
     return None
 
 
-def cells(image: NDArray[Any], predictions: Predictions) -> Float64:
+def cells(image: NDArray[Any], predictions: PredictedImages) -> Float64:
     """Means over the cells of the image's middle, shape of the predictions."""
     cell = predictions.cell
     rows, columns = predictions.part.shape
@@ -255,7 +242,7 @@ def cells(image: NDArray[Any], predictions: Predictions) -> Float64:
     return some.mean(axis=(1, 3), dtype=np.float64)
 
 
-def _shows(expected: Float64, sensor: Sensor, cell: int) -> float:
+def _self_correlation(expected: Float64, sensor: Sensor, cell: int) -> float:
     """Correlation of a prediction with itself under the sensor's noise; 0 for one that is nearly flat."""
     pattern = float(np.std(expected))
     if pattern < FLAT * float(expected.mean()):
@@ -264,8 +251,8 @@ def _shows(expected: Float64, sensor: Sensor, cell: int) -> float:
     return pattern / float(np.sqrt(pattern**2 + noise))
 
 
-def _smooth_guess(seen: Float64, expected: Float64) -> Float64:
-    """The best multiple of the prediction."""
+def _scaled(seen: Float64, expected: Float64) -> Float64:
+    """The multiple of the prediction that fits best."""
     power = _dot(expected, expected)
     return expected * (_dot(seen, expected) / power if power > 0.0 else 0.0)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
-from lightopt.config import ControllerConfig, LightsOnly
+from lightopt.config import LightsOnly
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._simulated_rig import start_lights
@@ -35,22 +36,22 @@ class OpenedLights:
         Those that answered, by name.
     problems
         Why others did not, or did not go dark, by name.
-    burning
+    may_be_on
         Lights that may still be on.
     """
 
     controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
     problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])
-    burning: list[str] = field(default_factory=list[str])
+    may_be_on: list[str] = field(default_factory=list[str])
 
-    def raised(self, *others: LightoptError) -> LightoptError:
+    def error(self, *others: LightoptError) -> LightoptError:
         """The error for what failed, other devices included, with the lights that may still be on."""
         problems = [*self.problems.values(), *others]
         kind = HardwareError if any(isinstance(p, HardwareError) for p in problems) else type(problems[0])
         messages = [message for problem in problems for message in problem.messages]
         if not self.problems:
             return kind(*messages, "all lights are off")
-        return kind(*messages, f"lights that may still burn: {', '.join(self.burning) or NONE_OF_THE_RIG}")
+        return kind(*messages, f"lights that may still burn: {', '.join(self.may_be_on) or NONE_OF_THE_RIG}")
 
 
 def open_lights(
@@ -73,54 +74,37 @@ def open_lights(
     opened
         Called with each that is open, before anything else is sent to it, from the thread that opened it.
     """
-    done = side_by_side(
-        {
-            name: lambda name=name: _open_one(
-                wiring, name, port=ports.get(name), log=log, darken=darken, opened=opened
-            )
-            for name in names
-        }
-    )
+
+    def open_one(name: str) -> tuple[LightController | None, LightoptError | None]:
+        port = ports.get(name) or wiring.hardware.controllers[name].port
+        try:
+            controller = open_controller(wiring, name, port=port, log=log)
+        except LightoptError as error:
+            return None, error
+        except Exception as error:  # noqa: BLE001  (the others must go dark, and what may be on be named)
+            return None, _unexpected(name, error)
+        opened(controller)
+        if darken:
+            try:
+                all_off({name: controller})
+            except LightsStillOnError as error:
+                return controller, error
+            except Exception as error:  # noqa: BLE001  (as above)
+                return controller, _unexpected(name, error)
+        return controller, None
+
     result = OpenedLights()
-    for name, (controller, problem) in done.items():
+    for name, (controller, problem) in side_by_side({n: partial(open_one, n) for n in names}).items():
         if controller is not None:
             result.controllers[name] = controller
         if problem is not None:
             result.problems[name] = problem
             if isinstance(problem, LightsStillOnError):
-                result.burning += lights_on(wiring, problem.channels)
+                result.may_be_on += lights_on(wiring, problem.channels)
             else:
                 channels = range(1, wiring.hardware.controllers[name].channels + 1)
-                result.burning += lights_on(wiring, {name: channels})
+                result.may_be_on += lights_on(wiring, {name: channels})
     return result
-
-
-def _open_one(
-    wiring: Wiring,
-    name: str,
-    *,
-    port: str | None,
-    log: SerialLog | None,
-    darken: bool,
-    opened: Callable[[LightController], object],
-) -> tuple[LightController | None, LightoptError | None]:
-    """Open a controller; returns it if that succeeds, and what went wrong with it."""
-    config = wiring.hardware.controllers[name]
-    try:
-        controller = open_controller(wiring, name, port=port or config.port, log=log)
-    except LightoptError as error:
-        return None, error
-    except Exception as error:  # noqa: BLE001  (the other controllers must go dark, and what may burn be named)
-        return None, _unexpected(name, error)
-    opened(controller)
-    if darken:
-        try:
-            all_off({name: controller})
-        except LightsStillOnError as error:
-            return controller, error
-        except Exception as error:  # noqa: BLE001  (as above)
-            return controller, _unexpected(name, error)
-    return controller, None
 
 
 def _unexpected(name: str, error: Exception) -> HardwareError:
@@ -131,7 +115,7 @@ def _unexpected(name: str, error: Exception) -> HardwareError:
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:
     """Open one controller; no light changes."""
-    config: ControllerConfig = wiring.hardware.controllers[name]
+    config = wiring.hardware.controllers[name]
     settings = LightSettings(
         name=name,
         port=port,
@@ -165,7 +149,7 @@ class SwitchedOff:
     """Controllers all of whose channels were darkened, and those of them that cannot be read back."""
 
     controllers: tuple[str, ...] = ()
-    told: tuple[str, ...] = ()
+    unverified: tuple[str, ...] = ()
 
 
 def switch_off(
@@ -193,8 +177,8 @@ def switch_off(
     signals = EndSignals()
     signals.install()
     problems: dict[str, LightoptError] = {}
-    told: list[str] = []
-    burning: list[str] = []
+    unverified: list[str] = []
+    may_be_on: list[str] = []
     with ExitStack() as stack:
         stack.callback(signals.restore)
         stack.enter_context(signals.shielded())  # Ctrl-C waits until every channel was tried
@@ -208,12 +192,14 @@ def switch_off(
                 wiring, group, ports=ports, log=log, darken=True, opened=lambda c: stack.callback(c.close)
             )
             problems |= done.problems
-            burning += done.burning
-            told += [name for name, controller in done.controllers.items() if _only_told(controller)]
-    dark = SwitchedOff(tuple(name for name in names if name not in problems), tuple(told))
+            may_be_on += done.may_be_on
+            unverified += [
+                name for name, controller in done.controllers.items() if _cannot_read_back(controller)
+            ]
+    dark = SwitchedOff(tuple(name for name in names if name not in problems), tuple(unverified))
     if problems or lights.unreadable or lights.lights_unknown:
-        unknown = [name for name in lights.lights_unknown if name not in burning]
-        raise _failed(lights, problems.values(), dark, [*burning, *unknown])
+        unknown = [name for name in lights.lights_unknown if name not in may_be_on]
+        raise _failed(lights, problems.values(), dark, [*may_be_on, *unknown])
     if signals.pending is not None:
         raise KeyboardInterrupt(signals.pending)
     return dark
@@ -228,7 +214,7 @@ def _wiring(lights: LightsOnly) -> Wiring:
 
 
 def _failed(
-    lights: LightsOnly, problems: Collection[LightoptError], dark: SwitchedOff, burning: Iterable[str]
+    lights: LightsOnly, problems: Collection[LightoptError], dark: SwitchedOff, may_be_on: Iterable[str]
 ) -> LightoptError:
     """The error with what failed, what is dark and what may be on."""
     messages = [message for problem in problems for message in problem.messages]
@@ -241,11 +227,11 @@ def _failed(
     return kind(
         *messages,
         f"controllers that went dark: {', '.join(dark.controllers) or 'none'}",
-        f"lights that may still burn: {', '.join(burning) or NONE_OF_THE_RIG}",
+        f"lights that may still burn: {', '.join(may_be_on) or NONE_OF_THE_RIG}",
     )
 
 
-def _only_told(controller: LightController) -> bool:
+def _cannot_read_back(controller: LightController) -> bool:
     """Whether it cannot be read back; where reading fails, darkening failed before, which is reported."""
     try:
         return controller.read_level(1) is None

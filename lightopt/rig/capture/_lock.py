@@ -20,7 +20,7 @@ _FAR = 1 << 20
 
 
 @contextmanager
-def locked(folder: Path) -> Generator[None]:
+def lock_folder(folder: Path) -> Generator[None]:
     """Keep other captures out of a folder, which is made where it does not exist.
 
     The operating system holds the lock: that of a process that was killed is gone, though its file may be there.

@@ -24,10 +24,8 @@ class CaptureOptions:
 
     Attributes
     ----------
-    lights
-        Names of the lights, one image each; None for all of the rig.
-    postures
-        Instead of the part's own.
+    lights, postures
+        Instead of all lights of the rig and the part's own postures.
     exposures
         Relative to the rig's ``camera.exposure_us``; all of them under one light before the next is lit.
     average
@@ -38,7 +36,7 @@ class CaptureOptions:
         Whether the stage seeks its origin first.
     check
         Whether each image is checked for being lit by the right light.
-    come_back
+    check_repeatability
         Whether the stage returns to its first posture at the end, to see that it lost no steps.
 
     Raises
@@ -54,7 +52,7 @@ class CaptureOptions:
     dark: bool = False
     home: bool = False
     check: bool = True
-    come_back: bool = False
+    check_repeatability: bool = False
 
     def __post_init__(self) -> None:
         if problems := tuple(self._problems()):
@@ -78,12 +76,8 @@ class CaptureOptions:
 
     def as_dict(self) -> dict[str, Any]:
         """What changes the files of the set, in JSON form."""
-        return {
-            "exposures": list(self.exposures),
-            "average": self.average,
-            "dark": self.dark,
-            "check": self.check,
-        }
+        numbers = {"exposures": list(self.exposures), "average": self.average}
+        return {**numbers, "dark": self.dark, "check": self.check}
 
 
 def posture_problems(
@@ -101,21 +95,24 @@ def posture_problems(
             f"hand and name it with --posture; found {len(named)} postures"
         )
     for posture, where in named:
-        for name, (low, high) in (
-            ("elevation", rig.stage.elevation_range_deg),
-            ("rotation", rig.stage.rotation_range_deg),
-        ):
-            angle = getattr(posture, f"{name}_deg")
-            if not low <= angle <= high:
-                yield (
-                    f"{where}: {name} {angle:g}° is outside the stage's range {low:g}° to {high:g}° "
-                    f"({rig.source.at('stage', f'{name}_range_deg')})"
-                )
+        for name, angle in (("elevation", posture.elevation_deg), ("rotation", posture.rotation_deg)):
+            if (problem := outside_range(rig, name, angle)) is not None:
+                yield f"{where}: {problem}"
             elif stage is not None and getattr(stage, name) is None and angle != 0.0:
                 yield (
                     f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which stands at 0° "
                     f"({rig.source.at('hardware', 'stage')})"
                 )
+
+
+def outside_range(rig: RigConfig, name: str, angle: float) -> str | None:
+    """Message where an angle [°] is outside the range of a stage's axis, else None."""
+    ranges = {"elevation": rig.stage.elevation_range_deg, "rotation": rig.stage.rotation_range_deg}
+    low, high = ranges[name]
+    if low <= angle <= high:
+        return None
+    where = rig.source.at("stage", f"{name}_range_deg")
+    return f"{name} {angle:g}° is outside the stage's range {low:g}° to {high:g}° ({where})"
 
 
 def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
@@ -133,17 +130,16 @@ def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ..
 
 
 def light_problems(
-    rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, burning_s: float, taken: str
+    rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_s: float, taken: str
 ) -> Iterator[str]:
     """Lights above their highest level, or that would be on longer at a stretch [s] than they may for what is taken."""
     for name in lights:
-        channel, controller = wiring.light(name), wiring.controller(name)
+        channel, top = wiring.light(name), wiring.top_level(name)
         where = rig.source.at("hardware", "lights", name)
-        top = min(controller.top_level, channel.max_level or controller.top_level)
         if channel.level > top:
             yield f"{where}: level {channel.level} is above the highest allowed, {top}"
-        if channel.max_on_s is not None and burning_s > channel.max_on_s:
+        if channel.max_on_s is not None and on_s > channel.max_on_s:
             yield (
-                f"{where}: would burn {burning_s:.3g} s at a stretch (settling and {taken}), longer than max_on_s "
+                f"{where}: would burn {on_s:.3g} s at a stretch (settling and {taken}), longer than max_on_s "
                 f"{channel.max_on_s:g}; take fewer or shorter exposures"
             )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lightopt.core.least_squares import HUBER, Limits, linear_problem, solve
 from lightopt.core.transforms import Posture
 from lightopt.rendering import cast_rays_at
-from lightopt.rig.capture._light_checks import Predictions, cells, predict
+from lightopt.rig.capture._light_checks import PredictedImages, cells, predict
 from lightopt.scene import Scene
 
 Float64 = NDArray[np.float64]
@@ -28,10 +28,10 @@ STEP_DEG = 0.5
 FINER = 3
 """Predictions have so many rays across a cell: outlines cross cells."""
 
-OFF_DEG = 0.1
+REPORTED_DEG = 0.1
 """From here on it is told."""
 
-UNSEEN_DEG = 0.5
+UNOBSERVABLE_DEG = 0.5
 """An angle that could be so far off without being told is said not to be seen."""
 
 CERTAIN = 5.0
@@ -52,7 +52,7 @@ BOUNDED = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameBack:
+class Repeatability:
     """Rotation of the part between two images.
 
     Attributes
@@ -72,7 +72,7 @@ class CameBack:
     converged: bool = True
 
     @property
-    def off(self) -> str | None:
+    def deviation(self) -> str | None:
         """The axes that certainly deviate, in words; None where none does."""
         if not self.converged:
             return None
@@ -82,15 +82,15 @@ class CameBack:
                 ("elevation", self.tilt_deg, self.tilt_error_deg),
                 ("rotation", self.turn_deg, self.turn_error_deg),
             )
-            if abs(angle) > max(OFF_DEG, CERTAIN * error)
+            if abs(angle) > max(REPORTED_DEG, CERTAIN * error)
         ]
         return " and ".join(said) or None
 
     @property
-    def unseen(self) -> str:
-        """Axes of which the images would not show `UNSEEN_DEG`; empty where there is none."""
+    def unobservable(self) -> str:
+        """Axes of which the images would not show `UNOBSERVABLE_DEG`; empty where there is none."""
         errors = (("elevation", self.tilt_error_deg), ("rotation", self.turn_error_deg))
-        return " and ".join(name for name, error in errors if CERTAIN * error > UNSEEN_DEG)
+        return " and ".join(name for name, error in errors if CERTAIN * error > UNOBSERVABLE_DEG)
 
     def as_dict(self) -> dict[str, float | bool]:
         """JSON form."""
@@ -100,14 +100,14 @@ class CameBack:
         }
 
 
-def came_back(
+def measure_repeatability(
     first: NDArray[Any],
     last: NDArray[Any],
     *,
     light: str,
     posture: Posture,
     scene: Scene,
-) -> CameBack | None:
+) -> Repeatability | None:
     """Rotation of the part between two images of the same posture; None where too little of it shows.
 
     `first` and `last` are of one exposure [sensor level], shape (H, W), both under `light`, which is among the scene's.
@@ -121,14 +121,14 @@ def came_back(
         reflectance=replace(scene.reflectance, R_d=1.0, R_s=0.0),
     )
 
-    def seen_at(tilt_deg: float, turn_deg: float) -> Predictions:
+    def predict_at(tilt_deg: float, turn_deg: float) -> PredictedImages:
         there = Posture(posture.elevation_deg + tilt_deg, posture.rotation_deg + turn_deg)
         return predict(alone, there, caster, supersample=FINER)
 
-    here = seen_at(0.0, 0.0)
+    here = predict_at(0.0, 0.0)
     sides = [
-        (seen_at(STEP_DEG, 0.0), seen_at(-STEP_DEG, 0.0)),
-        (seen_at(0.0, STEP_DEG), seen_at(0.0, -STEP_DEG)),
+        (predict_at(STEP_DEG, 0.0), predict_at(-STEP_DEG, 0.0)),
+        (predict_at(0.0, STEP_DEG), predict_at(0.0, -STEP_DEG)),
     ]
     black, room = scene.sensor.black_level, scene.sensor.saturated_from
     before, after = cells(first, here), cells(last, here)
@@ -169,7 +169,7 @@ def came_back(
         loss="huber",
         least_spread=1.0,
     )
-    return CameBack(
+    return Repeatability(
         tilt_deg=float(found.x[0]),
         turn_deg=float(found.x[1]),
         tilt_error_deg=float(found.errors[0]),

@@ -13,19 +13,20 @@ from lightopt.core.errors import InputError
 from lightopt.rig.capture._connect import connect_devices
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._image_records import open_set
-from lightopt.rig.capture._lock import locked
+from lightopt.rig.capture._lock import lock_folder
 from lightopt.rig.capture._options import CaptureOptions
-from lightopt.rig.capture._plan import Plan, make_plan
-from lightopt.rig.capture._session import CaptureReport, Taking
+from lightopt.rig.capture._plan import CapturePlan, make_plan
+from lightopt.rig.capture._session import CaptureReport, CaptureSession
 from lightopt.rig.capture._timing import Timing
+from lightopt.rig.devices import Camera
 from lightopt.scene import build_scene
 
-Connect = Callable[[Plan], Devices]
+Connect = Callable[[CapturePlan], Devices]
 """Opens the devices of a plan."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Captured:
+class CaptureResult:
     """Result of a capture.
 
     Attributes
@@ -64,7 +65,7 @@ def capture(
     serial_log: Path | None = None,
     warn: Callable[[str], None] | None = None,
     report: CaptureReport | None = None,
-) -> Captured:
+) -> CaptureResult:
     """Capture an image set: every light in every posture at every exposure.
 
     Parameters
@@ -78,7 +79,7 @@ def capture(
     serial_log
         File that gets every byte on the wires with its time.
     warn
-        Called with warnings, and with irregularities on the wires, as they happen.
+        Called with warnings, also of irregularities on the wires.
 
     Raises
     ------
@@ -96,20 +97,21 @@ def capture(
         plan = make_plan(rig, part, options)
         scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
     # the devices are made safe first, then what is still being written is finished
-    with locked(folder), ExitStack() as after, ExitStack() as safe:
+    with lock_folder(folder), ExitStack() as after, ExitStack() as safe:
 
-        def begin() -> Taking:
+        def begin() -> CaptureSession:
             records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
-            return after.enter_context(Taking(plan, scene, records, timing, warn, report))
+            return after.enter_context(CaptureSession(plan, scene, records, timing, warn, report))
 
         def open_devices() -> Devices:
-            devices = safe.enter_context((connect or _connecting(rig, part, serial_log, warn))(plan))
-            check_camera(
-                devices,
-                resolution_px=rig.camera.resolution_px,
-                bit_depth=scene.sensor.bit_depth,
-                where=rig.source.at("camera"),
-            )
+            if connect is not None:
+                opened = connect(plan)
+            else:
+                opened = connect_devices(
+                    rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, warn=warn
+                )
+            devices = safe.enter_context(opened)
+            _check_camera(devices.camera, rig)
             return devices
 
         with timing.spent("opening_s"):
@@ -125,7 +127,7 @@ def capture(
                 safe.close()
         run.flush()
     timing.whole_s = time.monotonic() - begun
-    return Captured(
+    return CaptureResult(
         folder=folder,
         images=len(plan.keys),
         taken=run.taken,
@@ -137,20 +139,12 @@ def capture(
     )
 
 
-def _connecting(
-    rig: RigConfig, part: PartConfig, serial_log: Path | None, warn: Callable[[str], None] | None
-) -> Connect:
-    return lambda plan: connect_devices(
-        rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, warn=warn
-    )
-
-
-def check_camera(devices: Devices, *, resolution_px: tuple[int, int], bit_depth: int, where: str) -> None:
+def _check_camera(camera: Camera, rig: RigConfig) -> None:
     """Refuse a camera of another resolution or bit depth than the rig's, before anything is lit or moved."""
-    camera = devices.camera
-    if camera.resolution_px != tuple(resolution_px) or camera.bit_depth != bit_depth:
+    (width, height), bits = rig.camera.resolution_px, rig.camera.sensor.bit_depth
+    if camera.resolution_px != (width, height) or camera.bit_depth != bits:
         raise InputError(
-            f"{where}: the rig has {resolution_px[0]} × {resolution_px[1]} pixels of {bit_depth} bits, the camera "
+            f"{rig.source.at('camera')}: the rig has {width} × {height} pixels of {bits} bits, the camera "
             f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
             "camera or the rig"
         )

@@ -52,9 +52,11 @@ class Wiring:
         """Where a light is plugged in."""
         return self.hardware.lights[name]
 
-    def controller(self, name: str) -> ControllerConfig:
-        """The controller of a light."""
-        return self.hardware.controllers[self.light(name).controller]
+    def top_level(self, name: str) -> int:
+        """Highest level that a light may have."""
+        channel = self.light(name)
+        top = self.hardware.controllers[channel.controller].top_level
+        return min(top, channel.max_level or top)
 
     @property
     def stage_is_virtual(self) -> bool:
