@@ -1,6 +1,12 @@
 """Images on disk: EXR, PNG and the sets that rendering and capturing share. The one home of OpenImageIO."""
 
-from lightopt.images._atomic import make_folder, write_bytes_atomic, write_npz_atomic, write_text_atomic
+from lightopt.images._atomic import (
+    make_folder,
+    remove_file,
+    write_bytes_atomic,
+    write_npz_atomic,
+    write_text_atomic,
+)
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
 from lightopt.images._manifest import (
     DARK_CHECKED_KEY,
@@ -23,7 +29,7 @@ from lightopt.images._parse import read_manifest
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, read_image_set
 from lightopt.images._result_folder import ResultFolder
-from lightopt.images._resume import remove_file, remove_image_set, resumable_manifest
+from lightopt.images._resume import remove_image_set, resumable_manifest
 from lightopt.images._writer import ImageSetWriter
 
 __all__ = [

@@ -25,10 +25,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], None], *, overwri
     either its old content or the whole new one. A killed process can leave ``.<name>.partial``, which the
     next write of the same file replaces.
 
-    Raises
-    ------
-    InputError
-        The operating system refuses, or a file of other content is there and `overwrite` is False.
+    Raises InputError: the operating system refuses, or a file of other content is there and `overwrite` is False.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.partial")
@@ -74,10 +71,7 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
 
     The same arrays in the same order give the same bytes.
 
-    Raises
-    ------
-    InputError
-        The file cannot be written, or an array holds Python objects.
+    Raises InputError: the file cannot be written, or an array holds Python objects.
     """
     for name, array in arrays.items():
         if array.dtype.hasobject:
@@ -102,10 +96,7 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
 def make_folder(folder: Path) -> None:
     """Make a folder for results, and those that it is in; one that is there stays as it is.
 
-    Raises
-    ------
-    InputError
-        A file is in the way, or the operating system refuses.
+    Raises InputError: a file is in the way, or the operating system refuses.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder for the results, found a file; choose another name")
@@ -115,3 +106,16 @@ def make_folder(folder: Path) -> None:
         raise InputError(
             f"{folder}: cannot be made: {error.strerror or error}; choose an output folder that can be written"
         ) from error
+
+
+def remove_file(path: Path) -> bool:
+    """Remove a file; returns whether it was there. InputError when the operating system refuses."""
+    try:
+        path.unlink()
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
+        ) from error
+    return True

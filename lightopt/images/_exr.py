@@ -104,11 +104,8 @@ def read_exr(path: str | Path, names: Sequence[str] | None = None) -> dict[str, 
 
     They come in the order of `names`, or all of them sorted by name.
 
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or no EXR, lacks a channel, or holds what a plain image does not:
-        integer channels, several parts, deep pixels, or a data window other than its display window.
+    Raises InputError: the file is missing, damaged or no EXR, lacks a channel, or holds what a plain image does not:
+    integer channels, several parts, deep pixels, or a data window other than its display window.
     """
     path = Path(path)
     with open_input(path, file_format="openexr") as source:
@@ -151,9 +148,6 @@ def _check_plain(path: Path, source: OpenImageIO.ImageInput, spec: OpenImageIO.I
 def read_exr_metadata(path: str | Path) -> dict[str, Any]:
     """Metadata that :func:`write_exr` put into the file; empty for files of other programs.
 
-    Raises
-    ------
-    InputError
-        The file is missing or no EXR, or its metadata are damaged.
+    Raises InputError: the file is missing or no EXR, or its metadata are damaged.
     """
     return read_metadata(Path(path), file_format="openexr")

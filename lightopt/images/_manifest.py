@@ -163,6 +163,18 @@ class Manifest:
         """Sensor level from which a pixel counts as saturated."""
         return float(self.max_level) if self.saturation_level is None else self.saturation_level
 
+    @property
+    def listed_files(self) -> tuple[tuple[str, str | None], ...]:
+        """All files of the set with their SHA-256 where it is listed, each once."""
+        listed: list[tuple[str | None, str | None]] = []
+        for image in self.images:
+            listed += [(image.png, image.sha256.get("png")), (image.exr, image.sha256.get("exr"))]
+        listed += [(entry.exr, entry.sha256.get("exr")) for entry in self.geometry]
+        if self.patches not in self.files:
+            listed.append((self.patches, None))
+        listed += self.files.items()
+        return tuple(dict.fromkeys((name, digest) for name, digest in listed if name is not None))
+
     def as_dict(self) -> dict[str, Any]:
         """JSON form; carries no time, so the same run gives the same bytes."""
         return {

@@ -75,10 +75,7 @@ class FileNames:
     def claim_images(self, keys: Iterable[ImageKey]) -> None:
         """Reserve the files of images (light, posture, exposure) and of their postures' geometry.
 
-        Raises
-        ------
-        InputError
-            Two images would share a file, or a light's name cannot be a file's name.
+        Raises InputError: two images would share a file, or a light's name cannot be a file's name.
         """
         for light, posture, exposure in keys:
             self._check_light(light)

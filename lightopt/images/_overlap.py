@@ -66,10 +66,7 @@ class Overlap:
 def find_overlaps(images: ImageSet) -> tuple[Overlap, ...]:
     """Overlaps of every posture and exposure of an image set, rendered or captured.
 
-    Raises
-    ------
-    InputError
-        A posture with fewer than two lights, or with images of different sizes.
+    Raises InputError: a posture with fewer than two lights, or with images of different sizes.
     """
     groups: dict[tuple[Posture, float], list[ImageEntry]] = {}
     for entry in images.manifest.images:
@@ -125,10 +122,7 @@ def write_overlap_map(overlap: Overlap, path: Path, *, overwrite: bool) -> str:
 def write_overlaps(overlaps: Sequence[Overlap], images: ImageSet, folder: Path, *, force: bool) -> list[Path]:
     """Write the maps and at last ``overlap.json``; returns their paths.
 
-    Raises
-    ------
-    InputError
-        The folder holds overlaps of other images, and `force` is False; or a file cannot be written.
+    Raises InputError: the folder holds overlaps of other images, and `force` is False; or a file cannot be written.
     """
     maps = {overlap_map_name(one.posture, one.exposure): one for one in overlaps}
     result = ResultFolder(

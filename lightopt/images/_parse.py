@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -25,12 +26,16 @@ class Fields:
         if not isinstance(data, dict):
             self.problem("", "an object", data)
 
+    def place(self, key: str) -> str:
+        """Full name of a key in the file."""
+        return ".".join(filter(None, (self.where, key)))
+
     def problem(self, key: str, expected: str, found: object) -> None:
         """Note what is wrong with a key."""
-        place = ".".join(part for part in (self.where, key) if part)
         text = "nothing" if found is None else json.dumps(found, default=str)
         found_text = text if len(text) <= 60 else text[:60] + "…"
-        self.problems.append(f"{self.path}: {place or 'manifest'}: expected {expected}, found {found_text}")
+        place = self.place(key) or "manifest"
+        self.problems.append(f"{self.path}: {place}: expected {expected}, found {found_text}")
 
     def number(
         self, key: str, default: float | None = None, *, above: float = -math.inf, upto: float = math.inf
@@ -39,10 +44,9 @@ class Fields:
         value = self.data.get(key, default)
         good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
         if not (good and above < value <= upto):
-            limits = (f" above {above:g}" if above > -math.inf else "") + (
-                f" up to {upto:g}" if upto < math.inf else ""
-            )
-            self.problem(key, f"a number{limits}", value)
+            lower = f" above {above:g}" if above > -math.inf else ""
+            upper = f" up to {upto:g}" if upto < math.inf else ""
+            self.problem(key, f"a number{lower}{upper}", value)
             return 1.0
         return value
 
@@ -62,16 +66,12 @@ class Fields:
         """Read a path inside the set's folder, or None when absent."""
         name = self.optional_text(key)
         if name and (problem := inside_problem(name)):
-            self.problems.append(
-                f"{self.path}: {'.'.join(filter(None, (self.where, key)))}: {problem}, found {name!r}"
-            )
+            self.problems.append(f"{self.path}: {self.place(key)}: {problem}, found {name!r}")
         return name
 
     def texts(self, key: str) -> dict[str, str]:
         """Read an object of texts, empty when absent."""
-        inner = Fields(
-            self.path, self.data.get(key) or {}, ".".join(filter(None, (self.where, key))), self.problems
-        )
+        inner = Fields(self.path, self.data.get(key) or {}, self.place(key), self.problems)
         return {name: inner.text(name) for name in inner.data}
 
     def items(self, key: str, *, required: bool = False) -> Iterator[Fields]:
@@ -83,41 +83,20 @@ class Fields:
         for i, item in enumerate(value):
             yield Fields(self.path, item, f"{key}[{i}]", self.problems)
 
-    def unknown(self, known: tuple[str, ...]) -> dict[str, Any]:
-        """Return the keys that are not known."""
+    def unknown(self, kind: type[Manifest | ImageEntry | GeometryEntry]) -> dict[str, Any]:
+        """Keys that are no fields of the dataclass that they are read into."""
+        known = {field.name for field in dataclasses.fields(kind)} - {"extra"}
         return {key: value for key, value in self.data.items() if key not in known}
 
 
 _KINDS = ("simulated", "captured")
-_IMAGE_KEYS = (
-    *("light", "light_elevation_deg", "light_azimuth_deg", "posture", "exposure"),
-    *("png", "exr", "sha256"),
-)
-_GEOMETRY_KEYS = ("posture", "exr", "sha256")
-_TOP_KEYS = (
-    *(
-        "format",
-        "kind",
-        "lightopt",
-        "bit_depth",
-        "full_scale",
-        "saturation_level",
-        "black_level",
-        "rig",
-        "part",
-    ),
-    *("provenance", "images", "geometry", "patches", "files", "warnings"),
-)
 
 
 def read_manifest(path: str | Path) -> Manifest:
     """Read a ``manifest.json``; the files it names are not read.
 
-    Raises
-    ------
-    InputError
-        With one message per problem: unreadable, no JSON, required keys missing, wrong types or values, paths
-        that leave the folder, an image listed twice.
+    Raises InputError with one message per problem: unreadable, no JSON, required keys missing, wrong types or
+    values, paths that leave the folder, an image listed twice.
     """
     path = Path(path)
     try:
@@ -179,14 +158,17 @@ def _manifest(fields: Fields) -> Manifest:
     for name in files:
         if problem := inside_problem(name):
             fields.problems.append(f"{fields.path}: files: {problem}, found {name!r}")
-    saturation = fields.data.get("saturation_level")
+    full_scale = fields.number("full_scale", 255.0, above=0)
+    saturation = None
+    if fields.data.get("saturation_level") is not None:
+        saturation = fields.number("saturation_level", above=0, upto=max_level)
+    extra = fields.unknown(Manifest)
+    extra.pop("format", None)
     return Manifest(
         kind=kind,
         bit_depth=int(bits),
-        full_scale=fields.number("full_scale", 255.0, above=0),
-        saturation_level=None
-        if saturation is None
-        else fields.number("saturation_level", above=0, upto=max_level),
+        full_scale=full_scale,
+        saturation_level=saturation,
         black_level=fields.number("black_level", 0.0, upto=max_level),
         lightopt=fields.optional_text("lightopt"),
         rig=_source(fields, "rig"),
@@ -197,7 +179,7 @@ def _manifest(fields: Fields) -> Manifest:
         patches=fields.file("patches"),
         files=files,
         warnings=tuple(warnings),
-        extra=fields.unknown(_TOP_KEYS),
+        extra=extra,
     )
 
 
@@ -226,7 +208,7 @@ def _image(fields: Fields) -> ImageEntry:
         png=fields.file("png"),
         exr=fields.file("exr"),
         sha256=fields.texts("sha256"),
-        extra=fields.unknown(_IMAGE_KEYS),
+        extra=fields.unknown(ImageEntry),
     )
     if entry.png is None and entry.exr is None:
         fields.problem("", "png or exr", None)
@@ -240,5 +222,5 @@ def _geometry(fields: Fields) -> GeometryEntry:
         posture=_posture(fields),
         exr=fields.file("exr") or "",
         sha256=fields.texts("sha256"),
-        extra=fields.unknown(_GEOMETRY_KEYS),
+        extra=fields.unknown(GeometryEntry),
     )

@@ -92,11 +92,8 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
 
     With `colour` RGB is accepted as well, as (H, W, 3).
 
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or no PNG, has fewer than 8 bits, a palette, transparency, or colour
-        without `colour`.
+    Raises InputError: the file is missing, damaged or no PNG, has fewer than 8 bits, a palette, transparency, or
+    colour without `colour`.
     """
     path = Path(path)
     with open_input(path, file_format="png") as source:
@@ -131,9 +128,6 @@ def _check_header(path: Path, *, colour: bool) -> None:
 def read_png_metadata(path: str | Path) -> dict[str, Any]:
     """Metadata that :func:`write_png` put into the file; empty for files of other programs.
 
-    Raises
-    ------
-    InputError
-        The file is missing or no PNG, or its metadata are damaged.
+    Raises InputError: the file is missing or no PNG, or its metadata are damaged.
     """
     return read_metadata(Path(path), file_format="png")

@@ -77,10 +77,7 @@ class ImageSet:
     def load(self, entry: ImageEntry) -> LoadedImage:
         """Read an image: its PNG with the manifest's exposure, the EXR only where there is no PNG.
 
-        Raises
-        ------
-        InputError
-            The file is missing, damaged, or has levels beyond the manifest's bit depth.
+        Raises InputError: the file is missing, damaged, or has levels beyond the manifest's bit depth.
         """
         image = self._load_exr(entry) if entry.png is None else self._load_png(entry, entry.png)
         for array in (image.levels, image.saturated, image.sensor):
@@ -104,9 +101,8 @@ class ImageSet:
             )
         scale = manifest.full_scale / (manifest.max_level * entry.held_exposure)
         levels = ((sensor.astype(np.float64) - manifest.black_level) * scale).astype(np.float32)
-        return LoadedImage(
-            levels=levels, saturated=sensor >= manifest.saturated_from, sensor=sensor, source="png"
-        )
+        saturated = sensor >= manifest.saturated_from
+        return LoadedImage(levels=levels, saturated=saturated, sensor=sensor, source="png")
 
     def _load_exr(self, entry: ImageEntry) -> LoadedImage:
         manifest = self.manifest
@@ -129,10 +125,8 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
 
     With `verify` all files must be there, with the hashes listed where there are any.
 
-    Raises
-    ------
-    InputError
-        The manifest is missing or wrong, or files are missing or changed; with one message per problem.
+    Raises InputError: the manifest is missing or wrong, or files are missing or changed; with one message per
+    problem.
     """
     path = Path(path)
     manifest_path = path / MANIFEST_NAME if path.is_dir() else path
@@ -145,10 +139,8 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
 
 
 def _no_manifest(folder: Path) -> str:
-    below = sorted(
-        found.parent for depth in ("*", "*/*") for found in folder.glob(f"{depth}/{MANIFEST_NAME}")
-    )
-    if below:
+    patterns = (f"*/{MANIFEST_NAME}", f"*/*/{MANIFEST_NAME}")
+    if below := sorted(found.parent for pattern in patterns for found in folder.glob(pattern)):
         return f"{folder}: no image set, but these folders in it are: {', '.join(map(str, below[:5]))}"
     return (
         f"{folder}: no {MANIFEST_NAME}, which says what each picture shows; docs/conventions.md, Image sets, tells how "
@@ -157,18 +149,7 @@ def _no_manifest(folder: Path) -> str:
 
 
 def _file_problems(image_set: ImageSet) -> list[str]:
-    manifest = image_set.manifest
-    listed: dict[tuple[str, str | None], None] = {}
-    for image in manifest.images:
-        for kind, name in (("png", image.png), ("exr", image.exr)):
-            if name is not None:
-                listed[name, image.sha256.get(kind)] = None
-    for geometry in manifest.geometry:
-        listed[geometry.exr, geometry.sha256.get("exr")] = None
-    if manifest.patches is not None and manifest.patches not in manifest.files:
-        listed[manifest.patches, None] = None
-    for name, digest in manifest.files.items():
-        listed[name, digest] = None
+    listed = image_set.manifest.listed_files
     checked = (_file_problem(image_set.path(name), digest) for name, digest in listed)
     return [problem for problem in checked if problem is not None]
 

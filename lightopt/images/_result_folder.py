@@ -50,19 +50,19 @@ class ResultFolder:
         self._made_from = json.loads(json.dumps(made_from))
         self._name, self._format, self._also = name, format, tuple(also)
         self._files: list[str] = []
-        old = self._earlier()
+        old = self._read_previous()
         there = [one for one in (name, *also) if (folder / one).exists()]
-        told = differences(_provenance(old), self._made_from) if there and not force else ""
-        if there and not force and (old is None or told):
+        changed = differences(_provenance(old), self._made_from) if there and not force else ""
+        if there and not force and (old is None or changed):
             raise InputError(
                 f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
-                f"{f' ({told})' if told else ''}; use --force to replace it, or choose another folder"
+                f"{f' ({changed})' if changed else ''}; use --force to replace it, or choose another folder"
             )
 
     def place(self, name: str) -> Path:
         """Path for a file of the result, by its name relative to the folder; its own folder is made."""
         if not self._files:
-            self._remove_earlier()
+            self._remove_previous()
         if name not in self._files:
             self._files.append(name)
         path = self.folder / name
@@ -77,16 +77,16 @@ class ResultFolder:
 
     def finish(self, content: Mapping[str, Any]) -> Path:
         """Write the JSON file, which completes the result: its format, `content`, the other files, provenance."""
-        whole = {
+        document = {
             "format": self._format,
             **content,
             "files": sorted(self._files),
             "provenance": self._made_from,
         }
-        text = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         return self.write_text(self._name, text)
 
-    def _earlier(self) -> dict[str, Any] | None:
+    def _read_previous(self) -> dict[str, Any] | None:
         try:
             found = json.loads((self.folder / self._name).read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -95,9 +95,9 @@ class ResultFolder:
         right = isinstance(found, dict) and str(found.get("format", "")).startswith(kind)
         return found if right else None
 
-    def _remove_earlier(self) -> None:
+    def _remove_previous(self) -> None:
         # the JSON file first: while it is there, the files that it lists are its own
-        listed = (self._earlier() or {}).get("files", [])
+        listed = (self._read_previous() or {}).get("files", [])
         names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
         with suppress(FileNotFoundError):
             (self.folder / self._name).unlink()

@@ -14,12 +14,18 @@ from numpy.typing import NDArray
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 from lightopt.core.transforms import Posture
-from lightopt.images._atomic import make_folder, write_bytes_atomic, write_npz_atomic, write_text_atomic
+from lightopt.images._atomic import (
+    make_folder,
+    remove_file,
+    write_bytes_atomic,
+    write_npz_atomic,
+    write_text_atomic,
+)
 from lightopt.images._exr import write_exr
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
 from lightopt.images._names import FileNames, ImageKey, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
-from lightopt.images._resume import remove_file, remove_set, resumable_manifest
+from lightopt.images._resume import remove_set, resumable_manifest
 
 _PATCHES_NAME = "patches.npz"
 

@@ -63,10 +63,7 @@ def check_rig(rig: RigConfig) -> CheckResult:
 def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
     """Check a rig and a part on it, in all the part's postures.
 
-    Raises
-    ------
-    InputError
-        The scene cannot be built (see :func:`lightopt.scene.build_scene`).
+    Raises InputError: the scene cannot be built (see :func:`lightopt.scene.build_scene`).
     """
     checked = prepare_scene(rig, part, build_scene(rig, part))
     return CheckResult((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(checked))))

@@ -23,6 +23,10 @@ LEVELS = "levels"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _PNG_MAGIC = b"\x89PNG"
 _DEFAULT_FULL_SCALE = 255.0
+_SATURATING = frozenset({LEVELS, "Y"})
+_DEFAULTS = ComparisonThresholds()
+_NPZ_ERRORS = (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error)
+"""What NumPy raises for files that are no readable .npz."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +83,6 @@ def hit_mask(image: LoadedFile) -> NDArray[np.bool_]:
 def lit_mask(image: LoadedFile, channel: str) -> NDArray[np.bool_]:
     """Where a channel is not background: 0, or the black level as the camera rounds it."""
     return image.channels[channel] != math.floor(image.black + 0.5)
-
-
-_SATURATING = frozenset({LEVELS, "Y"})
-_DEFAULTS = ComparisonThresholds()
 
 
 @dataclass(frozen=True)
@@ -195,23 +195,20 @@ def _compare_channels(
     hit_a = hit_b = None
     if geometry := golden.is_geometry and new.is_geometry:
         hit_a, hit_b = hit_mask(golden), hit_mask(new)
+        either, share = hit_a | hit_b, limits.max_share
         mask = compare_arrays(
-            "hit",
-            hit_a,
-            hit_b,
-            absolute=0,
-            relative=0,
-            max_share=limits.max_share,
-            where=hit_a | hit_b,
-            saturation=(1, 1),
+            "hit", hit_a, hit_b, absolute=0, relative=0, max_share=share, where=either, saturation=(1, 1)
         )
         yield replace(mask, saturated_a=None, saturated_b=None)
     for name in sorted(golden.channels.keys() & new.channels.keys()):
         patch = geometry and name == "patch"
-        levels = tuple(
-            limits.saturation if limits.saturation is not None else image.saturation
-            for image in (golden, new)
-        )
+        if hit_a is not None and hit_b is not None:
+            where = hit_a & hit_b
+        else:
+            where = lit_mask(golden, name) | lit_mask(new, name)
+        saturation = (golden.saturation, new.saturation)
+        if limits.saturation is not None:
+            saturation = (limits.saturation, limits.saturation)
         difference = compare_arrays(
             name,
             golden.channels[name],
@@ -219,10 +216,8 @@ def _compare_channels(
             absolute=0 if patch else limits.geometry_absolute if geometry else limits.absolute,
             relative=0 if geometry else limits.relative,
             max_share=limits.max_share,
-            where=lit_mask(golden, name) | lit_mask(new, name)
-            if hit_a is None or hit_b is None
-            else hit_a & hit_b,
-            saturation=(levels[0], levels[1]) if name in _SATURATING else None,
+            where=where,
+            saturation=saturation if name in _SATURATING else None,
             min_iou=limits.min_iou,
         )
         # Patch numbers are names: they are equal or not, and how far apart they are says nothing.
@@ -259,14 +254,6 @@ def _load_arrays(role: str, path: Path, reasons: list[str]) -> dict[str, NDArray
             return {name: archive[name] for name in archive.files}
     except FileNotFoundError:
         reasons.append(f"{role} file is missing: {path}")
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except _NPZ_ERRORS as error:
         reasons.append(f"{role} file is no readable .npz: {path}: {error}")
     return {}

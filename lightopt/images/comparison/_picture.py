@@ -122,11 +122,9 @@ def _choose(golden: LoadedFile, new: LoadedFile, channel: str | None) -> str:
 
 def _automatic_scale(signed: NDArray[np.float64]) -> float:
     distance = np.abs(signed[signed != 0])
-    return (
-        max(float(np.percentile(distance, _SCALE_PERCENTILE)), _LEAST_SCALE)
-        if distance.size
-        else _LEAST_SCALE
-    )
+    if not distance.size:
+        return _LEAST_SCALE
+    return max(float(np.percentile(distance, _SCALE_PERCENTILE)), _LEAST_SCALE)
 
 
 def _diverging(relative: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -16,6 +16,7 @@ from lightopt.images.comparison._files import FileComparison, compare_files, com
 
 _DEFAULTS = ComparisonThresholds()
 _ANGLE_TOLERANCE_DEG = 1e-6
+_PATCHES = "patch table"
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,7 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
 
     A file that is missing, damaged or changed since it was listed is a failed comparison with its reason.
 
-    Raises
-    ------
-    InputError
-        One of them is no image set, or its manifest is damaged.
+    Raises InputError: one of them is no image set, or its manifest is damaged.
     """
     problems: list[str] = []
     golden, new = (_open(role, path, problems) for role, path in (("golden", a), ("new", b)))
@@ -90,10 +88,13 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
         for role, image_set, listed in (("golden", golden, old[label]), ("new", new, now[label])):
             reasons += _changed(role, image_set, listed)
         path_a, path_b = golden.path(old[label][0]), new.path(now[label][0])
-        if label == _PATCHES:
-            comparison = compare_tables(path_a, path_b, thresholds)
-        else:
-            comparison = _images(path_a, path_b, thresholds, saturation, black)
+        try:
+            if label == _PATCHES:
+                comparison = compare_tables(path_a, path_b, thresholds)
+            else:
+                comparison = compare_files(path_a, path_b, thresholds, saturation=saturation, black=black)
+        except InputError as error:
+            comparison = FileComparison(str(path_a), str(path_b), reasons=error.messages)
         files.append(comparison)
         reasons += [f"{label}: {reason}" for reason in comparison.reasons]
     return SetComparison(
@@ -113,22 +114,6 @@ def _open(role: str, path: str | Path, problems: list[str]) -> ImageSet | None:
     except InputError as error:
         problems.extend(f"{role} set: {message}" for message in error.messages)
         return None
-
-
-def _images(
-    a: Path,
-    b: Path,
-    thresholds: ComparisonThresholds,
-    saturation: tuple[float, float],
-    black: tuple[float, float],
-) -> FileComparison:
-    try:
-        return compare_files(a, b, thresholds, saturation=saturation, black=black)
-    except InputError as error:
-        return FileComparison(str(a), str(b), reasons=error.messages)
-
-
-_PATCHES = "patch table"
 
 
 def _listed(manifest: Manifest) -> dict[str, tuple[str, str | None]]:

@@ -147,10 +147,7 @@ def check_devices(
 
     Returns the folder that is replayed, where one is.
 
-    Raises
-    ------
-    InputError
-        With all that is wrong.
+    Raises InputError with all that is wrong.
     """
     problems: list[str] = []
     replay: FolderCamera | None = None

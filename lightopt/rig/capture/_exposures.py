@@ -13,9 +13,24 @@ from numpy.typing import NDArray
 from lightopt.optics import Sensor
 
 Levels = NDArray[np.uint8] | NDArray[np.uint16]
+Float32 = NDArray[np.float32]
+
+LEAST_LEVEL = 1.5
+"""Pixels count that should be at least so far above black in the shorter exposure [sensor level]."""
+
+LEAST_PIXELS = 30
+
+MOST_PIXELS = 200_000
+"""Of larger images a grid of about so many pixels is compared: the next exposure waits for it."""
+
+TOLERANCE = 0.1
+"""Share by which the exposures may differ: exposure times of cameras are not exact."""
+
+TOLERANCE_LEVELS = 0.4
+"""And so many levels: what is clipped at level 0, and a black level that is not quite right."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ExposureImage:
     """An image at one exposure; arrays of shape (H, W).
 
@@ -64,16 +79,10 @@ class FrameMean:
         assert highest is not None
         saturated = highest >= self._sensor.saturated_from
         if self._sum is None:
-            return ExposureImage(
-                exposure=exposure, mean=highest.astype(np.float32), saturated=saturated, png=highest
-            )
+            return ExposureImage(exposure, highest.astype(np.float32), saturated, png=highest)
         mean = self._sum / self._number
-        return ExposureImage(
-            exposure=exposure,
-            mean=mean.astype(np.float32),
-            saturated=saturated,
-            png=np.where(saturated, highest, np.rint(mean).astype(highest.dtype)),
-        )
+        png = np.where(saturated, highest, np.rint(mean).astype(highest.dtype))
+        return ExposureImage(exposure, mean.astype(np.float32), saturated, png)
 
 
 def mean_of_frames(frames: Iterable[Levels], *, sensor: Sensor, exposure: float) -> ExposureImage:
@@ -82,23 +91,6 @@ def mean_of_frames(frames: Iterable[Levels], *, sensor: Sensor, exposure: float)
     for levels in frames:
         mean.add(levels)
     return mean.image(exposure)
-
-
-LEAST_LEVEL = 1.5
-"""Pixels count that should be at least so far above black in the shorter exposure [sensor level]."""
-
-LEAST_PIXELS = 30
-
-MOST_PIXELS = 200_000
-"""Of larger images a grid of about so many pixels is compared: the next exposure waits for it."""
-
-TOLERANCE = 0.1
-"""Share by which the exposures may differ: exposure times of cameras are not exact."""
-
-TOLERANCE_LEVELS = 0.4
-"""And so many levels: what is clipped at level 0, and a black level that is not quite right."""
-
-Float32 = NDArray[np.float32]
 
 
 def exposure_mismatch(
@@ -114,11 +106,10 @@ def exposure_mismatch(
     Pixels that are saturated in the longer exposure must be at least as bright as that says in the shorter one.
     `darks` are what each shows without the light [sensor level], (H, W) or one level.
     """
-    first = (one, np.asarray(darks[0], np.float32))
-    second = (other, np.asarray(darks[1], np.float32))
-    (long, long_dark), (short, short_dark) = (
-        (first, second) if one.exposure >= other.exposure else (second, first)
-    )
+    pairs = [(one, np.asarray(darks[0], np.float32)), (other, np.asarray(darks[1], np.float32))]
+    if one.exposure < other.exposure:
+        pairs.reverse()
+    (long, long_dark), (short, short_dark) = pairs
     ratio = short.exposure / long.exposure
     step = max(1, round(math.sqrt(long.mean.size / MOST_PIXELS)))
     some = (slice(step // 2, None, step), slice(step // 2, None, step))
@@ -139,15 +130,12 @@ def exposure_mismatch(
         noise = sensor.noise_variance(should)
         allowed = TOLERANCE * should + TOLERANCE_LEVELS + 6.0 * float(np.sqrt(2.0 * noise / count))
         if off < -allowed or (off > allowed and not least):
+            share = max(found, 0.0) / should if one is short else should / max(found, 1e-3)
             return (
-                f"{light} is {max(found, 0.0) / should:.0%} as bright as at exposure {other.exposure:g}"
-                if one is short
-                else f"{light} is {should / max(found, 1e-3):.0%} as bright as at exposure {other.exposure:g}"
-            ) + ": it went out, changed, or another light came on between the exposures"
+                f"{light} is {share:.0%} as bright as at exposure {other.exposure:g}: it went out, changed, or another "
+                "light came on between the exposures"
+            )
     return None
-
-
-Float32 = NDArray[np.float32]
 
 
 def merge_exposures(
@@ -177,7 +165,7 @@ def merge_exposures(
         and `Y` is only a lower bound; ``exposure``, the relative exposure that the pixel came from.
     """
     level = np.zeros(images[0].mean.shape, np.float32)
-    came_from = np.zeros(level.shape, np.float32)
+    exposure = np.zeros(level.shape, np.float32)
     missing = np.ones(level.shape, np.bool_)
     for i, image in enumerate(images):
         last = i == len(images) - 1
@@ -185,6 +173,6 @@ def merge_exposures(
         black = sensor.black_level if dark is None else dark[i]
         scale = full_scale / (sensor.max_level * image.exposure)
         np.copyto(level, ((image.mean - black) * scale).astype(np.float32), where=take)
-        came_from[take] = image.exposure
+        exposure[take] = image.exposure
         missing = missing & image.saturated
-    return {"Y": level, "valid": (~missing).astype(np.float32), "exposure": came_from}
+    return {"Y": level, "valid": (~missing).astype(np.float32), "exposure": exposure}

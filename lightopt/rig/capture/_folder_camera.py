@@ -1,4 +1,4 @@
-"""A camera that replays the images of a set, for trying everything behind the camera again."""
+"""A camera that replays the images of a set, to repeat everything behind the camera."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.images import ImageEntry, ImageSet, dark_name, read_image_set, read_png
+from lightopt.images import dark_name, read_image_set, read_png
 from lightopt.rig.devices import Frame, Identity
 
 
@@ -24,10 +24,8 @@ class FolderCamera:
     triggered = True
 
     def __init__(self, folder: Path, *, resolution_px: tuple[int, int], exposure_us: float) -> None:
-        self._set: ImageSet = read_image_set(folder)
-        self._entries: dict[tuple[str, Posture, float], ImageEntry] = {
-            entry.key: entry for entry in self._set.images if entry.png is not None
-        }
+        self._set = read_image_set(folder)
+        self._entries = {entry.key: entry for entry in self._set.images if entry.png is not None}
         self._resolution_px = resolution_px
         self._exposure_us = exposure_us
         self._held_us = exposure_us
@@ -54,11 +52,8 @@ class FolderCamera:
         """Why an image of a plan cannot be replayed; None where it can."""
         if light is None:
             name = dark_name(posture, exposure)
-            return (
-                None
-                if name in self._set.manifest.files
-                else f"{self._set.folder}: no dark frame {name} to replay"
-            )
+            there = name in self._set.manifest.files
+            return None if there else f"{self._set.folder}: no dark frame {name} to replay"
         if (light, posture, exposure) in self._entries:
             return None
         return (
@@ -76,14 +71,11 @@ class FolderCamera:
 
     def set_exposure(self, exposure_us: float) -> float:
         """Hold what the set's camera held of it, or any other; whether the set has it is known at the frame."""
-        self._held_us = next(
-            (
-                entry.held_exposure * self._exposure_us
-                for entry in self._entries.values()
-                if math.isclose(entry.exposure * self._exposure_us, exposure_us)
-            ),
-            exposure_us,
-        )
+        self._held_us = exposure_us
+        for entry in self._entries.values():
+            if math.isclose(entry.exposure * self._exposure_us, exposure_us):
+                self._held_us = entry.held_exposure * self._exposure_us
+                break
         return self._held_us
 
     def grab(self, *, timeout_s: float) -> Frame:

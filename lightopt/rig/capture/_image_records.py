@@ -69,10 +69,7 @@ def check_folder(
 ) -> None:
     """Check whether a set could be begun or continued in a folder; nothing is written.
 
-    Raises
-    ------
-    InputError
-        As :func:`open_set`, and where a file is in the way of the folder.
+    Raises InputError as :func:`open_set`, and where a file is in the way of the folder.
     """
     if folder.exists() and not folder.is_dir():
         make_folder(folder)  # which says so
@@ -252,7 +249,5 @@ class CapturedSet:
 
 def _facts(shot: AcquiredImage) -> dict[str, Any]:
     """How an image was taken, and its saturated share."""
-    return {
-        **shot.facts,
-        "saturated_share": np.count_nonzero(shot.image.saturated) / shot.image.saturated.size,
-    }
+    saturated = shot.image.saturated
+    return {**shot.facts, "saturated_share": np.count_nonzero(saturated) / saturated.size}

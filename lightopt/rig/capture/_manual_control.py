@@ -59,10 +59,7 @@ def device_statuses(
 def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) -> int:
     """Level to light a panel at: the rig's unless one is given.
 
-    Raises
-    ------
-    InputError
-        For a light that the rig does not have, or a level above what its channel may have.
+    Raises InputError for a light that the rig does not have, or a level above what its channel may have.
     """
     if name not in wiring.hardware.lights:
         raise InputError(

@@ -184,10 +184,7 @@ class CapturePlan:
 def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None = None) -> CapturePlan:
     """Plan a capture and check it against what stage, lights and camera can do. Nothing is opened.
 
-    Raises
-    ------
-    InputError
-        With one message per posture, light or exposure that cannot be.
+    Raises InputError with one message per posture, light or exposure that cannot be.
     """
     options = options or CaptureOptions()
     wiring = wiring_of(rig)

@@ -17,10 +17,7 @@ def start_bench(
 ) -> BenchProcess:
     """Start a virtual bench with the virtual devices of a rig, and with a camera where there is a part.
 
-    Raises
-    ------
-    HardwareError
-        Its process does not start.
+    Raises HardwareError: its process does not start.
     """
     hardware = wiring.hardware
     devices = _controllers(wiring)

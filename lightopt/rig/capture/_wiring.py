@@ -94,16 +94,11 @@ def wiring_of(rig: RigConfig) -> Wiring:
     for i, light in enumerate(rig.lights):
         name = f"bench{i // _CHANNELS_EACH + 1}"
         controllers.setdefault(name, ControllerConfig(driver="ccs", port=VIRTUAL, channels=_CHANNELS_EACH))
-        lights[light.name] = ChannelConfig(
-            controller=name, channel=i % _CHANNELS_EACH + 1, level=_VIRTUAL_LEVEL
-        )
+        channel = i % _CHANNELS_EACH + 1
+        lights[light.name] = ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
     stage = StageDeviceConfig(
         driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION
     )
-    return Wiring(
-        HardwareConfig(
-            controllers=controllers, lights=lights, stage=stage, camera=CameraDeviceConfig(driver="virtual")
-        ),
-        given=False,
-        exposure_us=exposure_us,
-    )
+    camera = CameraDeviceConfig(driver="virtual")
+    hardware = HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
+    return Wiring(hardware, given=False, exposure_us=exposure_us)
