@@ -14,13 +14,13 @@ FORMAT = "lightopt-images/1"
 MANIFEST_NAME = "manifest.json"
 
 REPEATABILITY_KEY = "came_back"
-"""Key of a captured set's manifest for how far the part had turned when the stage came back to its first posture."""
+"""Manifest key of a captured set: result of the repeatability check."""
 
 EVENTS_KEY = "events"
-"""Key of a captured set's manifest for what happened on the devices' links while no image was taken."""
+"""Manifest key of a captured set: irregularities on the devices' links while no image was taken."""
 
 DARK_CHECKED_KEY = "ended_dark"
-"""Key of a captured set's manifest for the postures after whose images a frame showed that no light burned on."""
+"""Manifest key of a captured set: postures after whose images a frame showed that no light stayed on."""
 
 
 @dataclass(frozen=True)

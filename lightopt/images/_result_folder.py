@@ -1,4 +1,4 @@
-"""A folder of a result's files, beside a JSON file that lists them and says what they were made from."""
+"""A folder of a result's files, with a JSON file that lists them and their provenance."""
 
 from __future__ import annotations
 

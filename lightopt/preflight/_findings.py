@@ -50,7 +50,8 @@ class CheckResult:
     @property
     def worst(self) -> Level:
         """The worst level found; ok where there is none."""
-        return max((finding.level for finding in self.findings), key=get_args(Level).index, default="ok")
+        levels: list[Level] = ["ok", *(finding.level for finding in self.findings)]
+        return max(levels, key=get_args(Level).index)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""

@@ -1,4 +1,4 @@
-"""Is a new image, or a new image set, what the golden one says? Differences in numbers and in a picture."""
+"""Comparison of images and image sets with golden ones: differences in numbers and as a picture."""
 
 from lightopt.images.comparison._channels import ComparisonThresholds
 from lightopt.images.comparison._files import FileComparison, compare_files

@@ -12,7 +12,7 @@ from lightopt.core.provenance import file_sha256, files_sha256, provenance
 from lightopt.core.transforms import Posture
 from lightopt.images import MANIFEST_NAME, ImageSet, Manifest, read_image_set
 from lightopt.images.comparison._channels import ComparisonThresholds
-from lightopt.images.comparison._files import FileComparison, compare_files, compare_tables
+from lightopt.images.comparison._files import Comparison, FileComparison, compare_files, compare_tables
 
 _DEFAULTS = ComparisonThresholds()
 _ANGLE_TOLERANCE_DEG = 1e-6
@@ -20,8 +20,8 @@ _PATCHES = "patch table"
 
 
 @dataclass(frozen=True)
-class SetComparison:
-    """Comparison of two image sets: the golden `a` and the new `b`.
+class SetComparison(Comparison):
+    """Comparison of two image sets.
 
     Attributes
     ----------
@@ -29,32 +29,19 @@ class SetComparison:
         The files of the golden set against their counterparts.
     missing, extra
         What only the golden set has, and only the new one. Missing fails, extra is reported.
-    reasons
-        Why the comparison fails, those of the files included; empty when it passes.
     notes
         Differences that fail nothing.
     """
 
-    a: str
-    b: str
     files: tuple[FileComparison, ...] = ()
     missing: tuple[str, ...] = ()
     extra: tuple[str, ...] = ()
-    reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether the sets are close enough."""
-        return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {
-            "a": self.a,
-            "b": self.b,
-            "passed": self.passed,
-            "reasons": list(self.reasons),
+            **super().as_dict(),
             "notes": list(self.notes),
             "missing": list(self.missing),
             "extra": list(self.extra),

@@ -1,6 +1,6 @@
-"""Driving the rig: the plan, the devices it needs, and a run that loses nothing.
+"""Capture sessions: the plan, the devices it needs, and a run whose finished images survive any interruption.
 
-The only room that chooses between the virtual bench and real devices.
+Only this package chooses between the virtual bench and real devices.
 """
 
 from lightopt.rig.capture._connect import check_devices, connect_devices

@@ -237,9 +237,12 @@ class AcquisitionEngine:
         assert self._held_us is not None
         exposure_s = self._held_us / 1e6
         limit_s = frame_limit_s(self._held_us, timing.frame_timeout_s)
-        if (left_s := self._remaining_on_s()) is not None:
+        if self._lit is not None and (left_s := self._remaining_on_s()) is not None:
             if left_s <= exposure_s:
-                self._raise_too_long(left_s)
+                raise HardwareError(
+                    f"{self._lit[0]} may burn {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
+                    "takes longer: frames came later than planned; take fewer or shorter exposures"
+                )
             limit_s = min(limit_s, left_s)
         begun = time.monotonic()
         frame = self.devices.camera.grab(timeout_s=limit_s)
@@ -267,13 +270,6 @@ class AcquisitionEngine:
     def _remaining_on_s(self) -> float | None:
         """How long the light may stay lit [s]; None where nothing limits it."""
         return None if self._lit is None else self.devices.remaining_on_s(self._lit[0])
-
-    def _raise_too_long(self, left_s: float) -> None:
-        assert self._lit is not None
-        raise HardwareError(
-            f"{self._lit[0]} may burn {max(0.0, left_s):.3g} s more (max_on_s) and the exposure takes longer: frames "
-            "came later than planned; take fewer or shorter exposures"
-        )
 
     def _wait_until(self, moment: float, counted: str = "settling_s") -> None:
         with self._timing.spent(counted):

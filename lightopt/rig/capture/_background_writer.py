@@ -1,4 +1,4 @@
-"""Work for the disk that goes on while the stage moves and lights settle, in threads of its own."""
+"""Writing images in threads of its own, while the stage moves and lights settle."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class BackgroundWriter:
 
     def submit_image(self, work: Callable[..., None], *arguments: object) -> None:
         """Check and write an image, once those before it are done."""
-        self._last = self._images.submit(self._after(self._last, work, arguments))
+        self._last = self._images.submit(_run_after, self._last, work, *arguments)
 
     def submit_linear(self, work: Callable[..., None], *arguments: object) -> None:
         """Write a linear image, once the images that it is made of are done.
@@ -40,7 +40,7 @@ class BackgroundWriter:
         with self._timing.spent("writing_s"):
             while len(self._unwritten()) >= MOST_LINEARS:
                 wait(self._queued, return_when=FIRST_COMPLETED)
-        self._queued.append(self._linears.submit(self._after(self._last, work, arguments)))
+        self._queued.append(self._linears.submit(_run_after, self._last, work, *arguments))
 
     def wait_for_image(self, longest_s: float | None = None) -> bool:
         """Wait until the last image is on disk, at most so long [s]; returns whether it is. Raises its error."""
@@ -82,16 +82,12 @@ class BackgroundWriter:
             _result(future)
         return self._queued
 
-    @staticmethod
-    def _after(
-        before: Future[None] | None, work: Callable[..., None], arguments: tuple[object, ...]
-    ) -> Callable[[], None]:
-        def then() -> None:
-            if before is not None:
-                before.result()
-            work(*arguments)
 
-        return then
+def _run_after(before: Future[None] | None, work: Callable[..., None], *arguments: object) -> None:
+    """Do some work once the work before it has succeeded; its error is raised otherwise."""
+    if before is not None:
+        before.result()
+    work(*arguments)
 
 
 def _result(future: Future[Any]) -> None:

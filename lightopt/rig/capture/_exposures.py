@@ -27,7 +27,7 @@ TOLERANCE = 0.1
 """Share by which the exposures may differ: exposure times of cameras are not exact."""
 
 TOLERANCE_LEVELS = 0.4
-"""And so many levels: what is clipped at level 0, and a black level that is not quite right."""
+"""Levels by which they may differ in addition: clipping at level 0, an inexact black level."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def exposure_mismatch(
 ) -> str | None:
     """How the brightness of a light differs between two exposures (H, W), in words; None where it does not.
 
-    Pixels that are saturated in the longer exposure must be at least as bright as that says in the shorter one.
+    Pixels that are saturated in the longer exposure must be at least that bright in the shorter one.
     `darks` are what each shows without the light [sensor level], (H, W) or one level.
     """
     pairs = [(one, np.asarray(darks[0], np.float32)), (other, np.asarray(darks[1], np.float32))]

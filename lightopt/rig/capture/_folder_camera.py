@@ -26,21 +26,12 @@ class FolderCamera:
     def __init__(self, folder: Path, *, resolution_px: tuple[int, int], exposure_us: float) -> None:
         self._set = read_image_set(folder)
         self._entries = {entry.key: entry for entry in self._set.images if entry.png is not None}
-        self._resolution_px = resolution_px
+        self.bit_depth = self._set.manifest.bit_depth
+        self.resolution_px = resolution_px
         self._exposure_us = exposure_us
         self._held_us = exposure_us
         self._now: tuple[str | None, Posture, float] | None = None
         self._number = 0
-
-    @property
-    def resolution_px(self) -> tuple[int, int]:
-        """Width and height [pixels]."""
-        return self._resolution_px
-
-    @property
-    def bit_depth(self) -> int:
-        """Bits of a level."""
-        return self._set.manifest.bit_depth
 
     @property
     def exposure_range_us(self) -> tuple[float, float]:
@@ -104,5 +95,5 @@ class FolderCamera:
 
     def _black(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """The set's black level, to check lit images against where it has no dark frames."""
-        shape, level = self._resolution_px[::-1], round(self._set.manifest.black_level)
+        shape, level = self.resolution_px[::-1], round(self._set.manifest.black_level)
         return np.full(shape, level, np.uint8) if self.bit_depth <= 8 else np.full(shape, level, np.uint16)

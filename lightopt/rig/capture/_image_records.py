@@ -1,4 +1,4 @@
-"""The set on disk while it is being captured: what is there, what is missing, and what is written."""
+"""The captured image set on disk: what is there, what is missing, and what is written."""
 
 from __future__ import annotations
 

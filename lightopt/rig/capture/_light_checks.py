@@ -1,7 +1,7 @@
-"""Whether an image is lit by the light that it says: against the frame without light, and against the prediction.
+"""Check that an image is lit by the right light, against the frame without light and against predictions.
 
-The image is compared with what each light of the rig would make of the part, seen coarsely. Gains and reflectance need
-not be right for that: only which pattern it resembles most counts, and by how much.
+The image is compared at low resolution with a prediction for each light of the rig. Gains and reflectance need not be
+right: only which prediction it correlates with most counts, and by how much.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ STAYED_DARK = 0.03
 """An image darker than this share of the prediction is not lit."""
 
 CLEARLY_MORE = 0.06
-"""By this much another light's correlation must be higher before it is accused."""
+"""Another light is reported only if its correlation is higher by this much."""
 
 RESEMBLES = 0.5
-"""Below this correlation nothing is accused: the part is not the one predicted, or is not there."""
+"""Below this correlation no light is reported: the part is not the one predicted, or is not there."""
 
 LEAST_CELLS = 50
 
 PIXELS_OF_CELL = 4
-"""Of a larger cell about 4 × 4 pixels are looked at: the next exposure waits for it."""
+"""Of a larger cell about 4 × 4 pixels are used: the next exposure waits for the result."""
 
 PLAIN = 0.8
-"""Correlation that noise would leave of the prediction with itself; below it a low correlation accuses nothing."""
+"""Correlation of the prediction with itself under noise; below it a low correlation proves nothing."""
 
 FLAT = 0.1
-"""A prediction whose deviation is below this share of its mean has too little pattern to accuse anything."""
+"""A prediction whose deviation is below this share of its mean has too little pattern for any conclusion."""
 
 LEFT_ON = 0.05
-"""A frame without light that has this share of a light's image more than the first one shows that it burns."""
+"""A frame without light that has this share of a light's image more than the first one shows that it is on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,46 +160,43 @@ def check_light(
         return LightCheck(undecided="too dark at this exposure to tell")
     brightness = float(seen.mean()) / expected
     resemblance = {name: _correlation(seen, level) for name, level in alone.items()}
-    own = resemblance[light]
-    others = {name: value for name, value in resemblance.items() if name != light}
-    best = max(others.items(), key=lambda item: item[1], default=None)
-    found = LightCheck(brightness=brightness, resemblance=own, next_best=best)
-    if brightness < STAYED_DARK:
-        return replace(
-            found,
-            problem=f"{light} stays dark: the part is {brightness:.1%} as bright as it should be; "
-            "check its plug, its cable and its panel",
-        )
-    if best is not None and best[1] >= max(RESEMBLES, own + CLEARLY_MORE):
-        return replace(
-            found,
-            problem=f"{light} was lit, but the image looks like {best[0]} (correlation {best[1]:.2f}, with {light} "
-            f"{own:.2f}): are their plugs swapped?",
-        )
+    own = resemblance.pop(light)
+    best = max(resemblance.items(), key=lambda item: item[1], default=None)
     levels = predictions.levels
-    both = {
+    together = {
         name: _correlation(seen, np.minimum((levels[light] + levels[name])[part] * exposure, room))
-        for name in others
+        for name in resemblance
     }
-    worst = max(both.items(), key=lambda item: item[1], default=None)
+    both = max(together.items(), key=lambda item: item[1], default=None)
     clearly = max(RESEMBLES, own + CLEARLY_MORE)
-    if worst is not None and worst[1] >= clearly and brightness > 1.0 + STAYED_DARK:
-        return replace(
-            found,
-            problem=f"{worst[0]} burns together with {light}: the image looks like both (correlation {worst[1]:.2f}, "
-            f"with {light} alone {own:.2f})",
+    problem = undecided = None
+    if brightness < STAYED_DARK:
+        problem = (
+            f"{light} stays dark: the part is {brightness:.1%} as bright as it should be; "
+            "check its plug, its cable and its panel"
         )
-    if own < RESEMBLES:
-        if _self_correlation(alone[light], sensor, predictions.cell) < PLAIN:
-            return replace(found, undecided="too little pattern at this exposure to tell")
-        return replace(
-            found,
-            problem=f"the part does not look as predicted under any light (correlation with {light} {own:.2f}); check "
-            "that it is the part of the part file, and where it lies",
+    elif best is not None and best[1] >= clearly:
+        problem = (
+            f"{light} was lit, but the image looks like {best[0]} (correlation {best[1]:.2f}, with {light} "
+            f"{own:.2f}): are their plugs swapped?"
         )
-    if best is not None and best[1] > own - CLEARLY_MORE:
-        return replace(found, undecided=f"{light} and {best[0]} make images that look alike")
-    return found
+    elif both is not None and both[1] >= clearly and brightness > 1.0 + STAYED_DARK:
+        problem = (
+            f"{both[0]} burns together with {light}: the image looks like both (correlation {both[1]:.2f}, "
+            f"with {light} alone {own:.2f})"
+        )
+    elif own < RESEMBLES and _self_correlation(alone[light], sensor, predictions.cell) < PLAIN:
+        undecided = "too little pattern at this exposure to tell"
+    elif own < RESEMBLES:
+        problem = (
+            f"the part does not look as predicted under any light (correlation with {light} {own:.2f}); check "
+            "that it is the part of the part file, and where it lies"
+        )
+    elif best is not None and best[1] > own - CLEARLY_MORE:
+        undecided = f"{light} and {best[0]} make images that look alike"
+    return LightCheck(
+        problem=problem, brightness=brightness, resemblance=own, next_best=best, undecided=undecided
+    )
 
 
 def find_light_left_on(

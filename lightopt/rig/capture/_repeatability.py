@@ -1,9 +1,9 @@
-"""Whether the stage comes back to where it was: two images of one posture, one light and one exposure, at two times.
+"""Repeatability of the stage: two images of one posture, one light and one exposure, taken at two times.
 
-A stepper that lost steps stands elsewhere than it says, and no driver can tell. Two images of the same posture do: they
-differ when the part has turned between them. Whether it has is told by the two images alone, whatever the reflectance
-and wherever the part lies in its fixture. By how much, and about which axis, is told with the prediction of how an
-image changes by a degree; that is rough, and rather too small, because edges are never just where they were predicted.
+A stepper that lost steps does not stand where its driver reports it. The two images differ when the part has turned
+between them, whatever the reflectance and wherever the part lies in its fixture. The angle and its axis come from a
+prediction of how the image changes per degree. The angle is rough and rather too small, because edges are never exactly
+where they were predicted.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from lightopt.scene import Scene
 Float64 = NDArray[np.float64]
 
 STEP_DEG = 0.5
-"""Predictions this far to both sides say how the image changes."""
+"""Predictions this far to both sides give the change of the image per degree."""
 
 FINER = 3
-"""Predictions have so many rays across a cell: outlines cross cells."""
+"""Rays across a cell of the predictions: outlines cross cells."""
 
 REPORTED_DEG = 0.1
-"""From here on it is told."""
+"""Least angle that is reported."""
 
 UNOBSERVABLE_DEG = 0.5
-"""An angle that could be so far off without being told is said not to be seen."""
+"""An axis that could deviate by more than this unnoticed is reported as unobservable."""
 
 CERTAIN = 5.0
-"""And only if it is this many of its standard errors: an axis of symmetry turns nothing that can be seen."""
+"""Least multiple of its standard error at which an angle is reported: an axis of symmetry shows nothing."""
 
 LIT = 0.2
-"""The part's brightness is that of cells that are predicted brighter than this share of the median."""
+"""The part's brightness is that of cells predicted brighter than this share of the median."""
 
 HIGHLIGHT = 1.5
 """Cells brighter than this multiple of the brightest diffuse light show something else."""
 
 MOST_DEG = 10.0
-"""Greatest angle that is found: predictions are straight lines through half a degree to both sides."""
+"""Greatest angle that is found: the prediction is linear, from half a degree to both sides."""
 
 LEAST_CELLS = 50
 BOUNDED = 0.1
@@ -76,7 +76,7 @@ class Repeatability:
         """The axes that certainly deviate, in words; None where none does."""
         if not self.converged:
             return None
-        said = [
+        texts = [
             f"its {axis} by roughly {angle:+.1f}°"
             for axis, angle, error in (
                 ("elevation", self.tilt_deg, self.tilt_error_deg),
@@ -84,7 +84,7 @@ class Repeatability:
             )
             if abs(angle) > max(REPORTED_DEG, CERTAIN * error)
         ]
-        return " and ".join(said) or None
+        return " and ".join(texts) or None
 
     @property
     def unobservable(self) -> str:
@@ -101,17 +101,12 @@ class Repeatability:
 
 
 def measure_repeatability(
-    first: NDArray[Any],
-    last: NDArray[Any],
-    *,
-    light: str,
-    posture: Posture,
-    scene: Scene,
+    first: NDArray[Any], last: NDArray[Any], *, light: str, posture: Posture, scene: Scene
 ) -> Repeatability | None:
     """Rotation of the part between two images of the same posture; None where too little of it shows.
 
     `first` and `last` are of one exposure [sensor level], shape (H, W), both under `light`, which is among the scene's.
-    `posture` is where the stage said that it stood for both.
+    `posture` is what the stage reported for both.
     """
     caster = cast_rays_at(scene)
     # highlights are where the reflectance puts them; diffuse light and outlines are where the part is

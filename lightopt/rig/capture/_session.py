@@ -77,7 +77,7 @@ class CaptureSession:
         signalled = self._finish(failed=error is not None, lights="all lights are off; " if stopped else "")
         if error is None and not signalled:
             return
-        with contextlib.suppress(LightoptError):  # the error that ends the run is told, not a second one
+        with contextlib.suppress(LightoptError):  # the error that ends the run is reported, not a second one
             if self._in_doubt is not None:
                 self._records.discard(*self._in_doubt)
             self._records.writer.add_warnings(self.warnings)

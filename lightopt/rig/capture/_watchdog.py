@@ -1,4 +1,4 @@
-"""How long lights may burn at a stretch, kept even while everything else hangs or fails."""
+"""Limits how long lights stay on at a stretch, even while everything else hangs or fails."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RETRY_S = 0.5  # a light that did not go dark is tried again after
 
 @dataclass(eq=False)
 class _LitPeriod:
-    """A light that burns, until when [s, monotonic] it may, and what ends the thread that watches it."""
+    """A light that is on, until when [s, monotonic] it may be, and what ends the thread that watches it."""
 
     longest_s: float
     until: float
