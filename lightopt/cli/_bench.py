@@ -174,7 +174,7 @@ def snap(
         check_level,
         check_on_time,
         connect_devices,
-        snap_s,
+        snap_on_s,
         wiring_of,
     )
     from lightopt.rig.capture import snap as take
@@ -187,7 +187,7 @@ def snap(
     check_exposure(wiring, loaded, relative)
     if light is not None:
         check_level(wiring, loaded, light, None)
-        check_on_time(wiring, loaded, light, snap_s(wiring, relative))
+        check_on_time(wiring, loaded, light, snap_on_s(wiring, relative))
     devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, warn=say_warning)
     with devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)

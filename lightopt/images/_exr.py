@@ -40,15 +40,12 @@ def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Ma
 
     Parameters
     ----------
-    channels
-        Channel name to values, float32, all of one shape (H, W), row 0 at the top.
-    metadata
-        JSON-able values, kept in one attribute ``lightopt:json``.
+    channels: Channel name to values, float32, all of one shape (H, W), row 0 at the top.
+    metadata: JSON-able values, kept in one attribute ``lightopt:json``.
 
     Raises
     ------
-    InputError
-        The channels are not float32 of one shape (H, W), or the file cannot be written.
+    InputError: The channels are not float32 of one shape (H, W), or the file cannot be written.
     """
     height, width = _common_shape(path, channels)
     text = metadata_json(metadata)

@@ -41,14 +41,10 @@ class ImageEntry:
 
     Attributes
     ----------
-    exposure
-        Requested exposure, relative to that of the reflectance's levels.
-    png, exr
-        Files relative to the set's folder, POSIX style; at least one in a valid set.
-    sha256
-        SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of other programs.
-    extra
-        Unknown keys of the JSON object, kept as they are.
+    exposure: Requested exposure, relative to that of the reflectance's levels.
+    png, exr: Files relative to the set's folder, POSIX style; at least one in a valid set.
+    sha256: SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of other programs.
+    extra: Unknown keys of the JSON object, kept as they are.
     """
 
     light: str
@@ -112,22 +108,14 @@ class Manifest:
 
     Attributes
     ----------
-    kind
-        ``simulated`` or ``captured``.
-    full_scale
-        Grey level of a full-scale sensor level at exposure 1: the scale of the reflectance.
-    saturation_level
-        Sensor level from which a pixel counts as saturated; None is full scale.
-    black_level
-        Sensor level without light.
-    lightopt
-        Version that wrote the set; None in sets of other programs.
-    provenance
-        In the layout of :mod:`lightopt.core.provenance`; empty in sets of other programs.
-    files
-        Further files of the set (the patch table among them): name to SHA-256 in hex.
-    extra
-        Unknown keys of the JSON object, kept as they are.
+    kind: ``simulated`` or ``captured``.
+    full_scale: Grey level of a full-scale sensor level at exposure 1: the scale of the reflectance.
+    saturation_level: Sensor level from which a pixel counts as saturated; None is full scale.
+    black_level: Sensor level without light.
+    lightopt: Version that wrote the set; None in sets of other programs.
+    provenance: In the layout of :mod:`lightopt.core.provenance`; empty in sets of other programs.
+    files: Further files of the set (the patch table among them): name to SHA-256 in hex.
+    extra: Unknown keys of the JSON object, kept as they are.
     """
 
     kind: str

@@ -32,12 +32,9 @@ class Overlap:
 
     Attributes
     ----------
-    saturated, pairs
-        Number of pixels saturated under each light, and under both lights of a pair.
-    count
-        Number of images in which each pixel is saturated, shape (H, W).
-    mean
-        Mean of the levels, as a share of full scale clipped to 1, shape (H, W).
+    saturated, pairs: Number of pixels saturated under each light, and under both lights of a pair.
+    count: Number of images in which each pixel is saturated, shape (H, W).
+    mean: Mean of the levels, as a share of full scale clipped to 1, shape (H, W).
     """
 
     posture: Posture

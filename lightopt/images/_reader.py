@@ -24,14 +24,11 @@ class LoadedImage:
 
     Attributes
     ----------
-    levels
-        float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
+    levels: float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
         full scale / ((2^b − 1) · exposure)``, so clipped where `saturated`.
-    saturated
-        Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's
+    saturated: Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's
         exposure.
-    sensor
-        Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
+    sensor: Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
     """
 
     levels: NDArray[np.float32]

@@ -40,30 +40,23 @@ class ImageSetWriter:
 
     Parameters
     ----------
-    header
-        The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
+    header: The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
         same run.
-    force
-        Replace the set of another run, all of whose files are removed first, and files that belong to none.
-    plan
-        Light, posture and exposure of the images that the run will make, so that names which clash and files
-        in the way are found before any work.
+    force: Replace the set of another run, all of whose files are removed first, and files that belong to none.
+    plan: Light, posture and exposure of the images that the run will make, so that names which clash and files in
+        the way are found before any work.
 
     Attributes
     ----------
-    manifest
-        What is on disk so far.
-    resumed
-        Whether an earlier run with an equal header is being continued.
-    replaced
-        Number of files of the set of another run that were removed.
+    manifest: What is on disk so far.
+    resumed: Whether an earlier run with an equal header is being continued.
+    replaced: Number of files of the set of another run that were removed.
 
     Raises
     ------
-    InputError
-        The folder cannot be written, holds the set of another run or files in the way (without `force`),
-        or two images of the plan would share a file; with `force`, the folder holds captured images and the run
-        makes others.
+    InputError: The folder cannot be written, holds the set of another run or files in the way (without `force`), or
+        two images of the plan would share a file; with `force`, the folder holds captured images and the run makes
+        others.
     """
 
     def __init__(
@@ -123,12 +116,9 @@ class ImageSetWriter:
 
         Parameters
         ----------
-        entry
-            What was imaged; its `png`, `exr` and `sha256` are filled in here.
-        png
-            Camera levels (H, W), as :func:`write_png` takes them.
-        exr
-            Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
+        entry: What was imaged; its `png`, `exr` and `sha256` are filled in here.
+        png: Camera levels (H, W), as :func:`write_png` takes them.
+        exr: Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
         """
         self._names.claim_images([entry.key])
         shared = next((e for e in self.manifest.images if e.key[:2] == entry.key[:2] and e.exr), None)

@@ -17,14 +17,10 @@ class Finding:
 
     Attributes
     ----------
-    topic
-        What it is about, in a word or two.
-    text
-        For people: with numbers, and what to do where something is to be done.
-    where
-        File, line and key it comes from (``rig.yaml:12: lights[2]``), or None.
-    values
-        The numbers for programs; names carry the unit, values are what JSON can hold.
+    topic: What it is about, in a word or two.
+    text: For people: with numbers, and what to do where something is to be done.
+    where: File, line and key it comes from (``rig.yaml:12: lights[2]``), or None.
+    values: The numbers for programs; names carry the unit, values are what JSON can hold.
     """
 
     level: Level

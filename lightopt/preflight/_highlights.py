@@ -124,12 +124,9 @@ class NormalErrors:
 
     Attributes
     ----------
-    median, high
-        Median and 90th percentile of the error, weighted by edge length [rad].
-    angle
-        Median angle by which the normal turns along or across these edges [rad].
-    edge
-        Median length of these edges [mm].
+    median, high: Median and 90th percentile of the error, weighted by edge length [rad].
+    angle: Median angle by which the normal turns along or across these edges [rad].
+    edge: Median length of these edges [mm].
     """
 
     median: float

@@ -23,23 +23,18 @@ class ComparisonThresholds:
 
     Attributes
     ----------
-    absolute, relative
-        A pixel differs where |a − b| > absolute + relative · |a|, a being the golden [level of the file, 1].
-    max_share
-        Share of pixels that may differ, 0 to 1: of those that are not background in both images, so that a small part
-        in a large frame is judged like a large one.
-    geometry_absolute
-        In geometry images and patch tables a value differs by more than this [mm; 1 for normals], nothing
-        relative.
-    min_iou
-        Least intersection over union of the saturated masks; None: not checked.
-    saturation
-        Level from which a pixel counts as saturated; None: what the file or its manifest says.
+    absolute, relative: A pixel differs where |a − b| > absolute + relative · |a|, a being the golden [level of the
+        file, 1].
+    max_share: Share of pixels that may differ, 0 to 1: of those that are not background in both images, so that a
+        small part in a large frame is judged like a large one.
+    geometry_absolute: In geometry images and patch tables a value differs by more than this [mm; 1 for normals],
+        nothing relative.
+    min_iou: Least intersection over union of the saturated masks; None: not checked.
+    saturation: Level from which a pixel counts as saturated; None: what the file or its manifest says.
 
     Raises
     ------
-    InputError
-        A threshold is negative, not finite, or a share above 1.
+    InputError: A threshold is negative, not finite, or a share above 1.
     """
 
     absolute: float = 0.05
@@ -65,19 +60,13 @@ class ChannelDifference:
 
     Attributes
     ----------
-    compared
-        Pixels whose values were compared: not background in both images.
-    max, rms, percentiles
-        Of |a − b| over the compared pixels where both are finite; None where there are none.
-    differing, share
-        Pixels beyond the thresholds, and their share of the compared pixels.
-    not_finite_a, not_finite_b
-        Pixels that are NaN or infinite.
-    saturated_a, saturated_b, iou
-        Saturated pixels, and intersection over union of the two masks (1 where both are empty); None for
-        channels that do not saturate.
-    reasons
-        Why the channel fails; empty when it passes.
+    compared: Pixels whose values were compared: not background in both images.
+    max, rms, percentiles: Of |a − b| over the compared pixels where both are finite; None where there are none.
+    differing, share: Pixels beyond the thresholds, and their share of the compared pixels.
+    not_finite_a, not_finite_b: Pixels that are NaN or infinite.
+    saturated_a, saturated_b, iou: Saturated pixels, and intersection over union of the two masks (1 where both are
+        empty); None for channels that do not saturate.
+    reasons: Why the channel fails; empty when it passes.
     """
 
     name: str

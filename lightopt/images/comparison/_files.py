@@ -132,14 +132,12 @@ def compare_files(
 
     Parameters
     ----------
-    saturation, black
-        Saturation and background levels of the PNGs, where a manifest knows better than the files;
+    saturation, black: Saturation and background levels of the PNGs, where a manifest knows better than the files;
         `thresholds.saturation` goes before both.
 
     Raises
     ------
-    InputError
-        A file is missing, damaged or no image.
+    InputError: A file is missing, damaged or no image.
     """
     problems: list[str] = []
     golden = _load_image("golden", Path(a), saturation[0], black[0], problems)

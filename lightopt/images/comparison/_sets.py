@@ -25,12 +25,9 @@ class SetComparison(Comparison):
 
     Attributes
     ----------
-    files
-        The files of the golden set against their counterparts.
-    missing, extra
-        What only the golden set has, and only the new one. Missing fails, extra is reported.
-    notes
-        Differences that fail nothing.
+    files: The files of the golden set against their counterparts.
+    missing, extra: What only the golden set has, and only the new one. Missing fails, extra is reported.
+    notes: Differences that fail nothing.
     """
 
     files: tuple[FileComparison, ...] = ()

@@ -15,7 +15,7 @@ from lightopt.rig.capture._manual_control import (
     device_statuses,
     hold_light,
     snap,
-    snap_s,
+    snap_on_s,
 )
 from lightopt.rig.capture._options import CaptureOptions
 from lightopt.rig.capture._plan import CapturePlan, make_plan
@@ -42,7 +42,7 @@ __all__ = [
     "hold_light",
     "make_plan",
     "snap",
-    "snap_s",
+    "snap_on_s",
     "start_bench",
     "switch_off",
     "wiring_of",

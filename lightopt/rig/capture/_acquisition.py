@@ -28,14 +28,10 @@ class AcquiredImage:
 
     Attributes
     ----------
-    light
-        None for a frame without light.
-    exposure
-        Requested relative exposure.
-    future
-        The image of the frames, which is computed while the light goes out.
-    facts
-        How it was taken, JSON-able, for the manifest.
+    light: None for a frame without light.
+    exposure: Requested relative exposure.
+    future: The image of the frames, which is computed while the light goes out.
+    facts: How it was taken, JSON-able, for the manifest.
     """
 
     light: str | None

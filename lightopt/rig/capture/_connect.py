@@ -53,30 +53,22 @@ def connect_devices(
 
     Parameters
     ----------
-    part
-        The part on the virtual bench; needed for its camera.
-    plan
-        The images that a folder camera must have.
-    serial_log
-        File that gets every byte on the wires.
-    truth
-        How the virtual bench differs from the files.
-    bench
-        A virtual bench that runs already; it is left running.
-    touch_lights
-        False to only look at the devices: nothing is switched.
-    warn
-        Called with irregularities on the wires as they happen, and if the serial log ends early (which ends no more).
-    unreachable
-        Collects the controllers and the stage that do not answer, with why; the others are opened. None: an error.
+    part: The part on the virtual bench; needed for its camera.
+    plan: The images that a folder camera must have.
+    serial_log: File that gets every byte on the wires.
+    truth: How the virtual bench differs from the files.
+    bench: A virtual bench that runs already; it is left running.
+    touch_lights: False to only look at the devices: nothing is switched.
+    warn: Called with irregularities on the wires as they happen, and if the serial log ends early (which ends no
+        more).
+    unreachable: Collects the controllers and the stage that do not answer, with why; the others are opened. None: an
+        error.
 
     Raises
     ------
-    InputError
-        A port is not there or in use, or a folder lacks images of the plan.
-    HardwareError
-        A device does not answer. By then every controller that can be reached was darkened, unless `touch_lights`
-        is false, and the message names the lights that may still burn.
+    InputError: A port is not there or in use, or a folder lacks images of the plan.
+    HardwareError: A device does not answer. By then every controller that can be reached was darkened, unless
+        `touch_lights` is false, and the message names the lights that may still burn.
     """
     replay = check_devices(rig, wiring, plan, camera=camera)
     signals = EndSignals()

@@ -34,18 +34,12 @@ class Devices:
 
     Parameters
     ----------
-    stage, camera
-        None where the rig has none, or none is needed.
-    events
-        Irregularities on the links so far.
-    closing
-        Called last, in order: the links' log, the virtual bench.
-    signals
-        Installed already where devices were opened under their protection.
-    touch_lights
-        False to only look at the devices: lights that are on stay on.
-    dark
-        Whether every channel has been switched off since it was opened.
+    stage, camera: None where the rig has none, or none is needed.
+    events: Irregularities on the links so far.
+    closing: Called last, in order: the links' log, the virtual bench.
+    signals: Installed already where devices were opened under their protection.
+    touch_lights: False to only look at the devices: lights that are on stay on.
+    dark: Whether every channel has been switched off since it was opened.
     """
 
     def __init__(
@@ -131,10 +125,8 @@ class Devices:
 
         Raises
         ------
-        InputError
-            The level is above the channel's `max_level`; nothing was sent.
-        HardwareError
-            The controller does not obey.
+        InputError: The level is above the channel's `max_level`; nothing was sent.
+        HardwareError: The controller does not obey.
         """
         channel = self.wiring.light(name)
         controller = self.controllers[channel.controller]

@@ -36,14 +36,10 @@ class ExposureImage:
 
     Attributes
     ----------
-    exposure
-        Relative exposure, as the camera held it.
-    mean
-        Mean of the frames [sensor level].
-    saturated
-        Where any of the frames reached the saturation level, so that the mean is too low.
-    png
-        Stored as PNG [sensor level]: the frame as delivered; of several the mean, rounded half to even (half up
+    exposure: Relative exposure, as the camera held it.
+    mean: Mean of the frames [sensor level].
+    saturated: Where any of the frames reached the saturation level, so that the mean is too low.
+    png: Stored as PNG [sensor level]: the frame as delivered; of several the mean, rounded half to even (half up
         would add 1/(2N) on average), and the highest level of all where any was saturated.
     """
 
@@ -151,18 +147,14 @@ def merge_exposures(
 
     Parameters
     ----------
-    images
-        The exposures, of one shape (H, W), the longest first.
-    full_scale
-        Grey level of a full-scale sensor level at exposure 1.
-    dark
-        Mean frame without light of each exposure [sensor level], shape (H, W); else the black level is removed.
+    images: The exposures, of one shape (H, W), the longest first.
+    full_scale: Grey level of a full-scale sensor level at exposure 1.
+    dark: Mean frame without light of each exposure [sensor level], shape (H, W); else the black level is removed.
 
     Returns
     -------
-    dict
-        EXR channels, float32 (H, W): ``Y`` [grey level at exposure 1]; ``valid``, 0 where every exposure was saturated
-        and `Y` is only a lower bound; ``exposure``, the relative exposure that the pixel came from.
+    dict: EXR channels, float32 (H, W): ``Y`` [grey level at exposure 1]; ``valid``, 0 where every exposure was
+        saturated and `Y` is only a lower bound; ``exposure``, the relative exposure that the pixel came from.
     """
     level = np.zeros(images[0].mean.shape, np.float32)
     exposure = np.zeros(level.shape, np.float32)

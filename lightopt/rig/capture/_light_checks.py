@@ -54,12 +54,9 @@ class PredictedImages:
 
     Attributes
     ----------
-    cell
-        Side of a cell [px].
-    levels
-        Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
-    part
-        Cells that show the part, shape (rows, columns).
+    cell: Side of a cell [px].
+    levels: Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
+    part: Cells that show the part, shape (rows, columns).
     """
 
     cell: int
@@ -73,16 +70,11 @@ class LightCheck:
 
     Attributes
     ----------
-    problem
-        What is wrong, in words; None where nothing is.
-    brightness
-        Mean brightness of the part above dark, as a share of the prediction.
-    resemblance
-        Correlation with the prediction of the light.
-    next_best
-        The other light that the image resembles most, and the correlation with it.
-    undecided
-        Why the image allows no decision, in words; None where it does.
+    problem: What is wrong, in words; None where nothing is.
+    brightness: Mean brightness of the part above dark, as a share of the prediction.
+    resemblance: Correlation with the prediction of the light.
+    next_best: The other light that the image resembles most, and the correlation with it.
+    undecided: Why the image allows no decision, in words; None where it does.
     """
 
     problem: str | None = None
@@ -140,12 +132,9 @@ def check_light(
 
     Parameters
     ----------
-    light
-        The only light that should have been on.
-    image, dark
-        [sensor level], shape (H, W); the dark may be one level.
-    exposure
-        Relative exposure of the image.
+    light: The only light that should have been on.
+    image, dark: [sensor level], shape (H, W); the dark may be one level.
+    exposure: Relative exposure of the image.
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:

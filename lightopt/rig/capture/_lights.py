@@ -32,12 +32,9 @@ class OpenedLights:
 
     Attributes
     ----------
-    controllers
-        Those that answered, by name.
-    problems
-        Why others did not, or did not go dark, by name.
-    may_be_on
-        Lights that may still be on.
+    controllers: Those that answered, by name.
+    problems: Why others did not, or did not go dark, by name.
+    may_be_on: Lights that may still be on.
     """
 
     controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
@@ -67,12 +64,9 @@ def open_lights(
 
     Parameters
     ----------
-    ports
-        Ports of those that are simulated.
-    darken
-        False to only look.
-    opened
-        Called with each that is open, before anything else is sent to it, from the thread that opened it.
+    ports: Ports of those that are simulated.
+    darken: False to only look.
+    opened: Called with each that is open, before anything else is sent to it, from the thread that opened it.
     """
 
     def open_one(name: str) -> tuple[LightController | None, LightoptError | None]:
@@ -165,10 +159,9 @@ def switch_off(
 
     Raises
     ------
-    HardwareError
-        Once all were tried, with what failed, the controllers that are dark and the lights that may still burn.
-    InputError
-        The same, where nothing failed but controllers of the file cannot be read.
+    HardwareError: Once all were tried, with what failed, the controllers that are dark and the lights that may still
+        burn.
+    InputError: The same, where nothing failed but controllers of the file cannot be read.
     """
     wiring = _wiring(lights)
     names = wiring.hardware.controllers

@@ -100,7 +100,7 @@ def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
         raise InputError(*problems)
 
 
-def snap_s(wiring: Wiring, exposure: float) -> float:
+def snap_on_s(wiring: Wiring, exposure: float) -> float:
     """How long a light is on for one frame at a relative exposure [s]: settling, and the frames' exposures."""
     timing = wiring.hardware.timing
     return timing.light_ms / 1e3 + (1 + timing.discard_frames) * exposure * wiring.exposure_us / 1e6

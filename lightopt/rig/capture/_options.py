@@ -24,25 +24,17 @@ class CaptureOptions:
 
     Attributes
     ----------
-    lights, postures
-        Instead of all lights of the rig and the part's own postures.
-    exposures
-        Relative to the rig's ``camera.exposure_us``; all of them under one light before the next is lit.
-    average
-        Number of frames that each image is the mean of.
-    dark
-        Whether frames without light are taken in every posture at every exposure, and subtracted in the EXR.
-    home
-        Whether the stage seeks its origin first.
-    check
-        Whether each image is checked for being lit by the right light.
-    check_repeatability
-        Whether the stage returns to its first posture at the end, to see that it lost no steps.
+    lights, postures: Instead of all lights of the rig and the part's own postures.
+    exposures: Relative to the rig's ``camera.exposure_us``; all of them under one light before the next is lit.
+    average: Number of frames that each image is the mean of.
+    dark: Whether frames without light are taken in every posture at every exposure, and subtracted in the EXR.
+    home: Whether the stage seeks its origin first.
+    check: Whether each image is checked for being lit by the right light.
+    check_repeatability: Whether the stage returns to its first posture at the end, to see that it lost no steps.
 
     Raises
     ------
-    InputError
-        A number is out of range or something is given twice.
+    InputError: A number is out of range or something is given twice.
     """
 
     lights: tuple[str, ...] | None = None

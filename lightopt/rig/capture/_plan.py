@@ -30,12 +30,9 @@ class PlanStep:
 
     Attributes
     ----------
-    what
-        Its object: a posture, a light, an exposure.
-    seconds
-        Estimated duration [s].
-    posture, light, exposure
-        Where the stage stands, which light is on (None: none), at which relative exposure.
+    what: Its object: a posture, a light, an exposure.
+    seconds: Estimated duration [s].
+    posture, light, exposure: Where the stage stands, which light is on (None: none), at which relative exposure.
     """
 
     kind: StepKind
@@ -64,14 +61,10 @@ class CapturePlan:
 
     Attributes
     ----------
-    tasks
-        Posture by posture, in the order of travel.
-    exposures
-        Relative, the longest first.
-    home
-        Whether the stage seeks its origin first.
-    pixels
-        Number of pixels of a frame.
+    tasks: Posture by posture, in the order of travel.
+    exposures: Relative, the longest first.
+    home: Whether the stage seeks its origin first.
+    pixels: Number of pixels of a frame.
     """
 
     wiring: Wiring

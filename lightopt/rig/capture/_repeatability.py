@@ -57,12 +57,9 @@ class Repeatability:
 
     Attributes
     ----------
-    tilt_deg, turn_deg
-        About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
-    tilt_error_deg, turn_error_deg
-        Standard errors [°]; those of an unobservable axis are large.
-    converged
-        Whether the comparison found its optimum; if not, the angles say nothing.
+    tilt_deg, turn_deg: About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
+    tilt_error_deg, turn_error_deg: Standard errors [°]; those of an unobservable axis are large.
+    converged: Whether the comparison found its optimum; if not, the angles say nothing.
     """
 
     tilt_deg: float
@@ -146,6 +143,11 @@ def measure_repeatability(
     # a few edges, which are steep and nowhere just where they were predicted, would outweigh all the rest
     steep = np.abs(slopes[0]) + np.abs(slopes[1])
     weight = np.minimum(1.0, typical / np.maximum(steep, 1e-12)) ** 2
+    return _fit_rotation(columns, (after - before)[usable], weight, typical=typical)
+
+
+def _fit_rotation(columns: Float64, change: Float64, weight: Float64, *, typical: float) -> Repeatability:
+    """Fit changes of level, shape (N,), by columns (N, 4): per degree of tilt and turn, lamp, and offset."""
     unit = BOUNDED * typical / HUBER
     reach = np.array([MOST_DEG, MOST_DEG, 1.0, typical])
     limits = Limits(
@@ -157,13 +159,8 @@ def measure_repeatability(
         # nothing is held at 0: errors say what is seen, and they come from the scatter, not from the bound
         resolution=np.full(4, np.inf),
     )
-    found = solve(
-        linear_problem(columns / unit, (after - before)[usable] / unit, weight),
-        limits.nominal,
-        limits,
-        loss="huber",
-        least_spread=1.0,
-    )
+    problem = linear_problem(columns / unit, change / unit, weight)
+    found = solve(problem, limits.nominal, limits, loss="huber", least_spread=1.0)
     return Repeatability(
         tilt_deg=float(found.x[0]),
         turn_deg=float(found.x[1]),

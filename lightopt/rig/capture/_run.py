@@ -31,16 +31,11 @@ class CaptureResult:
 
     Attributes
     ----------
-    images, taken
-        Number of images of the plan, and of those taken now; the others were there.
-    replaced
-        Number of files of another set that were removed.
-    retries
-        Number of commands that were sent again.
-    virtual_bench
-        Whether the rig has no hardware section, so that all devices were simulated.
-    warnings
-        Also in the manifest.
+    images, taken: Number of images of the plan, and of those taken now; the others were there.
+    replaced: Number of files of another set that were removed.
+    retries: Number of commands that were sent again.
+    virtual_bench: Whether the rig has no hardware section, so that all devices were simulated.
+    warnings: Also in the manifest.
     """
 
     folder: Path
@@ -70,27 +65,20 @@ def capture(
 
     Parameters
     ----------
-    resume
-        Continue the set that is there: only what is missing is taken.
-    force
-        Replace the set that is there.
-    connect
-        Opens the devices; by default those of the rig's file.
-    serial_log
-        File that gets every byte on the wires with its time.
-    warn
-        Called with warnings, also of irregularities on the wires.
+    resume: Continue the set that is there: only what is missing is taken.
+    force: Replace the set that is there.
+    connect: Opens the devices; by default those of the rig's file.
+    serial_log: File that gets every byte on the wires with its time.
+    warn: Called with warnings, also of irregularities on the wires.
 
     Raises
     ------
-    InputError
-        The plan is impossible, the folder holds something else, or the disk refuses; before anything is opened
-        wherever that can be known.
-    HardwareError
-        A device fails or an image is not lit by its light; the message says in which step and the state of the
-        devices. The lights are off then, or it says which may not be.
-    Interrupted
-        After Ctrl-C and the signals that end a program, once the lights are off; the message says what is on disk.
+    InputError: The plan is impossible, the folder holds something else, or the disk refuses; before anything is
+        opened wherever that can be known.
+    HardwareError: A device fails or an image is not lit by its light; the message says in which step and the state
+        of the devices. The lights are off then, or it says which may not be.
+    Interrupted: After Ctrl-C and the signals that end a program, once the lights are off; the message says what is
+        on disk.
     """
     folder, timing, begun = Path(folder), Timing(), time.monotonic()
     with timing.spent("opening_s"):

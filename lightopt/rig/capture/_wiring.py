@@ -36,12 +36,9 @@ class Wiring:
 
     Attributes
     ----------
-    hardware
-        From the rig file, or the virtual bench.
-    given
-        Whether the rig file has it.
-    exposure_us
-        Exposure time of exposure 1 [µs].
+    hardware: From the rig file, or the virtual bench.
+    given: Whether the rig file has it.
+    exposure_us: Exposure time of exposure 1 [µs].
     """
 
     hardware: HardwareConfig
