@@ -57,17 +57,17 @@ class ImageChecker:
         """Set the reference for frames without light [sensor level], (H, W): one that an earlier run kept."""
         self._reference.setdefault(exposure, dark)
 
-    def check_dark(self, shot: AcquiredImage, warn: Callable[[str], None]) -> None:
+    def check_dark(self, acquired: AcquiredImage, warn: Callable[[str], None]) -> None:
         """Check that no light is on in a frame without light; the first one at its exposure becomes the reference.
 
         HardwareError when it looks like the image of a light.
         """
         if not self._check:
             return
-        image, first = shot.image, self._reference.get(shot.exposure)
+        image, first = acquired.image, self._reference.get(acquired.exposure)
         light = find_light_left_on(
             image.mean,
-            predictions=self._predicted[shot.posture].result(),
+            predictions=self._predicted[acquired.posture].result(),
             sensor=self._sensor,
             exposure=image.exposure,
             before=first,
@@ -78,17 +78,17 @@ class ImageChecker:
                 f"check the controller of {light}"
             )
         if first is None:
-            self._reference[shot.exposure] = image.mean
+            self._reference[acquired.exposure] = image.mean
             above = float(image.mean.mean()) - self._sensor.black_level
             if not self._with_dark and above > AMBIENT_LEVELS + clipped_mean(self._sensor):
                 warn(
-                    f"without any light the image is {above:.2g} levels above black at exposure {shot.exposure:g}: "
+                    f"without any light the image is {above:.2g} levels above black at exposure {acquired.exposure:g}: "
                     "capture with --dark, or darken the room, or correct black_level"
                 )
 
     def check(
         self,
-        shot: AcquiredImage,
+        acquired: AcquiredImage,
         dark: Mapping[float, Float32],
         others: Mapping[float, ExposureImage],
         warn: Callable[[str], None],
@@ -99,13 +99,14 @@ class ImageChecker:
         """
         if not self._check:
             return None
-        light, image, own_dark = shot.light, shot.image, self._dark(dark, shot.exposure)
+        light, image, own_dark = acquired.light, acquired.image, self._dark(dark, acquired.exposure)
         assert light is not None
+        where = f"{light} {acquired.posture}"
         found = check_light(
             light,
             image.mean,
             own_dark,
-            predictions=self._predicted[shot.posture].result(),
+            predictions=self._predicted[acquired.posture].result(),
             sensor=self._sensor,
             exposure=image.exposure,
         )
@@ -116,11 +117,11 @@ class ImageChecker:
         if problem is not None:
             stop = "" if problem.endswith("?") else "."
             raise HardwareError(
-                f"{light} {shot.posture} at exposure {shot.exposure:g}: {problem}{stop} The image was not kept; "
+                f"{where} at exposure {acquired.exposure:g}: {problem}{stop} The image was not kept; "
                 "--no-check captures without this check"
             )
         if found.undecided is not None and not others:
-            warn(f"{light} {shot.posture}: cannot tell whether the light is the right one: {found.undecided}")
+            warn(f"{where}: cannot tell whether the light is the right one: {found.undecided}")
         return found.as_dict()
 
     def close(self) -> None:

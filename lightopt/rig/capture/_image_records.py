@@ -181,26 +181,26 @@ class CapturedSet:
         """A dark frame that is on disk [sensor level]."""
         return read_png(self.writer.folder / dark_name(posture, exposure)).astype(np.float32)
 
-    def add_dark(self, shot: AcquiredImage) -> None:
+    def add_dark(self, acquired: AcquiredImage) -> None:
         """Put a dark frame on disk and into the manifest."""
         facts = {
             "light": None,
-            "posture": shot.posture.as_dict(),
-            "exposure": shot.exposure,
-            "mean_level": float(shot.image.mean.mean(dtype=np.float64)),
-            "capture": _facts(shot),
+            "posture": acquired.posture.as_dict(),
+            "exposure": acquired.exposure,
+            "mean_level": float(acquired.image.mean.mean(dtype=np.float64)),
+            "capture": _facts(acquired),
         }
-        name = dark_name(shot.posture, shot.exposure)
+        name = dark_name(acquired.posture, acquired.exposure)
         self.writer.drop(files=[name])
-        self.writer.add_levels(name, shot.image.png, metadata=facts)
+        self.writer.add_levels(name, acquired.image.png, metadata=facts)
 
-    def add(self, shot: AcquiredImage) -> None:
+    def add(self, acquired: AcquiredImage) -> None:
         """Put an image on disk and into the manifest."""
-        assert shot.light is not None
-        angles = self._angles[shot.light]
-        extra = {"capture": _facts(shot)}
-        entry = ImageEntry(shot.light, *angles, shot.posture, shot.exposure, extra=extra)
-        self.writer.add_image(entry, png=shot.image.png)
+        assert acquired.light is not None
+        angles = self._angles[acquired.light]
+        extra = {"capture": _facts(acquired)}
+        entry = ImageEntry(acquired.light, *angles, acquired.posture, acquired.exposure, extra=extra)
+        self.writer.add_image(entry, png=acquired.image.png)
 
     def read_levels(self, light: str, posture: Posture, exposure: float) -> NDArray[Any]:
         """An image that is on disk [sensor level]."""
@@ -247,7 +247,7 @@ class CapturedSet:
         )
 
 
-def _facts(shot: AcquiredImage) -> dict[str, Any]:
+def _facts(acquired: AcquiredImage) -> dict[str, Any]:
     """How an image was taken, and its saturated share."""
-    saturated = shot.image.saturated
-    return {**shot.facts, "saturated_share": np.count_nonzero(saturated) / saturated.size}
+    saturated = acquired.image.saturated
+    return {**acquired.facts, "saturated_share": np.count_nonzero(saturated) / saturated.size}

@@ -158,10 +158,12 @@ class CaptureSession:
         engine.move(posture)
         engine.set_exposure(exposure)
         engine.light_on(light)
-        shot = self._expose(task, exposure, light=light, rest=(exposure,))
+        acquired = self._expose(task, exposure, light=light, rest=(exposure,))
         engine.light_off()
         engine.devices.step = f"comparing the images of {posture}"
-        found = measure_repeatability(first, shot.image.mean, light=light, posture=posture, scene=self._scene)
+        found = measure_repeatability(
+            first, acquired.image.mean, light=light, posture=posture, scene=self._scene
+        )
         prefix = f"came back to {posture}: "
         if found is None:
             self.warn(f"{prefix}{light} shows too little of the part to tell whether the stage lost steps")
@@ -235,8 +237,8 @@ class CaptureSession:
         if anew:
             self._confirm_stage(task.posture, anew)
         if self._plan.options.check and anew:
-            shot = self._expose(task, self._plan.exposures[0])
-            self._writer.submit_image(self._check_final_dark, shot, anew)
+            acquired = self._expose(task, self._plan.exposures[0])
+            self._writer.submit_image(self._check_final_dark, acquired, anew)
 
     def _confirm_stage(self, posture: Posture, lights: Sequence[str]) -> None:
         """Check that the stage stood still for the images of a posture; without that they do not count."""
@@ -278,38 +280,38 @@ class CaptureSession:
             engine.set_exposure(missing[0])
             engine.light_on(light)
         for i, exposure in enumerate(missing):
-            shot = self._expose(task, exposure, light=light, rest=missing[i:])
+            acquired = self._expose(task, exposure, light=light, rest=missing[i:])
             if exposure == missing[-1]:
                 engine.light_off()  # before anything is done with the frames
-            self._writer.submit_image(self._keep, shot, dark, taken)
+            self._writer.submit_image(self._keep, acquired, dark, taken)
             self.taken += 1
         engine.devices.step = "checking and writing the images before"
         self._writer.submit_linear(self._records.add_linear, light, task.posture, taken, dark)
 
-    def _keep(self, shot: AcquiredImage, dark: Dark, taken: dict[float, ExposureImage]) -> None:
+    def _keep(self, acquired: AcquiredImage, dark: Dark, taken: dict[float, ExposureImage]) -> None:
         """Check that the image is lit by its light, as those of its other exposures were, and put it on disk."""
-        shot.facts["lit"] = self._checker.check(shot, dark, taken, self.warn)
-        self._records.add(shot)
-        taken[shot.exposure] = shot.image
+        acquired.facts["lit"] = self._checker.check(acquired, dark, taken, self.warn)
+        self._records.add(acquired)
+        taken[acquired.exposure] = acquired.image
 
-    def _keep_dark(self, shot: AcquiredImage, dark: Dark) -> None:
+    def _keep_dark(self, acquired: AcquiredImage, dark: Dark) -> None:
         """Check that no light is on, and put the frame on disk."""
-        self._checker.check_dark(shot, self.warn)
-        self._records.add_dark(shot)
-        dark[shot.exposure] = shot.image.mean
+        self._checker.check_dark(acquired, self.warn)
+        self._records.add_dark(acquired)
+        dark[acquired.exposure] = acquired.image.mean
 
-    def _check_final_dark(self, shot: AcquiredImage, lights: Sequence[str]) -> None:
+    def _check_final_dark(self, acquired: AcquiredImage, lights: Sequence[str]) -> None:
         """Check that no light stayed on; only then do the images of the posture count."""
         try:
-            self._checker.check_dark(shot, self.warn)
+            self._checker.check_dark(acquired, self.warn)
         except HardwareError as error:
-            self._in_doubt = (shot.posture, lights)
+            self._in_doubt = (acquired.posture, lights)
             raise HardwareError(
                 *error.messages,
-                f"it may have burned during images of {shot.posture} as well: those taken since the frame without "
+                f"it may have burned during images of {acquired.posture} as well: those taken since the frame without "
                 "light before were not kept; --resume takes them anew",
             ) from error
-        self._records.record_dark_check(shot.posture)
+        self._records.record_dark_check(acquired.posture)
 
     def _expose(
         self, task: PostureTask, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
