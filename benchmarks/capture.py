@@ -14,8 +14,8 @@ from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture import (
     CaptureOptions,
+    CapturePlan,
     Devices,
-    Plan,
     Timing,
     capture,
     connect_devices,
@@ -94,7 +94,7 @@ def _files(folder: Path, size: Size) -> tuple[RigConfig, PartConfig]:
 def _take(
     rig: RigConfig, part: PartConfig, folder: Path, options: CaptureOptions, bench: BenchProcess
 ) -> Timing:
-    def connect(plan: Plan) -> Devices:
+    def connect(plan: CapturePlan) -> Devices:
         return connect_devices(rig, plan.wiring, part=part, plan=plan, bench=bench)
 
     return capture(rig, part, folder, options=options, connect=connect).timing

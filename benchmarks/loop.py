@@ -52,8 +52,8 @@ from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.report import ChartPanel, draw_chart
 from lightopt.rig.capture import (
     CaptureOptions,
+    CapturePlan,
     Devices,
-    Plan,
     capture,
     connect_devices,
     start_bench,
@@ -190,7 +190,7 @@ def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int) -> ImageSet:
     truth = BenchTruth(seed=seed, part_offset_mm=OFF_MM)
     with start_bench(rig, wiring_of(rig), part=part, truth=truth) as bench:
 
-        def connect(plan: Plan) -> Devices:
+        def connect(plan: CapturePlan) -> Devices:
             return connect_devices(rig, plan.wiring, part=part, plan=plan, bench=bench)
 
         capture(rig, part, folder, options=CaptureOptions(postures=(FIRST,)), connect=connect)

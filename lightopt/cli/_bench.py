@@ -28,15 +28,15 @@ bench = typer.Typer(
 @bench.command()
 def status(rig: RigFile, serial_log: SerialLog = None) -> None:
     """Ask every device how it is; nothing is switched or moved."""
-    from lightopt.rig.capture import device_rows
+    from lightopt.rig.capture import device_statuses
 
-    silent: dict[str, LightoptError] = {}
-    loaded, devices = _open(rig, serial_log, touch_lights=False, silent=silent)
+    unreachable: dict[str, LightoptError] = {}
+    loaded, devices = _open(rig, serial_log, touch_lights=False, unreachable=unreachable)
     with devices:
-        rows = list(device_rows(devices, loaded, silent))
-    show_table(("device", "says"), [(row.name, row.says) for row in rows], numbers_from=2)
+        rows = list(device_statuses(devices, loaded, unreachable))
+    show_table(("device", "says"), [(row.name, row.text) for row in rows], numbers_from=2)
     if failed := [row for row in rows if row.failed]:
-        raise HardwareError(*(f"{row.name}: {row.says}" for row in failed))
+        raise HardwareError(*(f"{row.name}: {row.text}" for row in failed))
 
 
 @bench.command()
@@ -53,7 +53,7 @@ def light(
     serial_log: SerialLog = None,
 ) -> None:
     """Light one panel until Enter is pressed, or for some seconds; longer than its max_on_s is refused."""
-    from lightopt.rig.capture import burn, check_burning, check_level, wiring_of
+    from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
         raise InputError(
@@ -63,7 +63,7 @@ def light(
     wiring = wiring_of(loaded)
     asked = check_level(wiring, loaded, name, level)
     if seconds is not None:
-        check_burning(wiring, loaded, name, seconds)
+        check_on_time(wiring, loaded, name, seconds)
     longest = wiring.light(name).max_on_s
     at_most = "" if longest is None else f", {longest:g} s at most (max_on_s)"
     loaded, devices = _open(rig, serial_log)
@@ -72,7 +72,7 @@ def light(
             f"{name} burns at level {asked}"
             + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
         )
-        held = burn(devices, name, asked, seconds=seconds, wait=_wait)
+        held = hold_light(devices, name, asked, seconds=seconds, wait=_wait)
     say(
         f"{name} is off; "
         + ("its level cannot be read back" if held is None else f"the controller held level {held}")
@@ -95,9 +95,10 @@ def off(rig: RigFile, serial_log: SerialLog = None) -> None:
         for problem in lights.problems:
             say_warning(problem)
     which = f"({', '.join(done.controllers)})"
-    if done.told:
+    if done.unverified:
         say(
-            f"all lights of {lights.name} were told to be off {which}; {', '.join(done.told)} cannot be read back: look"
+            f"all lights of {lights.name} were told to be off {which}; {', '.join(done.unverified)} "
+            "cannot be read back: look"
         )
     else:
         say(f"all lights of {lights.name} are off {which}")
@@ -169,11 +170,11 @@ def snap(
 ) -> None:
     """Take one frame where the stage stands."""
     from lightopt.rig.capture import (
-        check_burning,
         check_exposure,
         check_level,
+        check_on_time,
         connect_devices,
-        snap_s,
+        snap_on_s,
         wiring_of,
     )
     from lightopt.rig.capture import snap as take
@@ -186,7 +187,7 @@ def snap(
     check_exposure(wiring, loaded, relative)
     if light is not None:
         check_level(wiring, loaded, light, None)
-        check_burning(wiring, loaded, light, snap_s(wiring, relative))
+        check_on_time(wiring, loaded, light, snap_on_s(wiring, relative))
     devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, warn=say_warning)
     with devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
@@ -282,7 +283,7 @@ def _open(
     *,
     needs_stage: bool = False,
     touch_lights: bool = True,
-    silent: dict[str, LightoptError] | None = None,
+    unreachable: dict[str, LightoptError] | None = None,
 ) -> tuple[RigConfig, Devices]:
     from lightopt.rig.capture import connect_devices, wiring_of
 
@@ -297,7 +298,7 @@ def _open(
         serial_log=serial_log,
         touch_lights=touch_lights,
         warn=say_warning,
-        silent=silent,
+        unreachable=unreachable,
     )
 
 

@@ -22,7 +22,7 @@ from lightopt.cli._terminal import say, say_error, say_warning, show_share, show
 from lightopt.core.errors import InputError, Interrupted, counted
 
 if TYPE_CHECKING:
-    from lightopt.rig.capture import Captured, Plan
+    from lightopt.rig.capture import CapturePlan, CaptureResult
 
 
 SerialLog = Annotated[
@@ -94,7 +94,7 @@ def capture(
         dark=dark,
         home=home,
         check=not no_check,
-        come_back=come_back,
+        check_repeatability=come_back,
     )
     if dry_run:
         plan = make_plan(loaded_rig, loaded_part, options)
@@ -136,7 +136,7 @@ def capture(
         add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)
 
 
-def _show_plan(plan: Plan) -> None:
+def _show_plan(plan: CapturePlan) -> None:
     if not plan.wiring.given:
         say("no hardware section in the rig: the virtual bench")
     rows: list[tuple[str, str, str]] = []
@@ -151,7 +151,7 @@ def _show_plan(plan: Plan) -> None:
     say(f"{counted(len(plan.keys), 'image')} in {at:.0f} s{way}{renders}; nothing was opened or moved")
 
 
-def _show_result(done: Captured) -> None:
+def _show_result(done: CaptureResult) -> None:
     if done.replaced:
         say(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
     there = done.images - done.taken

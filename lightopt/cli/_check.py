@@ -26,7 +26,7 @@ def check(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say everything that is wrong with RIG and PART, and what they amount to, before anything is rendered.
+    """Validate RIG and PART and summarise the set-up, before anything is rendered.
 
     Pixel footprint, field of view, size, panel points and facets against the lobe, lights in the camera's view,
     surface that no camera ray reaches. Exit status 1 where a finding is an error, 2 where a file cannot be used.

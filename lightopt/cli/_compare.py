@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,7 @@ from lightopt.cli._terminal import say, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
-    from lightopt.images.comparison import FileComparison, SetComparison, Thresholds
+    from lightopt.images.comparison import FileComparison
 
 
 def compare(
@@ -65,12 +66,18 @@ def compare(
     import json
 
     from lightopt.images import write_text_atomic
-    from lightopt.images.comparison import Thresholds, compare_files, compare_sets, comparison_provenance
+    from lightopt.images.comparison import (
+        ComparisonThresholds,
+        SetComparison,
+        compare_files,
+        compare_sets,
+        comparison_provenance,
+    )
 
     sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
     if sets and diff is not None:
         make_folder(diff)
-    thresholds = Thresholds(
+    thresholds = ComparisonThresholds(
         absolute=absolute,
         relative=relative,
         max_share=max_share,
@@ -82,34 +89,33 @@ def compare(
     if json_file is not None:
         figures = {**result.as_dict(), "provenance": comparison_provenance(result, thresholds)}
         write_text_atomic(json_file, json.dumps(figures, indent=2) + "\n", overwrite=force)
-    _show(result)
-    if diff is not None:
-        _draw(result, diff, thresholds, force)
+    if isinstance(result, SetComparison):
+        _show(result.files, parts=2)
+        for note in (*result.notes, *(f"only in the new set: {name}" for name in result.extra)):
+            say(f"note: {note}")
+        if diff is not None:
+            _draw_set(result.files, diff, saturation, force)
+    else:
+        _show((result,), parts=1)
+        if diff is not None:
+            _draw_file(result, diff, saturation, force)
     if not result.passed:
         raise CheckFailed(*(f"differs: {reason}" for reason in result.reasons))
     say("no difference beyond the thresholds")
 
 
-def _files(result: FileComparison | SetComparison) -> tuple[FileComparison, ...]:
-    from lightopt.images.comparison import SetComparison
-
-    return result.files if isinstance(result, SetComparison) else (result,)
-
-
-def _show(result: FileComparison | SetComparison) -> None:
-    from lightopt.images.comparison import SetComparison
-
+def _show(files: Sequence[FileComparison], *, parts: int) -> None:
     rows: list[list[str]] = []
-    for file in _files(result):
+    for file in files:
+        name = "/".join(Path(file.b).parts[-parts:])
         for channel in file.channels:
             p99 = None if channel.percentiles is None else channel.percentiles.get("p99")
+            numbers = (channel.max, channel.rms, p99)
             rows.append(
                 [
-                    Path(file.b).name
-                    if not isinstance(result, SetComparison)
-                    else "/".join(Path(file.b).parts[-2:]),
+                    name,
                     channel.name,
-                    *("-" if value is None else f"{value:.4g}" for value in (channel.max, channel.rms, p99)),
+                    *("-" if value is None else f"{value:.4g}" for value in numbers),
                     f"{100.0 * channel.share:.3f} %",
                     "-" if channel.iou is None else f"{channel.iou:.4f}",
                     "ok" if channel.passed else "DIFFERS",
@@ -117,31 +123,22 @@ def _show(result: FileComparison | SetComparison) -> None:
             )
     if rows:
         show_table(["file", "channel", "max", "rms", "p99", "differing", "IoU", ""], rows, numbers_from=2)
-    if isinstance(result, SetComparison):
-        for note in (*result.notes, *(f"only in the new set: {name}" for name in result.extra)):
-            say(f"note: {note}")
 
 
-def _draw(result: FileComparison | SetComparison, target: Path, thresholds: Thresholds, force: bool) -> None:
-    from lightopt.images.comparison import SetComparison, difference_picture
+def _draw_set(files: Sequence[FileComparison], folder: Path, saturation: float | None, force: bool) -> None:
+    from lightopt.images.comparison import difference_picture
 
-    drawn = 0
-    for file in _files(result):
-        if not file.channels:
-            continue
-        path = target
-        if isinstance(result, SetComparison):
-            if Path(file.a).suffix not in (".exr", ".png"):
-                continue
-            name = "_".join(Path(file.b).parts[-2:])
-            path = target / f"{name}.diff.png"
-        picture = difference_picture(file.a, file.b, path, saturation=thresholds.saturation, overwrite=force)
-        drawn += 1
-        if not isinstance(result, SetComparison):
-            say(f"{picture.path}: blue lower, red higher, full colour at {picture.scale:.4g}")
-    if isinstance(result, SetComparison):
-        say(f"{counted(drawn, 'difference picture')} in {target}")
-    elif not drawn:
-        raise InputError(
-            f"{target}: no difference picture, since the files cannot be compared", *result.reasons
-        )
+    drawn = [file for file in files if file.channels and Path(file.a).suffix in (".exr", ".png")]
+    for file in drawn:
+        path = folder / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png"
+        difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
+    say(f"{counted(len(drawn), 'difference picture')} in {folder}")
+
+
+def _draw_file(file: FileComparison, path: Path, saturation: float | None, force: bool) -> None:
+    from lightopt.images.comparison import difference_picture
+
+    if not file.channels:
+        raise InputError(f"{path}: no difference picture, since the files cannot be compared", *file.reasons)
+    picture = difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
+    say(f"{picture.path}: blue lower, red higher, full colour at {picture.scale:.4g}")

@@ -19,7 +19,7 @@ def overlap(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say where the saturated regions of a posture's images overlap, rendered or captured.
+    """Report where the saturated regions of a posture's images overlap, rendered or captured.
 
     Per posture and exposure: saturated pixels of each light, pixels saturated under both lights of each pair, and
     pixels saturated in two images or more. The maps show no highlight in grey, one in blue, several in red.

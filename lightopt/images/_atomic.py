@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: temporary name, flush, fsync, rename."""
+"""Writing files whole or not at all (temporary name, flush, fsync, rename); making folders and removing files."""
 
 from __future__ import annotations
 
@@ -19,31 +19,13 @@ _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], None], *, overwrite: bool = True) -> str:
-    """Let `write` fill a temporary file beside `path`, then put it there in one step.
+    """Let `write` fill a temporary file beside `path`, then rename it; returns the SHA-256 in hex.
 
     Whatever happens (disk full, Ctrl-C, an exception of `write`), no temporary file is left and `path` holds
     either its old content or the whole new one. A killed process can leave ``.<name>.partial``, which the
     next write of the same file replaces.
 
-    Parameters
-    ----------
-    path
-        The file to make or to replace, in a folder that exists.
-    write
-        Gets the temporary path of an empty file and fills it.
-    overwrite
-        Whether a file of other content may be replaced; one of the same content always may.
-
-    Returns
-    -------
-    str
-        SHA-256 of the file, in hex.
-
-    Raises
-    ------
-    InputError
-        When the operating system refuses (names the path and the system's reason), or a file of other content is there
-        and `overwrite` is False.
+    Raises InputError: the operating system refuses, or a file of other content is there and `overwrite` is False.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.partial")
@@ -71,13 +53,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], None], *, overwri
 
 
 def write_bytes_atomic(path: str | Path, data: bytes, *, overwrite: bool = True) -> str:
-    """Write bytes as a whole file or not at all; returns the SHA-256 in hex.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written, or not without `overwrite` (see :func:`write_atomically`).
-    """
+    """Write bytes as a whole file or not at all; returns the SHA-256 in hex. Errors as :func:`write_atomically`."""
 
     def write(temporary: Path) -> None:
         temporary.write_bytes(data)
@@ -86,35 +62,16 @@ def write_bytes_atomic(path: str | Path, data: bytes, *, overwrite: bool = True)
 
 
 def write_text_atomic(path: str | Path, text: str, *, overwrite: bool = True) -> str:
-    """Write text as a whole UTF-8 file or not at all, line ends as given; returns the SHA-256 in hex.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written, or not without `overwrite` (see :func:`write_atomically`).
-    """
+    """Write text as a whole UTF-8 file or not at all, line ends as given; returns the SHA-256 in hex."""
     return write_bytes_atomic(path, text.encode("utf-8"), overwrite=overwrite)
 
 
 def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Write arrays as a compressed ``.npz``, whole or not at all; the same arrays give the same bytes.
+    """Write arrays as a compressed ``.npz``, whole or not at all; returns the SHA-256 in hex.
 
-    Parameters
-    ----------
-    path
-        The file; its name is kept as given.
-    arrays
-        Name to array of any numeric, boolean or string type, any shape; written in the mapping's order.
+    The same arrays in the same order give the same bytes.
 
-    Returns
-    -------
-    str
-        SHA-256 of the file, in hex.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written, or an array holds Python objects.
+    Raises InputError: the file cannot be written, or an array holds Python objects.
     """
     for name, array in arrays.items():
         if array.dtype.hasobject:
@@ -134,3 +91,31 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
                     np.lib.format.write_array(file, np.asarray(array, order="C"), allow_pickle=False)
 
     return write_atomically(path, write)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, and those that it is in; one that is there stays as it is.
+
+    Raises InputError: a file is in the way, or the operating system refuses.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder for the results, found a file; choose another name")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made: {error.strerror or error}; choose an output folder that can be written"
+        ) from error
+
+
+def remove_file(path: Path) -> bool:
+    """Remove a file; returns whether it was there. InputError when the operating system refuses."""
+    try:
+        path.unlink()
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
+        ) from error
+    return True

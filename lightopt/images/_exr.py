@@ -36,26 +36,16 @@ _BLOCK_ROWS = 256
 
 
 def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Mapping[str, Any]) -> str:
-    """Write an OpenEXR image, whole or not at all; the same input gives the same bytes.
+    """Write an OpenEXR image, whole or not at all; the same input gives the same bytes. Returns the SHA-256 in hex.
 
     Parameters
     ----------
-    path
-        The file to make or to replace, in a folder that exists.
-    channels
-        Channel name to values, float32, all of one shape (H, W), row 0 at the top.
-    metadata
-        JSON-able values, kept in one attribute ``lightopt:json``.
-
-    Returns
-    -------
-    str
-        SHA-256 of the file, in hex.
+    channels: Channel name to values, float32, all of one shape (H, W), row 0 at the top.
+    metadata: JSON-able values, kept in one attribute ``lightopt:json``.
 
     Raises
     ------
-    InputError
-        When the channels are not float32 of one shape (H, W), or the file cannot be written.
+    InputError: The channels are not float32 of one shape (H, W), or the file cannot be written.
     """
     height, width = _common_shape(path, channels)
     text = metadata_json(metadata)
@@ -71,12 +61,12 @@ def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Ma
             yield np.stack([channel[top : top + _BLOCK_ROWS] for channel in channels.values()], axis=-1)
 
     def write(temporary: Path) -> None:
-        write_rows(temporary, file_format="openexr", spec=spec, rows=blocks(), whole=_is_whole)
+        write_rows(temporary, file_format="openexr", spec=spec, rows=blocks(), is_complete=_is_complete)
 
     return write_atomically(path, write)
 
 
-def _is_whole(path: Path) -> bool:
+def _is_complete(path: Path) -> bool:
     """Whether the last row, which is written last, can be read."""
     OpenImageIO = openimageio()
     source = OpenImageIO.ImageInput.open(str(path))
@@ -109,18 +99,10 @@ def _common_shape(path: str | Path, channels: Mapping[str, Channel]) -> tuple[in
 def read_exr(path: str | Path, names: Sequence[str] | None = None) -> dict[str, Channel]:
     """Channels of an OpenEXR image as float32 (half is widened), each of shape (H, W), row 0 at the top.
 
-    Parameters
-    ----------
-    path
-        The file.
-    names
-        The channels wanted, in this order; all of them, sorted by name, when not given.
+    They come in the order of `names`, or all of them sorted by name.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, damaged or no EXR, lacks a channel, or holds what a plain image does not:
-        integer channels, several parts, deep pixels, or a data window other than its display window.
+    Raises InputError: the file is missing, damaged or no EXR, lacks a channel, or holds what a plain image does not:
+    integer channels, several parts, deep pixels, or a data window other than its display window.
     """
     path = Path(path)
     with open_input(path, file_format="openexr") as source:
@@ -161,11 +143,8 @@ def _check_plain(path: Path, source: OpenImageIO.ImageInput, spec: OpenImageIO.I
 
 
 def read_exr_metadata(path: str | Path) -> dict[str, Any]:
-    """Metadata that :func:`write_exr` put into the file; empty for files of others.
+    """Metadata that :func:`write_exr` put into the file; empty for files of other programs.
 
-    Raises
-    ------
-    InputError
-        When the file is missing or no EXR, or its metadata are damaged.
+    Raises InputError: the file is missing or no EXR, or its metadata are damaged.
     """
     return read_metadata(Path(path), file_format="openexr")

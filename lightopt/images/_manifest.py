@@ -13,14 +13,14 @@ from lightopt.core.transforms import Posture
 FORMAT = "lightopt-images/1"
 MANIFEST_NAME = "manifest.json"
 
-CAME_BACK_KEY = "came_back"
-"""Key of a captured set's manifest for how far the part had turned when the stage came back to its first posture."""
+REPEATABILITY_KEY = "came_back"
+"""Manifest key of a captured set: result of the repeatability check."""
 
 EVENTS_KEY = "events"
-"""Key of a captured set's manifest for what happened on the devices' links while no image was taken."""
+"""Manifest key of a captured set: irregularities on the devices' links while no image was taken."""
 
-ENDED_DARK_KEY = "ended_dark"
-"""Key of a captured set's manifest for the postures after whose images a frame showed that no light burned on."""
+DARK_CHECKED_KEY = "ended_dark"
+"""Manifest key of a captured set: postures after whose images a frame showed that no light stayed on."""
 
 
 @dataclass(frozen=True)
@@ -37,24 +37,14 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class ImageEntry:
-    """One image of a set.
+    """One image of a set: light, posture, exposure, and its files.
 
     Attributes
     ----------
-    light
-        The light's name.
-    light_elevation_deg, light_azimuth_deg
-        Where the light stood [°].
-    posture
-        The stage's posture.
-    exposure
-        Exposure relative to that of the reflectance's levels, as it was asked for.
-    png, exr
-        Files of the image, relative to the set's folder, POSIX style; at least one in a valid set.
-    sha256
-        SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of others.
-    extra
-        Keys of the JSON object that lightopt does not know, kept as they are.
+    exposure: Requested exposure, relative to that of the reflectance's levels.
+    png, exr: Files relative to the set's folder, POSIX style; at least one in a valid set.
+    sha256: SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of other programs.
+    extra: Unknown keys of the JSON object, kept as they are.
     """
 
     light: str
@@ -69,12 +59,12 @@ class ImageEntry:
 
     @property
     def key(self) -> tuple[str, Posture, float]:
-        """Light, posture and exposure, which tell the images of a set apart."""
+        """Light, posture and exposure, which identify an image in its set."""
         return self.light, self.posture, self.exposure
 
     @property
     def held_exposure(self) -> float:
-        """The exposure that the levels were taken at: what the camera held where the set says so, else `exposure`."""
+        """Actual exposure of the levels: what the camera held where the set says so, else `exposure`."""
         try:
             times = self.extra["capture"]["exposure_us"]
             share = float(times["read"]) / float(times["asked"])
@@ -114,36 +104,18 @@ class GeometryEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What ``manifest.json`` says.
+    """The content of ``manifest.json``.
 
     Attributes
     ----------
-    kind
-        ``simulated`` or ``captured``.
-    bit_depth
-        Bits of the camera's levels, 1 to 16.
-    full_scale
-        Grey level of a full-scale sensor level at exposure 1: the scale of the reflectance.
-    saturation_level
-        Sensor level from which a pixel counts as saturated; full scale of the sensor when not given.
-    black_level
-        Sensor level without light.
-    lightopt
-        Version that wrote the set; None in sets of others.
-    rig, part
-        The files that the images came from.
-    provenance
-        What the images depend on, in the layout of :mod:`lightopt.core.provenance`; empty in sets of others.
-    images, geometry
-        The entries, in the order of writing.
-    patches
-        File of the patch table, relative to the set's folder.
-    files
-        Further files of the set (the patch table among them): name to SHA-256 in hex.
-    warnings
-        What was noticed and repaired, with numbers.
-    extra
-        Keys of the JSON object that lightopt does not know, kept as they are.
+    kind: ``simulated`` or ``captured``.
+    full_scale: Grey level of a full-scale sensor level at exposure 1: the scale of the reflectance.
+    saturation_level: Sensor level from which a pixel counts as saturated; None is full scale.
+    black_level: Sensor level without light.
+    lightopt: Version that wrote the set; None in sets of other programs.
+    provenance: In the layout of :mod:`lightopt.core.provenance`; empty in sets of other programs.
+    files: Further files of the set (the patch table among them): name to SHA-256 in hex.
+    extra: Unknown keys of the JSON object, kept as they are.
     """
 
     kind: str
@@ -164,7 +136,7 @@ class Manifest:
 
     @property
     def options(self) -> Mapping[str, Any]:
-        """What the run was asked for, as far as it changes the images."""
+        """Options of the run, as far as they change the images."""
         # sets that were written before there was a provenance have them at the top
         options = self.provenance.get("options", self.extra.get("options"))
         return options if isinstance(options, Mapping) else {}
@@ -178,6 +150,18 @@ class Manifest:
     def saturated_from(self) -> float:
         """Sensor level from which a pixel counts as saturated."""
         return float(self.max_level) if self.saturation_level is None else self.saturation_level
+
+    @property
+    def listed_files(self) -> tuple[tuple[str, str | None], ...]:
+        """All files of the set with their SHA-256 where it is listed, each once."""
+        listed: list[tuple[str | None, str | None]] = []
+        for image in self.images:
+            listed += [(image.png, image.sha256.get("png")), (image.exr, image.sha256.get("exr"))]
+        listed += [(entry.exr, entry.sha256.get("exr")) for entry in self.geometry]
+        if self.patches not in self.files:
+            listed.append((self.patches, None))
+        listed += self.files.items()
+        return tuple(dict.fromkeys((name, digest) for name, digest in listed if name is not None))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form; carries no time, so the same run gives the same bytes."""

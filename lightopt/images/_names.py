@@ -57,20 +57,14 @@ def geometry_name(posture: Posture) -> str:
     return f"{posture_folder(posture)}/geometry.exr"
 
 
-class Names:
-    """The files a run makes, each claimed by one image: two images must not share a file on any platform."""
+class FileNames:
+    """File names of a run, each reserved by one image: two images must not share a file on any platform."""
 
     def __init__(self) -> None:
         self._owners: dict[str, str] = {MANIFEST_NAME: "the manifest"}
 
     def claim(self, name: str, owner: str) -> None:
-        """Say that `owner` writes the file.
-
-        Raises
-        ------
-        InputError
-            When somebody else does, upper and lower case being the same on some platforms.
-        """
+        """Reserve a file for `owner`; InputError when another has it (case is ignored, as on some platforms)."""
         other = self._owners.setdefault(name.casefold(), owner)
         if other != owner:
             raise InputError(
@@ -79,12 +73,9 @@ class Names:
             )
 
     def claim_images(self, keys: Iterable[ImageKey]) -> None:
-        """Claim the files of images (light, posture, exposure) and of their postures' geometry.
+        """Reserve the files of images (light, posture, exposure) and of their postures' geometry.
 
-        Raises
-        ------
-        InputError
-            When two images would share a file, or a light's name cannot be a file's name.
+        Raises InputError: two images would share a file, or a light's name cannot be a file's name.
         """
         for light, posture, exposure in keys:
             self._check_light(light)

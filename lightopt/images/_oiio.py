@@ -28,9 +28,9 @@ _FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image"}
 
 
 def openimageio() -> Any:
-    """The module OpenImageIO, imported when first asked for, so that `--help` does not pay for it.
+    """Import OpenImageIO on first use, so that `--help` does not pay for it.
 
-    An interrupt that reaches OpenImageIO while it is imported aborts the process, so that it is held back until then.
+    An interrupt that reaches OpenImageIO while it is imported aborts the process, so it is held back until then.
     """
     if threading.current_thread() is not threading.main_thread():
         import OpenImageIO
@@ -58,27 +58,12 @@ def write_rows(
     file_format: str,
     spec: OpenImageIO.ImageSpec,
     rows: Iterator[NDArray[Any]],
-    whole: Callable[[Path], bool],
+    is_complete: Callable[[Path], bool],
 ) -> None:
-    """Encode an image block by block into `path`.
+    """Encode an image block by block into an existing file; raises OSError with the system's reason.
 
-    Parameters
-    ----------
-    path
-        A file that exists and is ours to fill.
-    file_format
-        OpenImageIO's name of the format.
-    spec
-        Size, channels, sample type and attributes.
-    rows
-        Blocks from the top down, each (rows, W, C) in the spec's sample type.
-    whole
-        Tells whether a file has its end: a disk that fills up at the last flush is reported by no encoder.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be written, with the system's reason where it tells one.
+    `rows` are blocks from the top down, each (rows, W, C) in the spec's sample type. `is_complete` says whether a
+    file has its end: a disk that fills up at the last flush is reported by no encoder.
     """
     OpenImageIO = openimageio()
     output = OpenImageIO.ImageOutput.create(file_format)
@@ -95,7 +80,7 @@ def write_rows(
     closed = output.close()
     # The PNG writer reports success on a full disk; only its error text tells.
     message = output.geterror()
-    if not (done and closed) or message or not whole(path):
+    if not (done and closed) or message or not is_complete(path):
         _raise_system_reason(path)
         raise OSError(message.strip().split("\n")[0] or "the file came out incomplete")
 
@@ -108,13 +93,7 @@ def _raise_system_reason(path: Path) -> None:
 
 @contextmanager
 def open_input(path: Path, *, file_format: str) -> Generator[OpenImageIO.ImageInput, None, None]:
-    """Open an image of the given format for reading.
-
-    Raises
-    ------
-    InputError
-        When the file is missing, unreadable or of another format.
-    """
+    """Open an image of the given format for reading; InputError when it is missing, unreadable or of another format."""
     OpenImageIO = openimageio()
     try:
         path.open("rb").close()
@@ -135,13 +114,7 @@ def open_input(path: Path, *, file_format: str) -> Generator[OpenImageIO.ImageIn
 
 
 def read_metadata(path: Path, *, file_format: str) -> dict[str, Any]:
-    """Metadata of an image as written by lightopt; empty for files of others.
-
-    Raises
-    ------
-    InputError
-        When the file is no such image, or its metadata are no JSON object.
-    """
+    """Metadata of an image as written by lightopt; empty for files of other programs."""
     with open_input(path, file_format=file_format) as source:
         text = source.spec().getattribute(METADATA_KEY)
     if text is None:

@@ -1,9 +1,9 @@
-"""Where saturated regions of several images overlap (paper, figure 11): the table by pairs of lights, and the map."""
+"""Overlap of the saturated regions of several images (paper, figure 11): table by pairs of lights, and maps."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
+from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.images._manifest import ImageEntry
 from lightopt.images._names import posture_folder
 from lightopt.images._png import write_png
 from lightopt.images._reader import ImageSet
+from lightopt.images._result_folder import ResultFolder
 
 ONE_COLOUR = (70, 110, 190)
 SEVERAL_COLOUR = (230, 60, 40)
@@ -30,18 +32,9 @@ class Overlap:
 
     Attributes
     ----------
-    posture
-        Of the part.
-    exposure
-        Of the images.
-    saturated
-        Pixels saturated under each light.
-    pairs
-        Pixels saturated under both lights of a pair.
-    count
-        Number of images in which each pixel is saturated, shape (height, width).
-    mean
-        Mean of the levels, as a share of full scale clipped to 1, shape (height, width).
+    saturated, pairs: Number of pixels saturated under each light, and under both lights of a pair.
+    count: Number of images in which each pixel is saturated, shape (H, W).
+    mean: Mean of the levels, as a share of full scale clipped to 1, shape (H, W).
     """
 
     posture: Posture
@@ -68,12 +61,9 @@ class Overlap:
 
 
 def find_overlaps(images: ImageSet) -> tuple[Overlap, ...]:
-    """The overlaps of every posture and exposure of an image set, rendered or captured.
+    """Overlaps of every posture and exposure of an image set, rendered or captured.
 
-    Raises
-    ------
-    InputError
-        A posture with fewer than two lights, or with images of different sizes.
+    Raises InputError: a posture with fewer than two lights, or with images of different sizes.
     """
     groups: dict[tuple[Posture, float], list[ImageEntry]] = {}
     for entry in images.manifest.images:
@@ -124,3 +114,24 @@ def write_overlap_map(overlap: Overlap, path: Path, *, overwrite: bool) -> str:
     picture[overlap.count == 1] = ONE_COLOUR
     picture[overlap.count >= 2] = SEVERAL_COLOUR
     return write_png(path, picture, metadata=overlap.as_dict(), overwrite=overwrite)
+
+
+def write_overlaps(overlaps: Sequence[Overlap], images: ImageSet, folder: Path, *, force: bool) -> list[Path]:
+    """Write the maps and at last ``overlap.json``; returns their paths.
+
+    Raises InputError: the folder holds overlaps of other images, and `force` is False; or a file cannot be written.
+    """
+    maps = {overlap_map_name(one.posture, one.exposure): one for one in overlaps}
+    result = ResultFolder(
+        folder,
+        provenance({"image_sets": [images.fingerprint]}, {}),
+        name="overlap.json",
+        format="lightopt-overlap/1",
+        what="overlaps",
+        also=tuple(maps),
+        force=force,
+    )
+    for name, one in maps.items():
+        write_overlap_map(one, result.place(name), overwrite=True)
+    figures = result.finish({"overlaps": [one.as_dict() for one in overlaps]})
+    return [*(folder / name for name in maps), figures]

@@ -2,46 +2,101 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.images._fields import Fields
 from lightopt.images._manifest import FORMAT, GeometryEntry, ImageEntry, Manifest, SourceFile
 from lightopt.images._names import inside_problem
 
+
+class Fields:
+    """A JSON object whose keys are read with a type; collects what is wrong."""
+
+    def __init__(self, path: str | Path, data: object, where: str, problems: list[str] | None = None) -> None:
+        self.path = path
+        self.where = where
+        self.problems: list[str] = [] if problems is None else problems
+        self.data: Mapping[str, Any] = data if isinstance(data, dict) else {}
+        if not isinstance(data, dict):
+            self.problem("", "an object", data)
+
+    def place(self, key: str) -> str:
+        """Full name of a key in the file."""
+        return ".".join(filter(None, (self.where, key)))
+
+    def problem(self, key: str, expected: str, found: object) -> None:
+        """Note what is wrong with a key."""
+        text = "nothing" if found is None else json.dumps(found, default=str)
+        found_text = text if len(text) <= 60 else text[:60] + "…"
+        place = self.place(key) or "manifest"
+        self.problems.append(f"{self.path}: {place}: expected {expected}, found {found_text}")
+
+    def number(
+        self, key: str, default: float | None = None, *, above: float = -math.inf, upto: float = math.inf
+    ) -> float:
+        """Read a number in (above, upto]; required when there is no default."""
+        value = self.data.get(key, default)
+        good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        if not (good and above < value <= upto):
+            lower = f" above {above:g}" if above > -math.inf else ""
+            upper = f" up to {upto:g}" if upto < math.inf else ""
+            self.problem(key, f"a number{lower}{upper}", value)
+            return 1.0
+        return value
+
+    def text(self, key: str) -> str:
+        """Read a text that is not empty; required."""
+        value = self.data.get(key)
+        if not isinstance(value, str) or not value:
+            self.problem(key, "text", value)
+            return ""
+        return value
+
+    def optional_text(self, key: str) -> str | None:
+        """Read a text, or None when the key is absent or null."""
+        return None if self.data.get(key) is None else self.text(key)
+
+    def file(self, key: str) -> str | None:
+        """Read a path inside the set's folder, or None when absent."""
+        name = self.optional_text(key)
+        if name and (problem := inside_problem(name)):
+            self.problems.append(f"{self.path}: {self.place(key)}: {problem}, found {name!r}")
+        return name
+
+    def texts(self, key: str) -> dict[str, str]:
+        """Read an object of texts, empty when absent."""
+        inner = Fields(self.path, self.data.get(key) or {}, self.place(key), self.problems)
+        return {name: inner.text(name) for name in inner.data}
+
+    def items(self, key: str, *, required: bool = False) -> Iterator[Fields]:
+        """Yield the objects of a list."""
+        value = self.data.get(key, None if required else [])
+        if not isinstance(value, list):
+            self.problem(key, "a list", value)
+            return
+        for i, item in enumerate(value):
+            yield Fields(self.path, item, f"{key}[{i}]", self.problems)
+
+    def unknown(self, kind: type[Manifest | ImageEntry | GeometryEntry]) -> dict[str, Any]:
+        """Keys that are no fields of the dataclass that they are read into."""
+        known = {field.name for field in dataclasses.fields(kind)} - {"extra"}
+        return {key: value for key, value in self.data.items() if key not in known}
+
+
 _KINDS = ("simulated", "captured")
-_IMAGE_KEYS = (
-    *("light", "light_elevation_deg", "light_azimuth_deg", "posture", "exposure"),
-    *("png", "exr", "sha256"),
-)
-_GEOMETRY_KEYS = ("posture", "exr", "sha256")
-_TOP_KEYS = (
-    *(
-        "format",
-        "kind",
-        "lightopt",
-        "bit_depth",
-        "full_scale",
-        "saturation_level",
-        "black_level",
-        "rig",
-        "part",
-    ),
-    *("provenance", "images", "geometry", "patches", "files", "warnings"),
-)
 
 
 def read_manifest(path: str | Path) -> Manifest:
-    """Read a ``manifest.json``; the files it names are not looked at.
+    """Read a ``manifest.json``; the files it names are not read.
 
-    Raises
-    ------
-    InputError
-        With one message per problem: unreadable, no JSON, required keys missing, wrong types or values, paths
-        that leave the folder, an image listed twice.
+    Raises InputError with one message per problem: unreadable, no JSON, required keys missing, wrong types or
+    values, paths that leave the folder, an image listed twice.
     """
     path = Path(path)
     try:
@@ -65,20 +120,7 @@ def _no_constant(name: str) -> NoReturn:
 
 
 def parse_manifest(data: object, *, path: str | Path) -> Manifest:
-    """Check a manifest's JSON value and make a :class:`Manifest` of it.
-
-    Parameters
-    ----------
-    data
-        The JSON value.
-    path
-        Its file, for messages.
-
-    Raises
-    ------
-    InputError
-        With one message per problem.
-    """
+    """Make a :class:`Manifest` of a JSON value; InputError with one message per problem."""
     fields = Fields(path, data, "")
     if fields.problems:
         raise InputError(*fields.problems)
@@ -116,14 +158,17 @@ def _manifest(fields: Fields) -> Manifest:
     for name in files:
         if problem := inside_problem(name):
             fields.problems.append(f"{fields.path}: files: {problem}, found {name!r}")
-    saturation = fields.data.get("saturation_level")
+    full_scale = fields.number("full_scale", 255.0, above=0)
+    saturation = None
+    if fields.data.get("saturation_level") is not None:
+        saturation = fields.number("saturation_level", above=0, upto=max_level)
+    extra = fields.unknown(Manifest)
+    extra.pop("format", None)
     return Manifest(
         kind=kind,
         bit_depth=int(bits),
-        full_scale=fields.number("full_scale", 255.0, above=0),
-        saturation_level=None
-        if saturation is None
-        else fields.number("saturation_level", above=0, upto=max_level),
+        full_scale=full_scale,
+        saturation_level=saturation,
         black_level=fields.number("black_level", 0.0, upto=max_level),
         lightopt=fields.optional_text("lightopt"),
         rig=_source(fields, "rig"),
@@ -134,7 +179,7 @@ def _manifest(fields: Fields) -> Manifest:
         patches=fields.file("patches"),
         files=files,
         warnings=tuple(warnings),
-        extra=fields.unknown(_TOP_KEYS),
+        extra=extra,
     )
 
 
@@ -163,7 +208,7 @@ def _image(fields: Fields) -> ImageEntry:
         png=fields.file("png"),
         exr=fields.file("exr"),
         sha256=fields.texts("sha256"),
-        extra=fields.unknown(_IMAGE_KEYS),
+        extra=fields.unknown(ImageEntry),
     )
     if entry.png is None and entry.exr is None:
         fields.problem("", "png or exr", None)
@@ -177,5 +222,5 @@ def _geometry(fields: Fields) -> GeometryEntry:
         posture=_posture(fields),
         exr=fields.file("exr") or "",
         sha256=fields.texts("sha256"),
-        extra=fields.unknown(_GEOMETRY_KEYS),
+        extra=fields.unknown(GeometryEntry),
     )

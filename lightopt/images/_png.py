@@ -37,28 +37,18 @@ def write_png(
 ) -> str:
     """Write a PNG, whole or not at all: values exactly as given, no colour transform, same input same bytes.
 
+    Returns the SHA-256 in hex.
+
     Parameters
     ----------
-    path
-        The file to make or to replace, in a folder that exists.
-    levels
-        Camera levels (H, W) uint8 or uint16 (10 to 16 bit, right-aligned), or a picture (H, W, 3) uint8; row
-        0 at the top.
-    metadata
-        JSON-able values, kept in one text chunk ``lightopt:json``.
-    overwrite
-        Whether a file of other content may be replaced.
-
-    Returns
-    -------
-    str
-        SHA-256 of the file, in hex.
+    levels: Camera levels (H, W) uint8 or uint16 (10 to 16 bit, right-aligned), or a picture (H, W, 3) uint8; row 0
+        at the top.
+    metadata: JSON-able values, kept in one text chunk ``lightopt:json``.
+    overwrite: Whether a file of other content may be replaced.
 
     Raises
     ------
-    InputError
-        When the array is of another type or shape, the file cannot be written, or not without `overwrite`
-        (see :func:`write_atomically`).
+    InputError: The array is of another type or shape, or the file cannot be written (see :func:`write_atomically`).
     """
     grey = levels.ndim == 2 and str(levels.dtype) in ("uint8", "uint16")
     picture = levels.ndim == 3 and levels.shape[2] == 3 and levels.dtype == np.uint8
@@ -78,12 +68,12 @@ def write_png(
     spec.attribute(METADATA_KEY, text)
 
     def write(temporary: Path) -> None:
-        write_rows(temporary, file_format="png", spec=spec, rows=iter([pixels]), whole=_is_whole)
+        write_rows(temporary, file_format="png", spec=spec, rows=iter([pixels]), is_complete=_is_complete)
 
     return write_atomically(path, write, overwrite=overwrite)
 
 
-def _is_whole(path: Path) -> bool:
+def _is_complete(path: Path) -> bool:
     """Whether the file ends as every PNG ends."""
     size = path.stat().st_size
     if size < len(_END_CHUNK):
@@ -96,18 +86,10 @@ def _is_whole(path: Path) -> bool:
 def read_png(path: str | Path, *, colour: bool = False) -> Levels:
     """Levels of a PNG exactly as stored: uint8 or uint16 of shape (H, W), row 0 at the top.
 
-    Parameters
-    ----------
-    path
-        The file.
-    colour
-        Accept RGB as well, as (H, W, 3).
+    With `colour` RGB is accepted as well, as (H, W, 3).
 
-    Raises
-    ------
-    InputError
-        When the file is missing, damaged or no PNG, has fewer than 8 bits, a palette, transparency, or colour
-        that was not asked for.
+    Raises InputError: the file is missing, damaged or no PNG, has fewer than 8 bits, a palette, transparency, or
+    colour without `colour`.
     """
     path = Path(path)
     with open_input(path, file_format="png") as source:
@@ -140,11 +122,8 @@ def _check_header(path: Path, *, colour: bool) -> None:
 
 
 def read_png_metadata(path: str | Path) -> dict[str, Any]:
-    """Metadata that :func:`write_png` put into the file; empty for files of others.
+    """Metadata that :func:`write_png` put into the file; empty for files of other programs.
 
-    Raises
-    ------
-    InputError
-        When the file is missing or no PNG, or its metadata are damaged.
+    Raises InputError: the file is missing or no PNG, or its metadata are damaged.
     """
     return read_metadata(Path(path), file_format="png")

@@ -20,20 +20,15 @@ from lightopt.images._png import read_png
 
 @dataclass(frozen=True)
 class LoadedImage:
-    """An image as the program works with it; arrays of shape (H, W), read-only.
+    """A loaded image; arrays of shape (H, W), read-only.
 
     Attributes
     ----------
-    levels
-        float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
+    levels: float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
         full scale / ((2^b − 1) · exposure)``, so clipped where `saturated`.
-    saturated
-        Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's
+    saturated: Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's
         exposure.
-    sensor
-        Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
-    source
-        Which file was read.
+    sensor: Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
     """
 
     levels: NDArray[np.float32]
@@ -65,14 +60,9 @@ class ImageSet:
 
     @cached_property
     def fingerprint(self) -> dict[str, Any]:
-        """What a result of this set depends on: hashes of the manifest, and of the images as they are on disk.
+        """Hashes of the manifest, and of the images as they are on disk: what a result of this set depends on.
 
-        The manifest's own hashes of images are not asked: a file may have been edited since. Worked out once.
-
-        Raises
-        ------
-        OSError
-            When the manifest cannot be read.
+        The manifest's own hashes of images are not used: a file may have been edited since. Raises OSError.
         """
         read = [name for i in self.images if (name := i.png or i.exr) is not None]
         read += [name for name in self.manifest.files if name.endswith(".png")]  # frames without light
@@ -84,10 +74,7 @@ class ImageSet:
     def load(self, entry: ImageEntry) -> LoadedImage:
         """Read an image: its PNG with the manifest's exposure, the EXR only where there is no PNG.
 
-        Raises
-        ------
-        InputError
-            When the file is missing, damaged, or has levels beyond the manifest's bit depth.
+        Raises InputError: the file is missing, damaged, or has levels beyond the manifest's bit depth.
         """
         image = self._load_exr(entry) if entry.png is None else self._load_png(entry, entry.png)
         for array in (image.levels, image.saturated, image.sensor):
@@ -96,13 +83,7 @@ class ImageSet:
         return image
 
     def load_geometry(self, entry: GeometryEntry) -> dict[str, NDArray[np.float32]]:
-        """Read a geometry image: channels by name, each (H, W), world frame, mm.
-
-        Raises
-        ------
-        InputError
-            When the file is missing or damaged.
-        """
+        """Read a geometry image: channels by name, each (H, W), world frame [mm]."""
         return read_exr(self.path(entry.exr))
 
     def _load_png(self, entry: ImageEntry, name: str) -> LoadedImage:
@@ -117,9 +98,8 @@ class ImageSet:
             )
         scale = manifest.full_scale / (manifest.max_level * entry.held_exposure)
         levels = ((sensor.astype(np.float64) - manifest.black_level) * scale).astype(np.float32)
-        return LoadedImage(
-            levels=levels, saturated=sensor >= manifest.saturated_from, sensor=sensor, source="png"
-        )
+        saturated = sensor >= manifest.saturated_from
+        return LoadedImage(levels=levels, saturated=saturated, sensor=sensor, source="png")
 
     def _load_exr(self, entry: ImageEntry) -> LoadedImage:
         manifest = self.manifest
@@ -138,19 +118,12 @@ class ImageSet:
 
 
 def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
-    """Open an image set.
+    """Open an image set: its folder or its ``manifest.json``.
 
-    Parameters
-    ----------
-    path
-        The set's folder or its ``manifest.json``.
-    verify
-        Check that all files are there, with the hashes listed where there are any.
+    With `verify` all files must be there, with the hashes listed where there are any.
 
-    Raises
-    ------
-    InputError
-        When the manifest is missing or wrong, or files are missing or changed; with one message per problem.
+    Raises InputError: the manifest is missing or wrong, or files are missing or changed; with one message per
+    problem.
     """
     path = Path(path)
     manifest_path = path / MANIFEST_NAME if path.is_dir() else path
@@ -163,10 +136,8 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
 
 
 def _no_manifest(folder: Path) -> str:
-    below = sorted(
-        found.parent for depth in ("*", "*/*") for found in folder.glob(f"{depth}/{MANIFEST_NAME}")
-    )
-    if below:
+    patterns = (f"*/{MANIFEST_NAME}", f"*/*/{MANIFEST_NAME}")
+    if below := sorted(found.parent for pattern in patterns for found in folder.glob(pattern)):
         return f"{folder}: no image set, but these folders in it are: {', '.join(map(str, below[:5]))}"
     return (
         f"{folder}: no {MANIFEST_NAME}, which says what each picture shows; docs/conventions.md, Image sets, tells how "
@@ -175,18 +146,7 @@ def _no_manifest(folder: Path) -> str:
 
 
 def _file_problems(image_set: ImageSet) -> list[str]:
-    manifest = image_set.manifest
-    listed: dict[tuple[str, str | None], None] = {}
-    for image in manifest.images:
-        for kind, name in (("png", image.png), ("exr", image.exr)):
-            if name is not None:
-                listed[name, image.sha256.get(kind)] = None
-    for geometry in manifest.geometry:
-        listed[geometry.exr, geometry.sha256.get("exr")] = None
-    if manifest.patches is not None and manifest.patches not in manifest.files:
-        listed[manifest.patches, None] = None
-    for name, digest in manifest.files.items():
-        listed[name, digest] = None
+    listed = image_set.manifest.listed_files
     checked = (_file_problem(image_set.path(name), digest) for name, digest in listed)
     return [problem for problem in checked if problem is not None]
 

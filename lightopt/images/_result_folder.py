@@ -1,4 +1,4 @@
-"""A folder of a result's files, beside a JSON file that lists them and says what they were made from."""
+"""A folder of a result's files, with a JSON file that lists them and their provenance."""
 
 from __future__ import annotations
 
@@ -10,34 +10,24 @@ from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
-from lightopt.images._atomic import write_text_atomic
-from lightopt.images._folders import make_folder
+from lightopt.images._atomic import make_folder, write_text_atomic
 
 
 class ResultFolder:
-    """A folder that a result is written to; what an earlier one left there goes before the first file of the new one.
+    """A folder for the files of a result; the previous result is removed before the first new file is written.
 
     Parameters
     ----------
-    folder
-        Made with the first file where it does not exist.
-    made_from
-        From :func:`lightopt.core.provenance.provenance`: kept under ``provenance`` of the JSON file.
-    name
-        Of the JSON file.
-    format
-        Its format, such as ``lightopt-fit/1``; an earlier file may be of another version of it.
-    what
-        The result in words, for messages: ``a fit``.
-    also
-        Names of further files that are a result of this kind whoever lists them.
-    force
-        Whether files of a result of other inputs are replaced.
+    made_from: From :func:`lightopt.core.provenance.provenance`: kept under ``provenance`` of the JSON file.
+    name, format: The JSON file and its format, such as ``lightopt-fit/1``; the previous file may be of another
+        version of it.
+    what: The result in words, for messages: ``a fit``.
+    also: Names of further files that belong to such a result even where the JSON file does not list them.
+    force: Whether files of a result of other inputs are replaced.
 
     Raises
     ------
-    InputError
-        The folder holds a result of other inputs, and `force` is False.
+    InputError: The folder holds a result of other inputs, and `force` is False.
     """
 
     def __init__(
@@ -55,19 +45,19 @@ class ResultFolder:
         self._made_from = json.loads(json.dumps(made_from))
         self._name, self._format, self._also = name, format, tuple(also)
         self._files: list[str] = []
-        old = self._earlier()
+        old = self._read_previous()
         there = [one for one in (name, *also) if (folder / one).exists()]
-        told = differences(_provenance(old), self._made_from) if there and not force else ""
-        if there and not force and (old is None or told):
+        changed = differences(_provenance(old), self._made_from) if there and not force else ""
+        if there and not force and (old is None or changed):
             raise InputError(
                 f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
-                f"{f' ({told})' if told else ''}; use --force to replace it, or choose another folder"
+                f"{f' ({changed})' if changed else ''}; use --force to replace it, or choose another folder"
             )
 
     def place(self, name: str) -> Path:
-        """Where to write a file of the result, by its name relative to the folder; its own folder is made."""
+        """Path for a file of the result, by its name relative to the folder; its own folder is made."""
         if not self._files:
-            self._remove_earlier()
+            self._remove_previous()
         if name not in self._files:
             self._files.append(name)
         path = self.folder / name
@@ -81,17 +71,17 @@ class ResultFolder:
         return path
 
     def finish(self, content: Mapping[str, Any]) -> Path:
-        """Write the JSON file, which makes the result whole: its format, `content`, the other files, provenance."""
-        whole = {
+        """Write the JSON file, which completes the result: its format, `content`, the other files, provenance."""
+        document = {
             "format": self._format,
             **content,
             "files": sorted(self._files),
             "provenance": self._made_from,
         }
-        text = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         return self.write_text(self._name, text)
 
-    def _earlier(self) -> dict[str, Any] | None:
+    def _read_previous(self) -> dict[str, Any] | None:
         try:
             found = json.loads((self.folder / self._name).read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -100,9 +90,9 @@ class ResultFolder:
         right = isinstance(found, dict) and str(found.get("format", "")).startswith(kind)
         return found if right else None
 
-    def _remove_earlier(self) -> None:
+    def _remove_previous(self) -> None:
         # the JSON file first: while it is there, the files that it lists are its own
-        listed = (self._earlier() or {}).get("files", [])
+        listed = (self._read_previous() or {}).get("files", [])
         names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
         with suppress(FileNotFoundError):
             (self.folder / self._name).unlink()

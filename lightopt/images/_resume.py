@@ -9,28 +9,18 @@ from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
-from lightopt.images._manifest import CAME_BACK_KEY, ENDED_DARK_KEY, EVENTS_KEY, MANIFEST_NAME, Manifest
+from lightopt.images._atomic import remove_file
+from lightopt.images._manifest import DARK_CHECKED_KEY, EVENTS_KEY, MANIFEST_NAME, REPEATABILITY_KEY, Manifest
 from lightopt.images._parse import read_manifest
 
-_CONTENT_KEYS = (
-    "images",
-    "geometry",
-    "patches",
-    "files",
-    "warnings",
-    CAME_BACK_KEY,
-    EVENTS_KEY,
-    ENDED_DARK_KEY,
-)
+_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings")
+_FOUND_KEYS = (REPEATABILITY_KEY, EVENTS_KEY, DARK_CHECKED_KEY)
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
-    """Return the manifest to continue, the header's warnings added, or None where the folder holds no set.
+    """Manifest to continue, the header's warnings added; None where the folder holds no set.
 
-    Raises
-    ------
-    InputError
-        When the folder holds the set of another run, or a damaged one.
+    Raises InputError: the folder holds the set of another run, or a damaged one.
     """
     path = folder / MANIFEST_NAME
     if not path.exists():
@@ -40,25 +30,17 @@ def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
         existing = read_manifest(path)
     except InputError as error:
         raise InputError(*error.messages, f"{folder}: holds a damaged image set; {advice}") from error
-    if told := differences(_header(existing), _header(header)):
-        raise InputError(f"{folder}: holds the image set of another run ({told}); {advice}")
+    if changed := differences(_header(existing), _header(header)):
+        raise InputError(f"{folder}: holds the image set of another run ({changed}); {advice}")
     return replace(existing, warnings=tuple(dict.fromkeys((*existing.warnings, *header.warnings))))
 
 
 def remove_set(folder: Path, header: Manifest) -> int:
-    """Remove the files that a folder's manifest lists, and the subfolders that this leaves empty.
+    """Remove the files that a folder's manifest lists, and the subfolders that this leaves empty; returns their number.
 
     Files that the manifest does not list stay, as does everything where there is no manifest or a damaged one.
 
-    Returns
-    -------
-    int
-        Number of files removed.
-
-    Raises
-    ------
-    InputError
-        When the folder holds captured images and the header is of others, or a file cannot be removed.
+    Raises InputError: the folder holds captured images and the header is of others, or a file cannot be removed.
     """
     try:
         manifest = read_manifest(folder / MANIFEST_NAME)
@@ -73,19 +55,11 @@ def remove_set(folder: Path, header: Manifest) -> int:
 
 
 def remove_image_set(folder: Path) -> int:
-    """Remove a simulated image set: the files that its manifest lists, and the manifest; nothing else.
+    """Remove a simulated image set, that is its listed files and the manifest; returns the number of files.
 
     A folder without a manifest, with a damaged one or with one of captured images stays as it is.
 
-    Returns
-    -------
-    int
-        Number of files removed.
-
-    Raises
-    ------
-    InputError
-        When a file cannot be removed.
+    Raises InputError: a file cannot be removed.
     """
     try:
         manifest = read_manifest(folder / MANIFEST_NAME)
@@ -97,28 +71,9 @@ def remove_image_set(folder: Path) -> int:
     return removed + remove_file(folder / MANIFEST_NAME)
 
 
-def remove_file(path: Path) -> bool:
-    """Remove a file; whether it was there.
-
-    Raises
-    ------
-    InputError
-        When the operating system refuses.
-    """
-    try:
-        path.unlink()
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
-        ) from error
-    return True
-
-
 def _remove_files(folder: Path, manifest: Manifest) -> int:
     removed = 0
-    paths = [folder / name for name in _listed(manifest)]
+    paths = [folder / name for name in dict.fromkeys(name for name, _ in manifest.listed_files)]
     for path in paths:
         removed += remove_file(path)
     for parent in {path.parent for path in paths if path.parent != folder}:
@@ -127,14 +82,8 @@ def _remove_files(folder: Path, manifest: Manifest) -> int:
     return removed
 
 
-def _listed(manifest: Manifest) -> list[str]:
-    """All files that a manifest lists, each once."""
-    names = [name for entry in manifest.images for name in (entry.png, entry.exr) if name is not None]
-    names += [entry.exr for entry in manifest.geometry]
-    names += [*manifest.files, *([manifest.patches] if manifest.patches is not None else [])]
-    return list(dict.fromkeys(names))
-
-
 def _header(manifest: Manifest) -> dict[str, Any]:
-    """What tells the sets of two runs apart."""
-    return {key: value for key, value in manifest.as_dict().items() if key not in _CONTENT_KEYS}
+    """What differs between the sets of two runs."""
+    return {
+        key: value for key, value in manifest.as_dict().items() if key not in (*_CONTENT_KEYS, *_FOUND_KEYS)
+    }

@@ -14,89 +14,75 @@ from numpy.typing import NDArray
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 from lightopt.core.transforms import Posture
-from lightopt.images._atomic import write_bytes_atomic, write_npz_atomic, write_text_atomic
+from lightopt.images._atomic import (
+    make_folder,
+    remove_file,
+    write_bytes_atomic,
+    write_npz_atomic,
+    write_text_atomic,
+)
 from lightopt.images._exr import write_exr
-from lightopt.images._folders import make_folder
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
-from lightopt.images._names import ImageKey, Names, exr_name, geometry_name, inside_problem, png_name
+from lightopt.images._names import FileNames, ImageKey, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
-from lightopt.images._resume import remove_file, remove_set, resumable_manifest
+from lightopt.images._resume import remove_set, resumable_manifest
 
 _PATCHES_NAME = "patches.npz"
 
 
 class ImageSetWriter:
-    """A folder that is becoming an image set.
+    """Writes an image set file by file.
 
     The manifest is on disk from the start and is rewritten after each file that it names, so whenever the run
     stops the folder holds a valid set of what was finished. Opened again with the same header, it resumes:
-    `done` tells what need not be made again. Threads may add files of their own at the same time.
+    `done` says what need not be made again. Threads may add files of their own at the same time. Every method that
+    writes raises InputError when a foreign file is in the way or the disk refuses.
 
     Parameters
     ----------
-    folder
-        The set's folder; made where it does not exist.
-    header
-        The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
+    header: The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
         same run.
-    force
-        Replace the set of another run, all of whose files are removed first, and files that belong to none.
-    plan
-        Light, posture and exposure of the images that the run will make, so that names which clash and files
-        in the way are found before any work.
+    force: Replace the set of another run, all of whose files are removed first, and files that belong to none.
+    plan: Light, posture and exposure of the images that the run will make, so that names which clash and files in
+        the way are found before any work.
+
+    Attributes
+    ----------
+    manifest: What is on disk so far.
+    resumed: Whether an earlier run with an equal header is being continued.
+    replaced: Number of files of the set of another run that were removed.
 
     Raises
     ------
-    InputError
-        When the folder cannot be written, holds the set of another run or files in the way (without `force`),
-        or two images of the plan would share a file; with `force`, when the folder holds captured images and the run
-        makes others.
+    InputError: The folder cannot be written, holds the set of another run or files in the way (without `force`), or
+        two images of the plan would share a file; with `force`, the folder holds captured images and the run makes
+        others.
     """
 
     def __init__(
         self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[ImageKey] = ()
     ) -> None:
-        self._folder = Path(folder)
+        self.folder = Path(folder)
         self._lock = threading.Lock()
-        self._names = Names()
+        self._names = FileNames()
         self._verified: dict[str, str] = {}
         plan = tuple(plan)
         self._names.claim_images(plan)
-        existing = None if force else resumable_manifest(self._folder, header)
-        self._replaced = remove_set(self._folder, header) if force else 0
-        self._resumed = existing is not None
-        self._may_overwrite = force or self._resumed
+        existing = None if force else resumable_manifest(self.folder, header)
+        self.replaced = remove_set(self.folder, header) if force else 0
+        self.resumed = existing is not None
+        self._may_overwrite = force or self.resumed
         if not self._may_overwrite:
             for name in dict.fromkeys(name for key in plan for name in _file_names(key)):
-                self._refuse_stranger(name)
-        self._manifest = existing or replace(header, images=(), geometry=(), patches=None, files={})
-        self._names.claim_images(entry.key for entry in self._manifest.images)
-        make_folder(self._folder)
+                self._refuse_unlisted(name)
+        self.manifest = existing or replace(header, images=(), geometry=(), patches=None, files={})
+        self._names.claim_images(entry.key for entry in self.manifest.images)
+        make_folder(self.folder)
         self._save()
-
-    @property
-    def folder(self) -> Path:
-        """The set's folder."""
-        return self._folder
-
-    @property
-    def manifest(self) -> Manifest:
-        """What is on disk so far."""
-        return self._manifest
-
-    @property
-    def resumed(self) -> bool:
-        """Whether an earlier run with an equal header is being continued."""
-        return self._resumed
-
-    @property
-    def replaced(self) -> int:
-        """Number of files of the set of another run that were removed."""
-        return self._replaced
 
     def done(self, light: str, posture: Posture, exposure: float) -> bool:
         """Whether an image is listed and its files are there with the hashes listed."""
-        entry = next((e for e in self._manifest.images if e.key == (light, posture, exposure)), None)
+        entry = next((e for e in self.manifest.images if e.key == (light, posture, exposure)), None)
         return entry is not None and all(
             self._intact(name, entry.sha256.get(kind))
             for kind, name in (("png", entry.png), ("exr", entry.exr))
@@ -104,18 +90,18 @@ class ImageSetWriter:
         )
 
     def linear_done(self, light: str, posture: Posture) -> bool:
-        """Whether the linear image of a light and posture is listed and its file is there with the hash listed."""
-        entry = next((e for e in self._manifest.images if e.key[:2] == (light, posture) and e.exr), None)
+        """Whether the linear image of a light and posture is listed and intact."""
+        entry = next((e for e in self.manifest.images if e.key[:2] == (light, posture) and e.exr), None)
         return entry is not None and self._intact(entry.exr or "", entry.sha256.get("exr"))
 
     def geometry_done(self, posture: Posture) -> bool:
-        """Whether the geometry of a posture is listed and its file is there with the hash listed."""
-        entry = next((e for e in self._manifest.geometry if e.posture == posture), None)
+        """Whether the geometry of a posture is listed and intact."""
+        entry = next((e for e in self.manifest.geometry if e.posture == posture), None)
         return entry is not None and self._intact(entry.exr, entry.sha256.get("exr"))
 
     def file_done(self, name: str = _PATCHES_NAME) -> bool:
-        """Whether a further file (the patch table unless named) is listed and there with the hash listed."""
-        return name in self._manifest.files and self._intact(name, self._manifest.files[name])
+        """Whether a further file (the patch table unless named) is listed and intact."""
+        return self._intact(name, self.manifest.files.get(name))
 
     def add_image(
         self,
@@ -124,34 +110,18 @@ class ImageSetWriter:
         png: NDArray[np.uint8] | NDArray[np.uint16] | None = None,
         exr: Mapping[str, NDArray[np.float32]] | None = None,
     ) -> ImageEntry:
-        """Write an image's files, then list it; an entry of the same light, posture and exposure is replaced.
+        """Write an image's files, then list it; returns the entry as listed, which replaces one of the same key.
 
         The linear image belongs to light and posture: all exposures of them list the same EXR.
 
         Parameters
         ----------
-        entry
-            What was imaged; its `png`, `exr` and `sha256` are filled in here.
-        png
-            Camera levels (H, W), as :func:`write_png` takes them.
-        exr
-            Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
-
-        Returns
-        -------
-        ImageEntry
-            The entry as listed.
-
-        Raises
-        ------
-        InputError
-            When there is no file to write, a level exceeds the bit depth, a file of others is in the way, or
-            the disk refuses.
+        entry: What was imaged; its `png`, `exr` and `sha256` are filled in here.
+        png: Camera levels (H, W), as :func:`write_png` takes them.
+        exr: Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
         """
         self._names.claim_images([entry.key])
-        shared = next(
-            (e for e in self._manifest.images if e.key[:2] == entry.key[:2] and e.exr is not None), None
-        )
+        shared = next((e for e in self.manifest.images if e.key[:2] == entry.key[:2] and e.exr), None)
         files: dict[str, str] = {}
         hashes: dict[str, str] = {}
         if shared is not None and shared.exr is not None and exr is None:
@@ -171,30 +141,20 @@ class ImageSetWriter:
             entry, png=files.get("png"), exr=files.get("exr"), sha256=dict(sorted(hashes.items()))
         )
         with self._lock:
-            entries = {e.key: _with_exr(e, listed) for e in self._manifest.images}
+            entries = {e.key: _with_exr(e, listed) for e in self.manifest.images}
             self._save(images=tuple({**entries, listed.key: listed}.values()))
         return listed
 
     def add_linear(self, light: str, posture: Posture, channels: Mapping[str, NDArray[np.float32]]) -> None:
         """Write the linear image that listed exposures of a light and posture share, then list it with each of them.
 
-        Parameters
-        ----------
-        light, posture
-            Of images that are listed.
-        channels
-            Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
-
-        Raises
-        ------
-        InputError
-            When no image of them is listed, a file of others is in the way, or the disk refuses.
+        `channels` are (H, W) at exposure 1 [grey level], as :func:`write_exr` takes them.
         """
-        of_it = [e for e in self._manifest.images if e.key[:2] == (light, posture)]
-        if not of_it:
+        first = next((e for e in self.manifest.images if e.key[:2] == (light, posture)), None)
+        if first is None:
             raise InputError(f"light {light!r} at {posture}: a linear image needs an image that is listed")
         name = exr_name(light, posture)
-        digest = write_exr(self._place(name), channels, metadata=self._metadata(of_it[0], linear=True))
+        digest = write_exr(self._place(name), channels, metadata=self._metadata(first, linear=True))
         self._verified[name] = digest
         with self._lock:
             self._save(
@@ -202,37 +162,17 @@ class ImageSetWriter:
                     replace(e, exr=name, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
                     if e.key[:2] == (light, posture)
                     else e
-                    for e in self._manifest.images
+                    for e in self.manifest.images
                 )
             )
 
     def add_levels(
         self, name: str, levels: NDArray[np.uint8] | NDArray[np.uint16], *, metadata: Mapping[str, Any]
     ) -> None:
-        """Write camera levels that are no image of a light (a dark frame) as a further file, then list it.
-
-        Parameters
-        ----------
-        name
-            Path relative to the set's folder, POSIX style.
-        levels
-            Camera levels (H, W), as :func:`write_png` takes them.
-        metadata
-            What the file says of itself, JSON-able.
-
-        Raises
-        ------
-        InputError
-            When the path leaves the folder, a file of others is in the way or the disk refuses.
-        """
-        if problem := inside_problem(name):
-            raise InputError(f"{name!r}: {problem}")
-        self._names.claim(name, f"the file {name}")
-        facts = {**self._origin(), "bit_depth": self._manifest.bit_depth, **metadata}
-        digest = write_png(self._place(name), levels, metadata=facts)
-        self._verified[name] = digest
-        with self._lock:
-            self._save(files={**self._manifest.files, name: digest})
+        """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
+        path = self._further_file(name)
+        facts = {**self._origin(), "bit_depth": self.manifest.bit_depth, **metadata}
+        self._list_file(name, write_png(path, levels, metadata=facts))
 
     def add_geometry(
         self,
@@ -243,20 +183,8 @@ class ImageSetWriter:
     ) -> GeometryEntry:
         """Write a posture's geometry image, then list it.
 
-        Parameters
-        ----------
-        posture
-            The stage's posture.
-        channels
-            ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray], ``patch``
-            and, for parts with defects, ``defect``; float32 (H, W).
-        metadata
-            More to say in the file, JSON-able.
-
-        Raises
-        ------
-        InputError
-            When a file of others is in the way or the disk refuses.
+        Channels, float32 (H, W): ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray],
+        ``patch`` and, for parts with defects, ``defect``.
         """
         name = geometry_name(posture)
         self._names.claim(name, f"the geometry of {name.partition('/')[0]}")
@@ -265,48 +193,22 @@ class ImageSetWriter:
         self._verified[name] = digest
         listed = GeometryEntry(posture=posture, exr=name, sha256={"exr": digest})
         with self._lock:
-            entries = {e.posture: e for e in self._manifest.geometry}
+            entries = {e.posture: e for e in self.manifest.geometry}
             self._save(geometry=tuple({**entries, posture: listed}.values()))
         return listed
 
     def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write the patch table as ``patches.npz``, then list it.
-
-        Raises
-        ------
-        InputError
-            When a file of others is in the way or the disk refuses.
-        """
+        """Write the patch table as ``patches.npz``, then list it."""
         self._names.claim(_PATCHES_NAME, "the patch table")
         digest = write_npz_atomic(self._place(_PATCHES_NAME), arrays)
-        self._verified[_PATCHES_NAME] = digest
-        with self._lock:
-            self._save(patches=_PATCHES_NAME, files={**self._manifest.files, _PATCHES_NAME: digest})
+        self._list_file(_PATCHES_NAME, digest, patches=_PATCHES_NAME)
 
     def add_file(self, name: str, data: bytes | str) -> None:
-        """Write a further file of the set (a report, a contact sheet), then list it.
-
-        Parameters
-        ----------
-        name
-            Path relative to the set's folder, POSIX style.
-        data
-            Its content; text is written as UTF-8.
-
-        Raises
-        ------
-        InputError
-            When the path leaves the folder, a file of others is in the way or the disk refuses.
-        """
-        if problem := inside_problem(name):
-            raise InputError(f"{name!r}: {problem}")
-        self._names.claim(name, f"the file {name}")
-        digest = write_bytes_atomic(
-            self._place(name), data.encode("utf-8") if isinstance(data, str) else data
+        """Write a further file of the set (a report, a contact sheet; text as UTF-8), then list it."""
+        path = self._further_file(name)
+        self._list_file(
+            name, write_bytes_atomic(path, data.encode("utf-8") if isinstance(data, str) else data)
         )
-        self._verified[name] = digest
-        with self._lock:
-            self._save(files={**self._manifest.files, name: digest})
 
     def drop(
         self,
@@ -317,63 +219,51 @@ class ImageSetWriter:
     ) -> None:
         """Take images and further files off the list, then from the disk, so that no listed file is ever written anew.
 
-        Parameters
-        ----------
-        images
-            Light and posture; all exposures of them go, and their linear image.
-        files
-            Names of further files.
-        extra
-            Keys of the manifest that change together with the list, as for :meth:`add_extra`.
-
-        Raises
-        ------
-        InputError
-            When the disk refuses.
+        Of `images` (light and posture) all exposures go, and their linear image. `extra` are keys of the manifest that
+        change together with the list, as for :meth:`add_extra`.
         """
         of_them, names = set(images), set(files)
         with self._lock:
-            entries = self._manifest.images
+            entries = self.manifest.images
             gone = [e for e in entries if e.key[:2] in of_them]
             listed = [name for e in gone for name in (e.png, e.exr) if name is not None]
-            listed += [name for name in names if name in self._manifest.files]
-            changes: dict[str, Any] = {"extra": {**self._manifest.extra, **(extra or {})}}
+            listed += [name for name in names if name in self.manifest.files]
+            changes: dict[str, Any] = {"extra": {**self.manifest.extra, **(extra or {})}}
             if gone:
                 changes["images"] = tuple(e for e in entries if e.key[:2] not in of_them)
-            if names & set(self._manifest.files):
-                changes["files"] = {n: h for n, h in self._manifest.files.items() if n not in names}
-            if len(changes) > 1 or changes["extra"] != self._manifest.extra:
+            if names & set(self.manifest.files):
+                changes["files"] = {n: h for n, h in self.manifest.files.items() if n not in names}
+            if len(changes) > 1 or changes["extra"] != self.manifest.extra:
                 self._save(**changes)
         for name in listed:
             self._verified.pop(name, None)
-            remove_file(self._folder / name)
+            remove_file(self.folder / name)
 
     def add_warnings(self, warnings: Iterable[str]) -> None:
-        """List warnings that are not listed yet.
-
-        Raises
-        ------
-        InputError
-            When the disk refuses.
-        """
+        """List warnings that are not listed yet."""
         with self._lock:
-            merged = tuple(dict.fromkeys((*self._manifest.warnings, *warnings)))
-            if merged != self._manifest.warnings:
+            merged = tuple(dict.fromkeys((*self.manifest.warnings, *warnings)))
+            if merged != self.manifest.warnings:
                 self._save(warnings=merged)
 
     def add_extra(self, key: str, value: Any) -> None:
-        """Put a JSON-able value under a key of the manifest that belongs to what was found, not to what was asked.
-
-        Raises
-        ------
-        InputError
-            When the disk refuses.
-        """
+        """Put a JSON-able value under a key of the manifest: a finding of the run, not an option."""
         with self._lock:
-            self._save(extra={**self._manifest.extra, key: value})
+            self._save(extra={**self.manifest.extra, key: value})
 
-    def _refuse_stranger(self, name: str) -> None:
-        path = self._folder / name
+    def _further_file(self, name: str) -> Path:
+        if problem := inside_problem(name):
+            raise InputError(f"{name!r}: {problem}")
+        self._names.claim(name, f"the file {name}")
+        return self._place(name)
+
+    def _list_file(self, name: str, digest: str, **changes: Any) -> None:
+        self._verified[name] = digest
+        with self._lock:
+            self._save(files={**self.manifest.files, name: digest}, **changes)
+
+    def _refuse_unlisted(self, name: str) -> None:
+        path = self.folder / name
         if path.exists():
             raise InputError(
                 f"{path}: exists but belongs to no image set; "
@@ -381,10 +271,10 @@ class ImageSetWriter:
             )
 
     def _place(self, name: str) -> Path:
-        """Give the path to write a file to, its folder made."""
+        """Path to write a file to, its folder made."""
         if not self._may_overwrite and name not in self._verified:
-            self._refuse_stranger(name)
-        path = self._folder / name
+            self._refuse_unlisted(name)
+        path = self.folder / name
         make_folder(path.parent)
         return path
 
@@ -393,40 +283,40 @@ class ImageSetWriter:
             return False
         if name not in self._verified:
             try:
-                self._verified[name] = file_sha256(self._folder / name)
+                self._verified[name] = file_sha256(self.folder / name)
             except OSError:
                 return False
         return self._verified[name] == digest
 
     def _check_levels(self, entry: ImageEntry, png: NDArray[Any]) -> None:
-        wanted = np.uint8 if self._manifest.bit_depth <= 8 else np.uint16
-        if png.dtype != wanted or int(png.max()) > self._manifest.max_level:
+        wanted = np.uint8 if self.manifest.bit_depth <= 8 else np.uint16
+        if png.dtype != wanted or int(png.max()) > self.manifest.max_level:
             raise InputError(
-                f"light {entry.light!r}: expected {np.dtype(wanted)} levels up to {self._manifest.max_level} "
-                f"({self._manifest.bit_depth} bits), found {png.dtype} up to {png.max()}"
+                f"light {entry.light!r}: expected {np.dtype(wanted)} levels up to {self.manifest.max_level} "
+                f"({self.manifest.bit_depth} bits), found {png.dtype} up to {png.max()}"
             )
 
     def _origin(self) -> dict[str, Any]:
-        return {"lightopt": self._manifest.lightopt, "kind": self._manifest.kind}
+        return {"lightopt": self.manifest.lightopt, "kind": self.manifest.kind}
 
     def _metadata(self, entry: ImageEntry, *, linear: bool) -> dict[str, Any]:
-        """Say what a file tells of itself when it is found alone."""
+        """What a file says of itself when it is found alone."""
         facts = {**self._origin(), **replace(entry, png=None, exr=None, sha256={}).as_dict()}
-        facts["full_scale"] = self._manifest.full_scale
+        facts["full_scale"] = self.manifest.full_scale
         if linear:  # the same whatever the exposure
             return {
                 key: value for key, value in facts.items() if key != "exposure" and key not in entry.extra
             }
         return facts | {
-            "bit_depth": self._manifest.bit_depth,
-            "saturation_level": self._manifest.saturated_from,
-            "black_level": self._manifest.black_level,
+            "bit_depth": self.manifest.bit_depth,
+            "saturation_level": self.manifest.saturated_from,
+            "black_level": self.manifest.black_level,
         }
 
     def _save(self, **changes: Any) -> None:
-        manifest = replace(self._manifest, **changes)
-        write_text_atomic(self._folder / MANIFEST_NAME, manifest.to_json())
-        self._manifest = manifest
+        manifest = replace(self.manifest, **changes)
+        write_text_atomic(self.folder / MANIFEST_NAME, manifest.to_json())
+        self.manifest = manifest
 
 
 def _file_names(key: ImageKey) -> tuple[str, ...]:

@@ -1,12 +1,13 @@
-"""What the camera resolves, sees and delivers."""
+"""What the camera resolves and delivers, and where the part lies in its image and on the table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lightopt.preflight._report import Finding, Level
-from lightopt.preflight._subject import RigSubject
-from lightopt.scene import pixel_footprint, view_size
+from lightopt.preflight._findings import Finding, Level, percent
+from lightopt.preflight._inputs import CheckedRig, CheckedScene
+from lightopt.rendering import too_few_pixels
+from lightopt.scene import Framing, frame_part, pixel_footprint, view_size
 
 LOST_RANGE = 0.25
 """A black level or a saturation level that costs more than this share of the full scale is worth a warning."""
@@ -14,57 +15,49 @@ LOST_RANGE = 0.25
 SMALL_WELL = 1000.0
 """Electrons at saturation below which shot noise alone is over 3 % of the level."""
 
+SIDES = ("left", "top", "right", "bottom")
+TABLE_TOLERANCE_MM = 1e-3
 
-def check_lens(subject: RigSubject) -> Iterator[Finding]:
+
+def check_lens(checked: CheckedRig) -> Iterator[Finding]:
     """The lens in both of its descriptions."""
-    a, b = subject.rig.camera.distance_mm, subject.camera.image_distance
+    camera = checked.rig.camera
+    a, b = camera.distance_mm, checked.camera.image_distance
     focal = a * b / (a + b)
-    key = "image_distance_mm" if subject.rig.camera.image_distance_mm is not None else "focal_length_mm"
-    yield Finding(
-        "ok",
-        "lens",
+    key = "image_distance_mm" if camera.image_distance_mm is not None else "focal_length_mm"
+    text = (
         f"image distance {b:.4g} mm, the same as a lens of focal length {focal:.4g} mm focused at {a:g} mm; "
-        f"magnification {b / a:.3g}",
-        subject.rig.source.at("camera", key),
-        {"image_distance_mm": b, "focal_length_mm": focal, "magnification": b / a},
+        f"magnification {b / a:.3g}"
     )
+    values = {"image_distance_mm": b, "focal_length_mm": focal, "magnification": b / a}
+    yield Finding("ok", "lens", text, checked.at("camera", key), values)
 
 
-def check_resolution(subject: RigSubject) -> Iterator[Finding]:
+def check_resolution(checked: CheckedRig) -> Iterator[Finding]:
     """A pixel's footprint at the origin, where the camera looks."""
-    footprint = pixel_footprint(subject.camera, subject.rig.camera.distance_mm)
+    footprint = pixel_footprint(checked.camera, checked.rig.camera.distance_mm)
+    text = f"a pixel's footprint at the table is {footprint:.3g} mm ({1000 * footprint:.3g} µm)"
     yield Finding(
-        "ok",
-        "resolution",
-        f"a pixel's footprint at the table is {footprint:.3g} mm ({1000 * footprint:.3g} µm)",
-        subject.rig.source.at("camera", "pixel_size_um"),
-        {"footprint_mm": footprint},
+        "ok", "resolution", text, checked.at("camera", "pixel_size_um"), {"footprint_mm": footprint}
     )
 
 
-def check_field_of_view(subject: RigSubject) -> Iterator[Finding]:
+def check_field_of_view(checked: CheckedRig) -> Iterator[Finding]:
     """Width and height of what the camera sees of the table."""
-    where = subject.rig.source.at("camera")
-    size = view_size(subject.camera)
+    where = checked.at("camera")
+    size = view_size(checked.camera)
     if size is None:
-        yield Finding(
-            "note", "field of view", "reaches beyond the table's horizon: the camera leans too far", where
-        )
+        text = "reaches beyond the table's horizon: the camera leans too far"
+        yield Finding("note", "field of view", text, where)
         return
     width, height = size
-    yield Finding(
-        "ok",
-        "field of view",
-        f"{width:.4g} × {height:.4g} mm at the table through the image's centre",
-        where,
-        {"width_mm": width, "height_mm": height},
-    )
+    text = f"{width:.4g} × {height:.4g} mm at the table through the image's centre"
+    yield Finding("ok", "field of view", text, where, {"width_mm": width, "height_mm": height})
 
 
-def check_sensor(subject: RigSubject) -> Iterator[Finding]:
+def check_sensor(checked: CheckedRig) -> Iterator[Finding]:
     """Range of levels between black and saturation, and the noise that comes with it."""
-    sensor = subject.rig.camera.sensor
-    at = subject.rig.source.at
+    sensor = checked.rig.camera.sensor
     full = 2**sensor.bit_depth - 1
     top = full if sensor.saturation_level is None else sensor.saturation_level
     values = {"full_scale": full, "saturation_level": top, "black_level": sensor.black_level}
@@ -73,17 +66,111 @@ def check_sensor(subject: RigSubject) -> Iterator[Finding]:
     text = f"{usable:g} of {full} levels between black level {sensor.black_level:g} and saturation at {top}"
     if level == "warning":
         text += "; check saturation_level, black_level and bit_depth against the camera's data sheet"
-    yield Finding(level, "sensor", text, at("camera", "sensor"), values)
+    yield Finding(level, "sensor", text, checked.at("camera", "sensor"), values)
     if sensor.electrons_per_level is None:
         return
     electrons = usable * sensor.electrons_per_level
     if electrons < SMALL_WELL:
-        yield Finding(
-            "warning",
-            "sensor",
+        text = (
             f"a pixel saturates at {electrons:.3g} electrons ({sensor.electrons_per_level:g} per level): shot noise "
             f"there is {100 / electrons**0.5:.2g} % of the level. Real sensors hold 5,000 and more; "
-            "electrons_per_level is the full well divided by the full scale",
-            at("camera", "sensor", "electrons_per_level"),
-            {"electrons_at_saturation": electrons},
+            "electrons_per_level is the full well divided by the full scale"
         )
+        where = checked.at("camera", "sensor", "electrons_per_level")
+        yield Finding("warning", "sensor", text, where, {"electrons_at_saturation": electrons})
+
+
+def _framings(checked: CheckedScene) -> list[Framing]:
+    return [frame_part(sample.view.camera, checked.scene.mesh) for sample in checked.samples]
+
+
+def check_depth(checked: CheckedScene) -> Iterator[Finding]:
+    """Range of depths that the lens has to keep sharp, and a pixel's footprint at both ends."""
+    framings = _framings(checked)
+    near, far = min(f.nearest for f in framings), max(f.farthest for f in framings)
+    values = {"nearest_mm": near, "farthest_mm": far}
+    if near <= 0.0:
+        text = f"the part reaches {-near:.3g} mm behind the camera; check its units and its placement"
+        yield Finding("warning", "depth", text, checked.part.source.at("placement"), values)
+        return
+    small, large = min(f.footprint[0] for f in framings), max(f.footprint[1] for f in framings)
+    text = (
+        f"the part lies {near:.4g} to {far:.4g} mm from the camera ({far - near:.3g} mm of depth): a pixel's footprint "
+        f"is {small:.3g} mm ({1000 * small:.3g} µm) at the nearest and {large:.3g} mm ({1000 * large:.3g} µm) at the "
+        "farthest point"
+    )
+    values |= {"nearest_footprint_mm": small, "farthest_footprint_mm": large}
+    yield Finding("ok", "depth", text, None, values)
+
+
+def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
+    """The margin around the part's image, or by how much it leaves the view."""
+    for index, (sample, framing) in enumerate(zip(checked.samples, _framings(checked), strict=True)):
+        where = checked.at_posture(index)
+        posture = sample.posture.as_dict()
+        if framing.nearest <= 0.0:
+            text = f"posture {sample.posture}: the part reaches behind the camera"
+            yield Finding("warning", "view", text, where, {"posture": posture})
+            continue
+        camera = sample.view.camera
+        sides = (framing.left, framing.top, camera.width - framing.right, camera.height - framing.bottom)
+        margins = dict(zip(SIDES, sides, strict=True))
+        per_pixel = framing.footprint[0]
+        values: dict[str, object] = {
+            "posture": posture,
+            "margin_px": margins,
+            "margin_mm": {side: per_pixel * m for side, m in margins.items()},
+        }
+        texts = {
+            side: f"{abs(m):.0f} px ({abs(m) * per_pixel:.3g} mm) at the {side}"
+            for side, m in margins.items()
+        }
+        leaves = [texts[side] for side, m in margins.items() if m < 0.0]
+        if leaves:
+            text = f"the part leaves the view by {', '.join(leaves)}; move it, or let the camera see more"
+        else:
+            side = min(margins, key=lambda name: margins[name])
+            shares = {
+                "width": (framing.right - framing.left) / camera.width,
+                "height": (framing.bottom - framing.top) / camera.height,
+            }
+            along = max(shares, key=lambda name: shares[name])
+            text = (
+                f"the part is inside the view, least margin {texts[side]}; it fills "
+                f"{percent(shares[along])} of the image's {along}"
+            )
+            values["least_margin_px"] = margins[side]
+        level = "warning" if leaves else "ok"
+        yield Finding(level, "view", f"posture {sample.posture}: {text}", where, values)
+
+
+def check_pixels(checked: CheckedScene) -> Iterator[Finding]:
+    """Whether next to no pixel sees the part."""
+    found = too_few_pixels(checked.scene, checked.caster)
+    if found is not None:
+        where = checked.part.source.at("mesh", "file")
+        yield Finding("error", "view", found.text, where, {"pixels": found.pixels})
+
+
+def check_below_table(checked: CheckedScene) -> Iterator[Finding]:
+    """By how much the part would have to pass through the table."""
+    vertices = checked.scene.mesh.vertices
+    for index, sample in enumerate(checked.samples):
+        height = vertices @ sample.view.rotation[2] + sample.view.translation[2]
+        lowest = float(height.min())
+        if lowest >= -TABLE_TOLERANCE_MM:
+            continue
+        values = {"posture": sample.posture.as_dict(), "lowest_mm": lowest}
+        if sample.posture.elevation_deg == 0.0:
+            text = (
+                f"posture {sample.posture}: the part reaches {-lowest:.3g} mm below the table; raise it by placement "
+                "translate_mm, or let it rest_on_table"
+            )
+            yield Finding("warning", "table", text, checked.part.source.at("placement"), values)
+        else:
+            text = (
+                f"posture {sample.posture}: the tilt makes the part dip {-lowest:.3g} mm below the plane Z = 0. "
+                "Nothing is hidden by the table here; on a stage whose table does not tilt along, raise the part or "
+                "the pivot"
+            )
+            yield Finding("note", "table", text, checked.at_posture(index), values)

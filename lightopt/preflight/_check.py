@@ -1,24 +1,34 @@
-"""The checks in the order in which they are told."""
+"""The checks in the order of their findings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.preflight._camera import check_field_of_view, check_lens, check_resolution, check_sensor
-from lightopt.preflight._coverage import check_unseen_surface
-from lightopt.preflight._facets import check_facets
-from lightopt.preflight._framing import check_below_table, check_depth, check_part_in_view, check_pixels
-from lightopt.preflight._lights import check_below_horizon, check_collisions, check_lights_in_view
-from lightopt.preflight._lobe import check_levels, check_points
-from lightopt.preflight._part_lights import check_hidden_part, check_lights_in_part
-from lightopt.preflight._report import Finding, Report
-from lightopt.preflight._size import check_size
-from lightopt.preflight._subject import RigSubject, SceneSubject, rig_subject, scene_subject
-from lightopt.preflight._surface import check_back_faces, check_mesh
+from lightopt.preflight._camera import (
+    check_below_table,
+    check_depth,
+    check_field_of_view,
+    check_lens,
+    check_part_in_view,
+    check_pixels,
+    check_resolution,
+    check_sensor,
+)
+from lightopt.preflight._findings import CheckResult, Finding
+from lightopt.preflight._highlights import check_facets, check_levels, check_points
+from lightopt.preflight._inputs import CheckedRig, CheckedScene, prepare_rig, prepare_scene
+from lightopt.preflight._lights import (
+    check_below_horizon,
+    check_collisions,
+    check_hidden_part,
+    check_lights_in_part,
+    check_lights_in_view,
+)
+from lightopt.preflight._part import check_back_faces, check_mesh, check_size, check_unseen_surface
 from lightopt.scene import build_scene
 
-RIG_CHECKS: tuple[Callable[[RigSubject], Iterable[Finding]], ...] = (
+RIG_CHECKS: tuple[Callable[[CheckedRig], Iterable[Finding]], ...] = (
     check_lens,
     check_resolution,
     check_field_of_view,
@@ -28,7 +38,7 @@ RIG_CHECKS: tuple[Callable[[RigSubject], Iterable[Finding]], ...] = (
     check_collisions,
 )
 
-SCENE_CHECKS: tuple[Callable[[SceneSubject], Iterable[Finding]], ...] = (
+SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     check_size,
     check_mesh,
     check_depth,
@@ -45,29 +55,20 @@ SCENE_CHECKS: tuple[Callable[[SceneSubject], Iterable[Finding]], ...] = (
 )
 
 
-def check_rig(rig: RigConfig) -> Report:
-    """Findings about a rig alone.
+def check_rig(rig: RigConfig) -> CheckResult:
+    """Check a rig alone; InputError when the lens model folds the image over."""
+    return CheckResult(_run_rig(rig))
 
-    Raises
-    ------
-    InputError
-        The lens model folds the image over.
+
+def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
+    """Check a rig and a part on it, in all the part's postures.
+
+    Raises InputError: the scene cannot be built (see :func:`lightopt.scene.build_scene`).
     """
-    return Report(_run_rig(rig))
-
-
-def check_scene(rig: RigConfig, part: PartConfig) -> Report:
-    """Findings about a rig and a part on it, in all the part's postures.
-
-    Raises
-    ------
-    InputError
-        The scene cannot be built (see :func:`lightopt.scene.build_scene`).
-    """
-    subject = scene_subject(rig, part, build_scene(rig, part))
-    return Report((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(subject))))
+    checked = prepare_scene(rig, part, build_scene(rig, part))
+    return CheckResult((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(checked))))
 
 
 def _run_rig(rig: RigConfig) -> tuple[Finding, ...]:
-    subject = rig_subject(rig)
-    return tuple(finding for check in RIG_CHECKS for finding in check(subject))
+    checked = prepare_rig(rig)
+    return tuple(finding for check in RIG_CHECKS for finding in check(checked))

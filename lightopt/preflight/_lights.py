@@ -1,96 +1,94 @@
-"""Where the lights stand, now and at the ends of their ranges: in the view, under the table, in each other's way."""
+"""Where the lights stand, now and over their ranges: in the view, under the table, in collision."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from lightopt.config import RigConfig
-from lightopt.preflight._report import Finding, percent
-from lightopt.preflight._subject import RigSubject
-from lightopt.scene import PanelLight, build_lights, image_area, panel_corners, rectangles_meet
+from lightopt.preflight._findings import Finding, percent
+from lightopt.preflight._inputs import CheckedRig, CheckedScene
+from lightopt.rendering import panels_in_part
+from lightopt.scene import (
+    PanelLight,
+    build_lights,
+    image_area,
+    panel_corners,
+    rectangles_meet,
+    segments_blocked,
+)
 
 STEP_DEG = 5.0
 """A light's ranges are tried at least this finely where the camera's view is concerned."""
 
 
-def check_lights_in_view(subject: RigSubject) -> Iterator[Finding]:
+def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
     """Panels between the camera and what it looks at: they are in every picture, and hide what is behind them."""
-    pixels = subject.camera.width * subject.camera.height
+    pixels = checked.camera.width * checked.camera.height
     clear = True
-    for index, light in enumerate(subject.lights):
-        area = image_area(subject.camera, panel_corners(light))
+    for index, light in enumerate(checked.lights):
+        area = image_area(checked.camera, panel_corners(light))
         if area > 0.0:
             clear = False
-            yield Finding(
-                "warning",
-                "light in view",
+            text = (
                 f"{light.name} stands in the camera's view and covers {area:,.0f} px ({percent(area / pixels)} of "
-                "the image). Renderings leave it out, a camera cannot: move it, or the camera",
-                subject.at_light(index),
-                {"light": light.name, "pixels": area, "share": area / pixels},
+                "the image). Renderings leave it out, a camera cannot: move it, or the camera"
             )
+            values = {"light": light.name, "pixels": area, "share": area / pixels}
+            yield Finding("warning", "light in view", text, checked.at("lights", index), values)
             continue
         moved = [
             p
-            for p in _moved(subject.rig, index, STEP_DEG)
-            if image_area(subject.camera, panel_corners(p)) > 0.0
+            for p in _moved(checked.rig, index, STEP_DEG)
+            if image_area(checked.camera, panel_corners(p)) > 0.0
         ]
         if moved:
             clear = False
-            yield _at_range(subject, index, "light in view", moved, "comes into the camera's view")
+            yield _at_range(checked, index, "light in view", moved, "comes into the camera's view")
     if clear:
         yield Finding("ok", "light in view", "no panel stands in the camera's view, nor moves into it")
 
 
-def check_below_horizon(subject: RigSubject) -> Iterator[Finding]:
+def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
     """Panels that reach below the table top."""
-    for index, light in enumerate(subject.lights):
+    for index, light in enumerate(checked.lights):
         lowest = float(panel_corners(light)[:, 2].min())
         if lowest < 0.0:
-            yield Finding(
-                "warning",
-                "light below table",
+            text = (
                 f"a corner of {light.name} is {-lowest:.3g} mm below the table top; raise its elevation of "
-                f"{math.degrees(light.elevation):g}°, or take a smaller panel",
-                subject.at_light(index),
-                {"light": light.name, "lowest_mm": lowest},
+                f"{math.degrees(light.elevation):g}°, or take a smaller panel"
             )
+            values = {"light": light.name, "lowest_mm": lowest}
+            yield Finding("warning", "light below table", text, checked.at("lights", index), values)
             continue
-        moved = [p for p in _moved(subject.rig, index, 180.0) if panel_corners(p)[:, 2].min() < 0.0]
+        moved = [p for p in _moved(checked.rig, index, 180.0) if panel_corners(p)[:, 2].min() < 0.0]
         if moved:
             depth = -min(float(panel_corners(p)[:, 2].min()) for p in moved)
             text = f"reaches {depth:.3g} mm below the table top"
-            yield _at_range(subject, index, "light below table", moved, text)
+            yield _at_range(checked, index, "light below table", moved, text)
 
 
-def check_collisions(subject: RigSubject) -> Iterator[Finding]:
+def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
     """Panels that touch or cross each other."""
-    moved = [[light, *_moved(subject.rig, i, 360.0)] for i, light in enumerate(subject.lights)]
+    moved = [[light, *_moved(checked.rig, i, 360.0)] for i, light in enumerate(checked.lights)]
     for i, j in _close_pairs(moved):
-        a, b = subject.lights[i], subject.lights[j]
+        a, b = checked.lights[i], checked.lights[j]
         apart = float(np.linalg.norm(a.centre - b.centre))
         sizes = " and ".join(f"{light.size[0]:g} × {light.size[1]:g} mm" for light in (a, b))
         if rectangles_meet(a, b):
-            yield Finding(
-                "warning",
-                "panels collide",
-                f"{a.name} and {b.name} ({sizes}) cross each other: their centres are {apart:.3g} mm apart",
-                subject.at_light(j),
-                {"lights": [a.name, b.name], "centres_mm": apart},
-            )
+            text = f"{a.name} and {b.name} ({sizes}) cross each other: their centres are {apart:.3g} mm apart"
+            values = {"lights": [a.name, b.name], "centres_mm": apart}
+            yield Finding("warning", "panels collide", text, checked.at("lights", j), values)
             continue
         meeting = next(((p, q) for p in moved[i] for q in moved[j] if rectangles_meet(p, q)), None)
         if meeting is not None:
-            told = " and ".join(f"{p.name} at {_angles(p)}" for p in meeting)
+            places = " and ".join(f"{p.name} at {_angles(p)}" for p in meeting)
+            text = f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {places}"
             yield Finding(
-                "note",
-                "panels collide",
-                f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {told}",
-                subject.at_light(j),
-                {"lights": [a.name, b.name]},
+                "note", "panels collide", text, checked.at("lights", j), {"lights": [a.name, b.name]}
             )
 
 
@@ -130,27 +128,19 @@ def _close_pairs(moved: list[list[PanelLight]]) -> Iterator[tuple[int, int]]:
             yield i, i + 1 + int(j)
 
 
-def _at_range(subject: RigSubject, index: int, topic: str, moved: list[PanelLight], what: str) -> Finding:
+def _at_range(checked: CheckedRig, index: int, topic: str, moved: list[PanelLight], what: str) -> Finding:
     elevations = [math.degrees(p.elevation) for p in moved]
     azimuths = [math.degrees(p.azimuth) for p in moved]
     ranges = f"elevation {_span(elevations)}, azimuth {_span(azimuths)}"
-    name = subject.lights[index].name
-    keys = (
-        "elevation_range_deg"
-        if subject.rig.lights[index].elevation_range_deg is not None
-        else "azimuth_range_deg"
-    )
-    return Finding(
-        "note",
-        topic,
-        f"within its range {name} {what} ({ranges})",
-        subject.rig.source.at("lights", index, keys),
-        {
-            "light": name,
-            "elevation_deg": [min(elevations), max(elevations)],
-            "azimuth_deg": [min(azimuths), max(azimuths)],
-        },
-    )
+    name = checked.lights[index].name
+    tilts = checked.rig.lights[index].elevation_range_deg is not None
+    where = checked.at("lights", index, "elevation_range_deg" if tilts else "azimuth_range_deg")
+    values = {
+        "light": name,
+        "elevation_deg": [min(elevations), max(elevations)],
+        "azimuth_deg": [min(azimuths), max(azimuths)],
+    }
+    return Finding("note", topic, f"within its range {name} {what} ({ranges})", where, values)
 
 
 def _span(angles: list[float]) -> str:
@@ -160,3 +150,31 @@ def _span(angles: list[float]) -> str:
 
 def _angles(light: PanelLight) -> str:
     return f"elevation {math.degrees(light.elevation):.3g}°, azimuth {math.degrees(light.azimuth):.3g}°"
+
+
+def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
+    """How much of the part's image a panel hides, standing between camera and part."""
+    for (index, sample), (at, light) in itertools.product(
+        enumerate(checked.samples), enumerate(checked.scene.lights)
+    ):
+        hidden = segments_blocked(sample.view.lights[at], sample.view.camera.position, sample.hits.points)
+        count = int(np.count_nonzero(hidden))
+        if not count:
+            continue
+        pixels, share = count * sample.step**2, count / len(hidden)
+        text = (
+            f"posture {sample.posture}: {light.name} stands between camera and part and hides about {pixels:,} px "
+            f"({percent(share)}) of it. Renderings leave it out, a camera cannot"
+        )
+        posture = checked.scene.postures[index].as_dict()
+        values = {"light": light.name, "posture": posture, "pixels": pixels, "share": share}
+        yield Finding("warning", "light in view", text, checked.rig.source.at("lights", at), values)
+
+
+def check_lights_in_part(checked: CheckedScene) -> Iterator[Finding]:
+    """Panels that are inside the part, wholly or in places."""
+    index = {light.name: i for i, light in enumerate(checked.rig.lights)}
+    for found in panels_in_part(checked.scene):
+        where = checked.rig.source.at("lights", index[found.light])
+        values = {"light": found.light, "posture": found.posture.as_dict(), "share": found.share}
+        yield Finding("error", "light in part", found.text, where, values)

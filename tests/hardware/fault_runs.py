@@ -15,7 +15,7 @@ from fault_cases import Case
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError
 from lightopt.images import ImageEntry, ImageSet, read_exr, read_image_set, read_png
-from lightopt.rig.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
+from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench
 from lightopt.rig.simulated import BenchProcess
 
 __all__ = ["OPTIONS", "Outcome", "Steps", "alike", "differences", "kill_sometime", "suffer", "undisturbed"]
@@ -91,7 +91,7 @@ def undisturbed(rig: Path, part: Path, folder: Path) -> tuple[dict[str, int], in
     found: dict[str, int] = {}
     counted: list[Steps] = []
 
-    def connect(plan: Plan) -> Devices:
+    def connect(plan: CapturePlan) -> Devices:
         bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
         devices = connect_devices(loaded_rig, plan.wiring, part=loaded_part, plan=plan, bench=bench)
         counted.append(Steps(None, bench.kill))
@@ -113,7 +113,7 @@ def suffer(case: Case, rig: Path, part: Path, folder: Path, truth: Path) -> Outc
     loaded_rig, loaded_part = load_rig(rig), load_part(part)
     benches: list[BenchProcess] = []
 
-    def connect(plan: Plan) -> Devices:
+    def connect(plan: CapturePlan) -> Devices:
         bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
         benches.append(bench)
         bench.request("camera")  # the scene is built, so that steps take the same time in every run

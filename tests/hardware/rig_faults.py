@@ -29,7 +29,7 @@ from fault_runs import OPTIONS, Steps, differences
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 from lightopt.images import read_image_set
-from lightopt.rig.capture import Devices, Plan, capture, connect_devices, start_bench
+from lightopt.rig.capture import CapturePlan, Devices, capture, connect_devices, start_bench
 from lightopt.rig.simulated import BenchProcess, BenchTruth
 
 __all__ = ["RigCase", "Seen", "gige_rig", "main", "rig_cases", "table", "undergo"]
@@ -147,7 +147,7 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
     loaded_rig, loaded_part = load_rig(rig), load_part(part)
     benches: list[BenchProcess] = []
 
-    def connect(plan: Plan) -> Devices:
+    def connect(plan: CapturePlan) -> Devices:
         bench = start_bench(loaded_rig, plan.wiring, part=loaded_part, truth=case.truth)
         benches.append(bench)
         devices = connect_devices(loaded_rig, plan.wiring, part=loaded_part, plan=plan, bench=bench)
@@ -164,7 +164,7 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
 
     message, retries, told, finished = "", 0, (), False
     wrong: list[str] = []
-    options = replace(OPTIONS, dark=case.dark, come_back=case.come_back)
+    options = replace(OPTIONS, dark=case.dark, check_repeatability=case.come_back)
     with case.here():
         try:
             done = capture(loaded_rig, loaded_part, folder, options=options, connect=connect)

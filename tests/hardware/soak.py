@@ -22,7 +22,7 @@ from rig_faults import gige_rig
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture import CaptureOptions, Devices, Plan, capture, connect_devices, start_bench
+from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench
 from lightopt.rig.simulated import BenchProcess
 
 __all__ = ["Soaked", "main", "soak"]
@@ -80,7 +80,7 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
     out = folder / "soaked"
     begun = time.monotonic()
 
-    def connect(plan: Plan) -> Devices:
+    def connect(plan: CapturePlan) -> Devices:
         bench = start_bench(rig, plan.wiring, part=part)
         devices = connect_devices(rig, plan.wiring, part=part, plan=plan, bench=bench)
         for number, (device, fault) in enumerate(FAULTS):

@@ -20,7 +20,7 @@ from lightopt.core.transforms import Posture
 from lightopt.images import read_image_set, read_png
 from lightopt.rig.capture import (
     CaptureOptions,
-    Plan,
+    CapturePlan,
     capture,
     connect_devices,
     make_plan,
@@ -56,7 +56,7 @@ class Counts(dict):
 @pytest.fixture
 def patient(monkeypatch):
     """However slow the disk, lights wait for it, so that messages have the same number in every run."""
-    monkeypatch.setattr(Plan, "relighting_s", 60.0)
+    monkeypatch.setattr(CapturePlan, "relighting_s", 60.0)
 
 
 def every(cases, count):

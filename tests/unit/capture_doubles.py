@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture import Devices, Plan
+from lightopt.rig.capture import CapturePlan, Devices
 from lightopt.rig.devices import Frame, Identity, StageState
 from lightopt.rig.simulated._deviations import BenchTruth
 from lightopt.rig.simulated._optics import BenchOptics
@@ -132,10 +132,10 @@ class Camera:
         self.world.log.append(("close", "camera"))
 
 
-def connecting(world: World, scene, truth: BenchTruth | None = None) -> Callable[[Plan], Devices]:
+def connecting(world: World, scene, truth: BenchTruth | None = None) -> Callable[[CapturePlan], Devices]:
     """Open the doubles of a rig."""
 
-    def connect(plan: Plan) -> Devices:
+    def connect(plan: CapturePlan) -> Devices:
         world.log.append(("open",))
         hardware = plan.wiring.hardware
         return Devices(

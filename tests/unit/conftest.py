@@ -43,7 +43,7 @@ def take(bench, world, monkeypatch):
 
     from lightopt.config import load_part, load_rig
     from lightopt.config._hardware import TimingConfig
-    from lightopt.rig.capture import CaptureOptions, Plan, _wiring, capture
+    from lightopt.rig.capture import CaptureOptions, CapturePlan, _wiring, capture
     from lightopt.scene import build_scene
 
     plain = _wiring.HardwareConfig
@@ -53,7 +53,7 @@ def take(bench, world, monkeypatch):
 
     monkeypatch.setattr(_wiring, "HardwareConfig", quick)
     # what the devices do is compared step by step: however slow the disk, lights wait for it
-    monkeypatch.setattr(Plan, "relighting_s", 60.0)
+    monkeypatch.setattr(CapturePlan, "relighting_s", 60.0)
     rig, part = load_rig(bench.rig), load_part(bench.part)
     scene = build_scene(rig, part)
 

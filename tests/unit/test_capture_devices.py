@@ -11,7 +11,7 @@ from capture_doubles import Camera, Lights, Stage, World, broken
 
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.capture import CaptureOptions, Devices, burn, make_plan, snap, wiring_of
+from lightopt.rig.capture import CaptureOptions, Devices, hold_light, make_plan, snap, wiring_of
 from lightopt.rig.simulated import BenchTruth
 from lightopt.scene import build_scene
 
@@ -115,7 +115,7 @@ def grab_and_go(devices):
 
 
 def test_a_light_that_does_not_go_dark_in_time_is_tried_again(opened, world, monkeypatch):
-    monkeypatch.setattr("lightopt.rig.capture._watchdog._AGAIN_S", 0.05)
+    monkeypatch.setattr("lightopt.rig.capture._watchdog._RETRY_S", 0.05)
     world.trouble = broken("level", number=6, error=HardwareError("no reply"))  # four at the start, one on
 
     with opened({"max_on_s": 0.1}) as devices:
@@ -125,7 +125,7 @@ def test_a_light_that_does_not_go_dark_in_time_is_tried_again(opened, world, mon
         time.sleep(0.3)
         assert not world.burning
         with pytest.raises(HardwareError, match="burned for its max_on_s"):
-            devices.check_burning("light1")
+            devices.check_watchdog("light1")
 
 
 def test_each_lighting_has_its_own_time(opened, world):
@@ -134,9 +134,9 @@ def test_each_lighting_has_its_own_time(opened, world):
             devices.light_on("light1")
             time.sleep(0.12)
             assert world.burning
-            assert 0 < devices.may_burn_s("light1") < 0.2
+            assert 0 < devices.remaining_on_s("light1") < 0.2
             devices.light_off("light1")
-        assert devices.may_burn_s("light1") is None
+        assert devices.remaining_on_s("light1") is None
 
 
 def test_no_level_above_the_channel_s(opened, world):
@@ -222,7 +222,7 @@ def test_a_lamp_at_the_bench_is_off_before_its_time(opened, world):
         time.sleep(seconds)
 
     with opened({"max_on_s": 0.3}) as devices:
-        assert burn(devices, "light1", 200, seconds=None, wait=wait) == 200
+        assert hold_light(devices, "light1", 200, seconds=None, wait=wait) == 200
     assert 0.2 < waited[0] < 0.28
 
 
@@ -243,7 +243,7 @@ def test_a_frame_that_hangs_under_a_lamp_at_the_bench(opened, world, bench):
 
 
 def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
-    from lightopt.rig.capture._exposure_sequence import Shooter
+    from lightopt.rig.capture._acquisition import AcquisitionEngine
     from lightopt.rig.capture._timing import Timing
 
     part = load_part(bench.part)
@@ -254,11 +254,11 @@ def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
         with pytest.raises(
             InputError, match=r"an exposure of 10000 µs is outside the camera's 10 to 9000 µs"
         ):
-            Shooter(devices, plan, sensor=sensor, identities={}, timing=Timing())
+            AcquisitionEngine(devices, plan, sensor=sensor, identities={}, timing=Timing())
 
 
 def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opened, world, rig, bench):
-    from lightopt.rig.capture._exposure_sequence import Shooter
+    from lightopt.rig.capture._acquisition import AcquisitionEngine
     from lightopt.rig.capture._timing import Timing
 
     part = load_part(bench.part)
@@ -266,7 +266,7 @@ def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opene
 
     def shooter(devices, *exposures):
         plan = make_plan(rig, part, CaptureOptions(exposures=exposures))
-        Shooter(devices, plan, sensor=sensor, identities={}, timing=Timing()).close()
+        AcquisitionEngine(devices, plan, sensor=sensor, identities={}, timing=Timing()).close()
 
     with opened() as devices:
         devices.camera.set_exposure = lambda asked: 20.0 * round(asked / 20)

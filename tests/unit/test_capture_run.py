@@ -16,8 +16,8 @@ from lightopt.core.errors import HardwareError, InputError, Interrupted
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata
-from lightopt.rig.capture import Plan
-from lightopt.rig.capture._exposure_sequence import Shooter
+from lightopt.rig.capture import CapturePlan
+from lightopt.rig.capture._acquisition import AcquisitionEngine
 from lightopt.rig.capture._timing import Timing
 from lightopt.rig.simulated import BenchTruth
 
@@ -173,7 +173,7 @@ def burning_after(monkeypatch, world, module, name, *, seconds=0.15):
 def test_no_light_burns_for_a_slow_disk(take, world, bench, monkeypatch):
     from lightopt.images import _writer
 
-    monkeypatch.setattr(Plan, "relighting_s", 0.02)
+    monkeypatch.setattr(CapturePlan, "relighting_s", 0.02)
     burning = burning_after(monkeypatch, world, _writer, "write_png")
     assert take(exposures=(1.0, 1 / 16)).taken == 8
     assert burning == [set()] * 8
@@ -186,9 +186,9 @@ def test_a_light_waits_for_a_quick_disk(take, world):
 
 
 def test_the_light_is_out_before_anything_is_made_of_its_frames(take, world, monkeypatch):
-    from lightopt.rig.capture._frames import FrameMean
+    from lightopt.rig.capture._exposures import FrameMean
 
-    monkeypatch.setattr(Plan, "relighting_s", 0.02)
+    monkeypatch.setattr(CapturePlan, "relighting_s", 0.02)
     burning = burning_after(monkeypatch, world, FrameMean, "image", seconds=0.1)
     take(postures=(Posture(0.0, 0.0),), average=3)
     assert burning == [set()] * 4
@@ -203,10 +203,10 @@ def test_what_may_not_burn_long_waits_less():
     )
     for left, expected in ((None, 0.16), (5.0, 0.16), (0.1, 0.07), (0.02, 0.0)):
         camera = SimpleNamespace(exposure_range_us=(1.0, 1e7))
-        devices = SimpleNamespace(camera=camera, may_burn_s=lambda name, left=left: left)
-        shooter = Shooter(devices, plan, sensor=None, identities={}, timing=Timing())
-        shooter._lit = ("light1", {})
-        assert shooter.patience_s((1.0, 0.5)) == pytest.approx(expected)
+        devices = SimpleNamespace(camera=camera, remaining_on_s=lambda name, left=left: left)
+        engine = AcquisitionEngine(devices, plan, sensor=None, identities={}, timing=Timing())
+        engine._lit = ("light1", {})
+        assert engine.max_wait_s((1.0, 0.5)) == pytest.approx(expected)
 
 
 def test_a_camera_without_trigger_has_frames_discarded(take, bench, world):
@@ -422,9 +422,9 @@ def test_a_light_that_stays_on_after_the_last_image_is_named(take, world, level)
 
 
 def test_a_light_that_stays_on_is_judged_by_the_posture_that_it_shows(take, world, monkeypatch):
-    from lightopt.rig.capture import _image_checks as _judge
+    from lightopt.rig.capture import _image_checks
 
-    plain = _judge.lights_left_on
+    plain = _image_checks.find_light_left_on
     last = threading.Event()
 
     def late(*arguments, **options):  # the disk comes to it only once the stage travels to the next posture
@@ -441,7 +441,7 @@ def test_a_light_that_stays_on_is_judged_by_the_posture_that_it_shows(take, worl
             time.sleep(0.1)
             last.set()
 
-    monkeypatch.setattr(_judge, "lights_left_on", late)
+    monkeypatch.setattr(_image_checks, "find_light_left_on", late)
     world.trouble = stuck
     with pytest.raises(HardwareError, match="the frame without light looks like light1"):
         take(postures=(Posture(0.0, 0.0), Posture(-30.0, 90.0)))
@@ -495,10 +495,10 @@ def test_an_interrupted_run_says_where_it_stands(take, world, bench):
 
 
 def test_two_captures_into_one_folder_are_refused(take, world, bench):
-    from lightopt.rig.capture._lock import LOCK_NAME, locked
+    from lightopt.rig.capture._lock import LOCK_NAME, lock_folder
 
     with (
-        locked(bench.out),
+        lock_folder(bench.out),
         pytest.raises(InputError, match=r"another capture writes into this folder \(process \d+\)"),
     ):
         take()

@@ -25,7 +25,7 @@ from lightopt.images import (
     write_npz_atomic,
     write_png,
 )
-from lightopt.images.comparison import Thresholds, compare_files, compare_sets, difference_picture
+from lightopt.images.comparison import ComparisonThresholds, compare_files, compare_sets, difference_picture
 from lightopt.images.comparison._channels import compare_arrays
 
 LEVELS = np.random.default_rng(0).uniform(1, 400, (40, 50)).astype(np.float32)
@@ -129,7 +129,7 @@ def test_least_overlap_of_saturated_areas_when_asked():
 )
 def test_impossible_thresholds_are_refused(values: dict):
     with pytest.raises(InputError, match=next(iter(values))):
-        Thresholds(**values)
+        ComparisonThresholds(**values)
 
 
 # ---- files
@@ -143,14 +143,14 @@ def test_default_thresholds_of_two_exr(tmp_path: Path):
     result = compare_files(a, far)
     assert not result.passed
     assert result.channels[0].differing == LEVELS.size
-    assert compare_files(a, far, Thresholds(absolute=0.1)).passed
+    assert compare_files(a, far, ComparisonThresholds(absolute=0.1)).passed
     assert json.loads(json.dumps(result.as_dict(), allow_nan=False))["channels"][0]["passed"] is False
 
 
 def test_saturation_of_an_exr_is_its_full_scale_and_of_a_png_its_own_level(tmp_path: Path):
     a = exr(tmp_path / "a.exr", Y=LEVELS)
     assert compare_files(a, a).channels[0].saturated_a == int((LEVELS >= 255).sum())
-    assert compare_files(a, a, Thresholds(saturation=300)).channels[0].saturated_a == int(
+    assert compare_files(a, a, ComparisonThresholds(saturation=300)).channels[0].saturated_a == int(
         (LEVELS >= 300).sum()
     )
     write_exr(tmp_path / "b.exr", {"Y": LEVELS}, metadata={"full_scale": 200})
@@ -173,7 +173,7 @@ def test_pngs_are_compared_in_sensor_levels_and_pictures_by_colour(tmp_path: Pat
     write_png(tmp_path / "a.png", levels, metadata={})
     write_png(tmp_path / "b.png", levels + 1, metadata={})
     assert not compare_files(tmp_path / "a.png", tmp_path / "b.png").passed
-    assert compare_files(tmp_path / "a.png", tmp_path / "b.png", Thresholds(absolute=1)).passed
+    assert compare_files(tmp_path / "a.png", tmp_path / "b.png", ComparisonThresholds(absolute=1)).passed
     picture = np.stack([levels, levels, levels + 9], axis=-1)
     write_png(tmp_path / "c.png", picture, metadata={})
     assert [channel.name for channel in compare_files(tmp_path / "c.png", tmp_path / "c.png").channels] == [
@@ -289,7 +289,7 @@ def test_geometry_has_a_threshold_of_its_own_and_patches_are_names(tmp_path: Pat
     assert compare_files(golden, geometry(tmp_path / "b.exr", hit, patch, shift=0.0005)).passed
     far = geometry(tmp_path / "c.exr", hit, patch, shift=0.002)
     assert not compare_files(golden, far).passed
-    assert compare_files(golden, far, Thresholds(geometry_absolute=0.01)).passed
+    assert compare_files(golden, far, ComparisonThresholds(geometry_absolute=0.01)).passed
     renumbered = patch.copy()
     renumbered[0, :20] += 1
     result = compare_files(golden, geometry(tmp_path / "d.exr", hit, renumbered))

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from lightopt.config import RigConfig, load_rig
 from lightopt.core.errors import InputError
 from lightopt.preflight import check_rig
-from lightopt.preflight._report import Finding, Report
+from lightopt.preflight._findings import CheckResult, Finding
 from lightopt.scene import (
     PanelLight,
     image_area,
@@ -59,11 +59,11 @@ def make_rig(camera=None, sensor=None, light=None, **top) -> RigConfig:
     return RigConfig.model_validate(data)
 
 
-def find(report: Report, topic: str, level: str | None = None) -> list[Finding]:
+def find(report: CheckResult, topic: str, level: str | None = None) -> list[Finding]:
     return [f for f in report.findings if f.topic == topic and level in (None, f.level)]
 
 
-def only(report: Report, topic: str) -> Finding:
+def only(report: CheckResult, topic: str) -> Finding:
     (finding,) = find(report, topic)
     return finding
 
@@ -106,7 +106,7 @@ def test_report_is_json_and_frozen():
     ],
 )
 def test_worst_level(levels, worst):
-    assert Report(tuple(Finding(level, "t", "x") for level in levels)).worst == worst
+    assert CheckResult(tuple(Finding(level, "t", "x") for level in levels)).worst == worst
 
 
 # ---- camera and sensor

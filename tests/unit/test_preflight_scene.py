@@ -14,10 +14,10 @@ from test_preflight_rig import find, make_rig, only
 from lightopt.config import PartConfig, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.geometry import TriangleMesh, merge_rows, mesh_edges
-from lightopt.preflight import _coverage, check_scene
-from lightopt.preflight._coverage import facing
-from lightopt.preflight._facets import facet_angles, interpolation_errors
-from lightopt.preflight._report import Report
+from lightopt.preflight import _part, check_scene
+from lightopt.preflight._findings import CheckResult
+from lightopt.preflight._highlights import facet_angles, interpolation_errors
+from lightopt.preflight._part import facing
 from lightopt.scene._part_size import likely_units
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -62,20 +62,20 @@ def write_stl(path: Path, triangles) -> Path:
     return path
 
 
-WHOLE_BUDGET = _coverage.BUDGET
+WHOLE_BUDGET = _part.BUDGET
 
 
 @pytest.fixture(autouse=True)
 def few_patches(monkeypatch):
     """Surface that is not seen is counted on a tenth of the patches."""
-    monkeypatch.setattr(_coverage, "BUDGET", 20_000)
+    monkeypatch.setattr(_part, "BUDGET", 20_000)
 
 
 @pytest.fixture
 def check(tmp_path):
     """Check triangles on the test rig; `part` and `rig` go to the configurations."""
 
-    def run(triangles, *, sigma=0.0475, mesh=None, rig=None, reflectance=None, **part) -> Report:
+    def run(triangles, *, sigma=0.0475, mesh=None, rig=None, reflectance=None, **part) -> CheckResult:
         file = write_stl(tmp_path / "part.stl", triangles)
         config = PartConfig.model_validate(
             {
@@ -472,7 +472,7 @@ def test_top_of_a_block_is_all_that_is_seen(check):
 
 
 def test_surface_under_a_bridge(check, monkeypatch):
-    monkeypatch.setattr(_coverage, "BUDGET", WHOLE_BUDGET)
+    monkeypatch.setattr(_part, "BUDGET", WHOLE_BUDGET)
     # a plate 10 mm wide, 12 mm above the block's middle
     bridge = box((-5, -15, 22), (5, 15, 24))
     finding = only(check(np.concatenate([BLOCK, bridge])), "unseen surface")
@@ -494,7 +494,7 @@ def test_postures_that_look_under_the_bridge(check):
 
 
 def test_part_outside_the_image_is_not_seen(check, monkeypatch):
-    monkeypatch.setattr(_coverage, "BUDGET", WHOLE_BUDGET)
+    monkeypatch.setattr(_part, "BUDGET", WHOLE_BUDGET)
     finding = only(check(BLOCK, placement={"translate_mm": [35, 0, 0]}), "unseen surface")
     assert finding.values["unseen_upper_share"] == pytest.approx(0.5, abs=0.02)
     assert finding.values["unseen_upper_box_mm"][0][0] == pytest.approx(34.6, abs=0.5)

@@ -18,28 +18,23 @@ PERCENTILES: Mapping[str, float] = MappingProxyType({"p50": 50, "p95": 95, "p99"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Thresholds:
+class ComparisonThresholds:
     """When a difference is too large.
 
     Attributes
     ----------
-    absolute, relative
-        A pixel differs where |a − b| > absolute + relative · |a|, a being the golden [level of the file, 1].
-    max_share
-        Share of pixels that may differ, 0 to 1: of those that are not background in both images, so that a small part
-        in a large frame is judged like a large one.
-    geometry_absolute
-        In geometry images and patch tables a value differs by more than this [mm; 1 for normals], nothing
-        relative.
-    min_iou
-        Least intersection over union of the saturated masks; not asked for when None.
-    saturation
-        Level from which a pixel counts as saturated; what the file or its manifest says when None.
+    absolute, relative: A pixel differs where |a − b| > absolute + relative · |a|, a being the golden [level of the
+        file, 1].
+    max_share: Share of pixels that may differ, 0 to 1: of those that are not background in both images, so that a
+        small part in a large frame is judged like a large one.
+    geometry_absolute: In geometry images and patch tables a value differs by more than this [mm; 1 for normals],
+        nothing relative.
+    min_iou: Least intersection over union of the saturated masks; None: not checked.
+    saturation: Level from which a pixel counts as saturated; None: what the file or its manifest says.
 
     Raises
     ------
-    InputError
-        When a threshold is negative, not finite, or a share above 1.
+    InputError: A threshold is negative, not finite, or a share above 1.
     """
 
     absolute: float = 0.05
@@ -61,25 +56,17 @@ class Thresholds:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelDifference:
-    """How one channel differs.
+    """Difference of one channel.
 
     Attributes
     ----------
-    name
-        The channel.
-    pixels, compared
-        Pixels of the image, and those whose values were compared: not background in both images.
-    max, rms, percentiles
-        Of |a − b| over the compared pixels where both are finite; None where there are none.
-    differing, share
-        Pixels beyond the thresholds, and their share of the compared pixels.
-    not_finite_a, not_finite_b
-        Pixels that are NaN or infinite.
-    saturated_a, saturated_b, iou
-        Saturated pixels, and intersection over union of the two masks (1 where both are empty); None for
-        channels that do not saturate.
-    reasons
-        Why the channel fails; empty when it passes.
+    compared: Pixels whose values were compared: not background in both images.
+    max, rms, percentiles: Of |a − b| over the compared pixels where both are finite; None where there are none.
+    differing, share: Pixels beyond the thresholds, and their share of the compared pixels.
+    not_finite_a, not_finite_b: Pixels that are NaN or infinite.
+    saturated_a, saturated_b, iou: Saturated pixels, and intersection over union of the two masks (1 where both are
+        empty); None for channels that do not saturate.
+    reasons: Why the channel fails; empty when it passes.
     """
 
     name: str
@@ -125,28 +112,11 @@ def compare_arrays(
     saturation: tuple[float, float] | None = None,
     min_iou: float | None = None,
 ) -> ChannelDifference:
-    """Compare two arrays of numbers.
+    """Compare golden values `a` with new values `b` of one shape, only those in the mask `where`.
 
     A NaN equals a NaN and an infinity the same infinity; any value that is not finite where the golden's is
-    fails.
-
-    Parameters
-    ----------
-    name
-        What the arrays are called in reports.
-    a, b
-        Golden and new values, of one shape.
-    absolute, relative, max_share, min_iou
-        See :class:`Thresholds`.
-    where
-        Which values to compare, boolean, same shape; all when None.
-    saturation
-        Levels from which `a` and `b` count as saturated; None for values that do not saturate.
-
-    Raises
-    ------
-    InputError
-        When the shapes differ.
+    fails. `saturation` has the levels from which `a` and `b` count as saturated. For the limits see
+    :class:`ComparisonThresholds`. Raises InputError when the shapes differ.
     """
     if a.shape != b.shape:
         raise InputError(f"{name}: different shapes: {a.shape} against {b.shape}")

@@ -1,89 +1,147 @@
-"""Comparing two image files."""
+"""Comparing two image files or two patch tables."""
 
 from __future__ import annotations
 
+import math
+import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lightopt.core.errors import InputError
-from lightopt.images.comparison._channels import ChannelDifference, Thresholds, compare_arrays
-from lightopt.images.comparison._load import LEVELS, LoadedFile, hit_mask, lit_mask, load_file
+import numpy as np
+from numpy.typing import NDArray
 
+from lightopt.core.errors import InputError
+from lightopt.images import read_exr, read_exr_metadata, read_png, read_png_metadata
+from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, compare_arrays
+
+LEVELS = "levels"
+"""Name given to a grey PNG's only channel."""
+
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+_PNG_MAGIC = b"\x89PNG"
+_DEFAULT_FULL_SCALE = 255.0
 _SATURATING = frozenset({LEVELS, "Y"})
-_DEFAULTS = Thresholds()
+_DEFAULTS = ComparisonThresholds()
+_NPZ_ERRORS = (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error)
+"""What NumPy raises for files that are no readable .npz."""
 
 
 @dataclass(frozen=True)
-class FileComparison:
-    """How two files differ: per channel, and why that is too much.
+class LoadedFile:
+    """An image's channels (H, W) by name, what it is, and its levels of saturation and of background."""
 
-    Attributes
-    ----------
-    a, b
-        The golden and the new file.
-    channels
-        The differences by channel; in geometry images ``hit`` is the mask of rays that hit, its `iou` that of
-        the masks.
-    reasons
-        Why the comparison fails, those of the channels included; empty when it passes.
-    """
+    channels: dict[str, NDArray[Any]]
+    kind: str
+    saturation: float
+    black: float = 0.0
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W)."""
+        return next(iter(self.channels.values())).shape
+
+    @property
+    def is_geometry(self) -> bool:
+        """Whether this is a geometry image, where pixels may miss the part."""
+        return {"Z", "N.X"} <= self.channels.keys()
+
+
+def load_file(path: Path) -> LoadedFile:
+    """Read an EXR or PNG, told apart by content; InputError when the file is missing, damaged, or neither."""
+    try:
+        with path.open("rb") as file:
+            magic = file.read(4)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if magic == _EXR_MAGIC:
+        full_scale = _number(read_exr_metadata(path).get("full_scale"), _DEFAULT_FULL_SCALE)
+        return LoadedFile(channels=dict(read_exr(path)), kind="EXR of floats", saturation=full_scale)
+    if magic != _PNG_MAGIC:
+        raise InputError(f"{path}: expected an EXR or PNG image, found neither")
+    pixels = read_png(path, colour=True)
+    grey = pixels.ndim == 2
+    channels = {LEVELS: pixels} if grey else {name: pixels[..., i] for i, name in enumerate("RGB")}
+    top = float(np.iinfo(pixels.dtype).max)
+    metadata = read_png_metadata(path)
+    saturation = _number(metadata.get("saturation_level"), top)
+    black = _number(metadata.get("black_level"), 0.0)
+    return LoadedFile(dict(channels), f"PNG of {pixels.dtype}", saturation, black)
+
+
+def _number(value: object, default: float) -> float:
+    return float(value) if isinstance(value, (int, float)) and value > 0 else default
+
+
+def hit_mask(image: LoadedFile) -> NDArray[np.bool_]:
+    """Where the rays of a geometry image hit the part: everything is 0 where they miss."""
+    return image.channels["Z"] != 0
+
+
+def lit_mask(image: LoadedFile, channel: str) -> NDArray[np.bool_]:
+    """Where a channel is not background: 0, or the black level as the camera rounds it."""
+    return image.channels[channel] != math.floor(image.black + 0.5)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of the golden `a` with the new `b`: it fails for the `reasons`, and passes where there are none."""
 
     a: str
     b: str
-    channels: tuple[ChannelDifference, ...] = ()
     reasons: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether the files are close enough."""
+        """Whether they are close enough."""
         return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {
-            "a": self.a,
-            "b": self.b,
-            "passed": self.passed,
-            "reasons": list(self.reasons),
-            "channels": [channel.as_dict() for channel in self.channels],
-        }
+        return {"a": self.a, "b": self.b, "passed": self.passed, "reasons": list(self.reasons)}
+
+
+@dataclass(frozen=True)
+class FileComparison(Comparison):
+    """Comparison of two files, channel by channel.
+
+    In geometry images the channel ``hit`` is the mask of rays that hit, its `iou` that of the masks.
+    """
+
+    channels: tuple[ChannelDifference, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {**super().as_dict(), "channels": [channel.as_dict() for channel in self.channels]}
 
 
 def compare_files(
     a: str | Path,
     b: str | Path,
-    thresholds: Thresholds = _DEFAULTS,
+    thresholds: ComparisonThresholds = _DEFAULTS,
     *,
     saturation: tuple[float | None, float | None] = (None, None),
     black: tuple[float | None, float | None] = (None, None),
 ) -> FileComparison:
-    """Compare two EXR or two PNG images; another format, size or channel is a failed comparison.
+    """Compare the golden image `a` with `b`, both EXR or both PNG; other formats, sizes or channels fail.
 
     Pixels that are background in both images are left out: level 0 (the black level in a PNG), or rays that miss in
-    geometry images.
+    geometry images. Thresholds are in sensor levels for PNG, in grey levels for EXR, in mm for geometry.
 
     Parameters
     ----------
-    a, b
-        The golden file and the new one.
-    thresholds
-        When a difference is too large; PNG in sensor levels, EXR in grey levels, geometry in mm.
-    saturation
-        Levels from which the PNGs count as saturated, where a manifest knows better than the files;
+    saturation, black: Saturation and background levels of the PNGs, where a manifest knows better than the files;
         `thresholds.saturation` goes before both.
-    black
-        Levels of the PNGs' background, where a manifest knows better than the files.
 
     Raises
     ------
-    InputError
-        When a file is missing, damaged or no image.
+    InputError: A file is missing, damaged or no image.
     """
     problems: list[str] = []
-    golden = _load("golden", Path(a), saturation[0], black[0], problems)
-    new = _load("new", Path(b), saturation[1], black[1], problems)
+    golden = _load_image("golden", Path(a), saturation[0], black[0], problems)
+    new = _load_image("new", Path(b), saturation[1], black[1], problems)
     if golden is None or new is None:
         raise InputError(*problems)
     reasons = list(_structure_problems(golden, new))
@@ -93,7 +151,7 @@ def compare_files(
     return FileComparison(str(a), str(b), channels=channels, reasons=tuple(reasons))
 
 
-def _load(
+def _load_image(
     role: str, path: Path, saturation: float | None, black: float | None, problems: list[str]
 ) -> LoadedFile | None:
     """Read an image; where that fails, add the problem."""
@@ -127,27 +185,26 @@ def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
             yield f"{role} channel {', '.join(sorted(names))}"
 
 
-def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: Thresholds) -> Iterator[ChannelDifference]:
+def _compare_channels(
+    golden: LoadedFile, new: LoadedFile, limits: ComparisonThresholds
+) -> Iterator[ChannelDifference]:
     hit_a = hit_b = None
     if geometry := golden.is_geometry and new.is_geometry:
         hit_a, hit_b = hit_mask(golden), hit_mask(new)
+        either, share = hit_a | hit_b, limits.max_share
         mask = compare_arrays(
-            "hit",
-            hit_a,
-            hit_b,
-            absolute=0,
-            relative=0,
-            max_share=limits.max_share,
-            where=hit_a | hit_b,
-            saturation=(1, 1),
+            "hit", hit_a, hit_b, absolute=0, relative=0, max_share=share, where=either, saturation=(1, 1)
         )
         yield replace(mask, saturated_a=None, saturated_b=None)
     for name in sorted(golden.channels.keys() & new.channels.keys()):
         patch = geometry and name == "patch"
-        levels = tuple(
-            limits.saturation if limits.saturation is not None else image.saturation
-            for image in (golden, new)
-        )
+        if hit_a is not None and hit_b is not None:
+            where = hit_a & hit_b
+        else:
+            where = lit_mask(golden, name) | lit_mask(new, name)
+        saturation = (golden.saturation, new.saturation)
+        if limits.saturation is not None:
+            saturation = (limits.saturation, limits.saturation)
         difference = compare_arrays(
             name,
             golden.channels[name],
@@ -155,11 +212,44 @@ def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: Thresholds) -
             absolute=0 if patch else limits.geometry_absolute if geometry else limits.absolute,
             relative=0 if geometry else limits.relative,
             max_share=limits.max_share,
-            where=lit_mask(golden, name) | lit_mask(new, name)
-            if hit_a is None or hit_b is None
-            else hit_a & hit_b,
-            saturation=(levels[0], levels[1]) if name in _SATURATING else None,
+            where=where,
+            saturation=saturation if name in _SATURATING else None,
             min_iou=limits.min_iou,
         )
         # Patch numbers are names: they are equal or not, and how far apart they are says nothing.
         yield replace(difference, max=None, rms=None, percentiles=None) if patch else difference
+
+
+def compare_tables(a: Path, b: Path, thresholds: ComparisonThresholds) -> FileComparison:
+    """Compare the arrays of two ``.npz`` files: floats within `geometry_absolute`, the rest exactly."""
+    reasons: list[str] = []
+    golden, new = _load_arrays("golden", a, reasons), _load_arrays("new", b, reasons)
+    if reasons:
+        return FileComparison(str(a), str(b), reasons=tuple(reasons))
+    if golden.keys() != new.keys():
+        reasons.append(f"different arrays: golden {sorted(golden)}, new {sorted(new)}")
+    channels: list[ChannelDifference] = []
+    for name in sorted(golden.keys() & new.keys()):
+        old, now = golden[name], new[name]
+        if old.shape != now.shape or old.dtype.kind != now.dtype.kind:
+            reasons.append(f"{name}: golden {old.dtype} {old.shape}, new {now.dtype} {now.shape}")
+        elif old.dtype.kind in "biuf":
+            absolute = thresholds.geometry_absolute if old.dtype.kind == "f" else 0.0
+            share = thresholds.max_share
+            channels.append(compare_arrays(name, old, now, absolute=absolute, relative=0, max_share=share))
+        elif not np.array_equal(old, now):
+            reasons.append(f"{name}: different texts")
+    reasons += [reason for channel in channels for reason in channel.reasons]
+    return FileComparison(str(a), str(b), channels=tuple(channels), reasons=tuple(reasons))
+
+
+def _load_arrays(role: str, path: Path, reasons: list[str]) -> dict[str, NDArray[Any]]:
+    """Read the arrays; where that fails, add the reason."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError:
+        reasons.append(f"{role} file is missing: {path}")
+    except _NPZ_ERRORS as error:
+        reasons.append(f"{role} file is no readable .npz: {path}: {error}")
+    return {}

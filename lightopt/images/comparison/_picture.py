@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.images import write_png
-from lightopt.images.comparison._load import LEVELS, LoadedFile, load_file
+from lightopt.images.comparison._files import LEVELS, LoadedFile, load_file
 
 _LOWER = (33, 102, 172)
 _EQUAL = (247, 247, 247)
@@ -29,18 +29,9 @@ class DifferencePicture:
 
     Attributes
     ----------
-    path
-        The PNG.
-    channel
-        The channel shown.
-    scale
-        Difference of the full colours [level of the files]; larger ones look the same.
-    beyond_scale
-        Pixels whose difference is larger.
-    only_golden, only_new
-        Pixels saturated in one image alone, marked in colours of their own.
-    sha256
-        Of the PNG, in hex.
+    scale, beyond_scale: Difference of the full colours [level of the files], and number of pixels beyond it.
+    only_golden, only_new: Pixels saturated in one image alone, marked in colours of their own.
+    sha256: Of the PNG, in hex.
     """
 
     path: Path
@@ -64,30 +55,19 @@ def difference_picture(
 ) -> DifferencePicture:
     """Write a PNG of the signed difference new − golden: blue lower, white equal, red higher.
 
-    Pixels saturated only in the golden image are green, only in the new one magenta, values that are not
+    Pixels saturated only in the golden image `a` are green, only in the new one `b` magenta, values that are not
     finite in either black. The numbers of the scale are in the file's metadata.
 
     Parameters
     ----------
-    a, b
-        Golden and new image, EXR or PNG.
-    path
-        The PNG to write.
-    channel
-        The channel to show; ``Y``, a PNG's levels, or the first one.
-    scale
-        Difference of the full colours [level of the files]; when not given, the 99.9th percentile of the
-        differences there are.
-    saturation
-        Level from which a pixel counts as saturated; what the files say when not given.
-    overwrite
-        Whether a file of other content may be replaced.
+    channel: The channel to show; ``Y``, a PNG's levels, or the first one.
+    scale: Difference of the full colours [level of the files]; by default the 99.9th percentile of the differences.
+    saturation: Level from which a pixel counts as saturated; by default what the files say.
 
     Raises
     ------
-    InputError
-        When an image cannot be read, they differ in format or size, a channel is missing, the scale is not
-        above 0, the picture cannot be written, or one of other content is there and `overwrite` is False.
+    InputError: An image cannot be read, they differ in format or size, a channel is missing, the scale is not above
+        0, the picture cannot be written, or one of other content is there and `overwrite` is False.
     """
     golden, new = load_file(Path(a)), load_file(Path(b))
     if golden.kind != new.kind or golden.shape != new.shape:
@@ -135,11 +115,9 @@ def _choose(golden: LoadedFile, new: LoadedFile, channel: str | None) -> str:
 
 def _automatic_scale(signed: NDArray[np.float64]) -> float:
     distance = np.abs(signed[signed != 0])
-    return (
-        max(float(np.percentile(distance, _SCALE_PERCENTILE)), _LEAST_SCALE)
-        if distance.size
-        else _LEAST_SCALE
-    )
+    if not distance.size:
+        return _LEAST_SCALE
+    return max(float(np.percentile(distance, _SCALE_PERCENTILE)), _LEAST_SCALE)
 
 
 def _diverging(relative: NDArray[np.float64]) -> NDArray[np.uint8]:

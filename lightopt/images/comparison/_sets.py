@@ -2,61 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from lightopt.core.errors import InputError
-from lightopt.core.provenance import file_sha256
+from lightopt.core.provenance import file_sha256, files_sha256, provenance
 from lightopt.core.transforms import Posture
-from lightopt.images import ImageSet, Manifest, read_image_set
-from lightopt.images.comparison._channels import Thresholds
-from lightopt.images.comparison._files import FileComparison, compare_files
-from lightopt.images.comparison._tables import compare_tables
+from lightopt.images import MANIFEST_NAME, ImageSet, Manifest, read_image_set
+from lightopt.images.comparison._channels import ComparisonThresholds
+from lightopt.images.comparison._files import Comparison, FileComparison, compare_files, compare_tables
 
-_DEFAULTS = Thresholds()
+_DEFAULTS = ComparisonThresholds()
 _ANGLE_TOLERANCE_DEG = 1e-6
+_PATCHES = "patch table"
 
 
 @dataclass(frozen=True)
-class SetComparison:
-    """How two image sets differ.
+class SetComparison(Comparison):
+    """Comparison of two image sets.
 
     Attributes
     ----------
-    a, b
-        The golden and the new set.
-    files
-        The files of the golden set against their counterparts.
-    missing, extra
-        What only the golden set has, and only the new one. Missing fails, extra is reported.
-    reasons
-        Why the comparison fails, those of the files included; empty when it passes.
-    notes
-        What is worth knowing and fails nothing.
+    files: The files of the golden set against their counterparts.
+    missing, extra: What only the golden set has, and only the new one. Missing fails, extra is reported.
+    notes: Differences that fail nothing.
     """
 
-    a: str
-    b: str
     files: tuple[FileComparison, ...] = ()
     missing: tuple[str, ...] = ()
     extra: tuple[str, ...] = ()
-    reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether the sets are close enough."""
-        return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {
-            "a": self.a,
-            "b": self.b,
-            "passed": self.passed,
-            "reasons": list(self.reasons),
+            **super().as_dict(),
             "notes": list(self.notes),
             "missing": list(self.missing),
             "extra": list(self.extra),
@@ -64,22 +46,12 @@ class SetComparison:
         }
 
 
-def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULTS) -> SetComparison:
-    """Compare two image sets, golden against new; images are matched by light, posture and exposure.
+def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds = _DEFAULTS) -> SetComparison:
+    """Compare two image sets, golden `a` against new `b`; images are matched by light, posture and exposure.
 
     A file that is missing, damaged or changed since it was listed is a failed comparison with its reason.
 
-    Parameters
-    ----------
-    a, b
-        Folder or ``manifest.json`` of the golden and of the new set.
-    thresholds
-        When a difference is too large.
-
-    Raises
-    ------
-    InputError
-        When one of them is no image set, or its manifest is damaged.
+    Raises InputError: one of them is no image set, or its manifest is damaged.
     """
     problems: list[str] = []
     golden, new = (_open(role, path, problems) for role, path in (("golden", a), ("new", b)))
@@ -100,10 +72,13 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: Thresholds = _DEFAULT
         for role, image_set, listed in (("golden", golden, old[label]), ("new", new, now[label])):
             reasons += _changed(role, image_set, listed)
         path_a, path_b = golden.path(old[label][0]), new.path(now[label][0])
-        if label == _PATCHES:
-            comparison = compare_tables(path_a, path_b, thresholds)
-        else:
-            comparison = _images(path_a, path_b, thresholds, saturation, black)
+        try:
+            if label == _PATCHES:
+                comparison = compare_tables(path_a, path_b, thresholds)
+            else:
+                comparison = compare_files(path_a, path_b, thresholds, saturation=saturation, black=black)
+        except InputError as error:
+            comparison = FileComparison(str(path_a), str(path_b), reasons=error.messages)
         files.append(comparison)
         reasons += [f"{label}: {reason}" for reason in comparison.reasons]
     return SetComparison(
@@ -125,20 +100,8 @@ def _open(role: str, path: str | Path, problems: list[str]) -> ImageSet | None:
         return None
 
 
-def _images(
-    a: Path, b: Path, thresholds: Thresholds, saturation: tuple[float, float], black: tuple[float, float]
-) -> FileComparison:
-    try:
-        return compare_files(a, b, thresholds, saturation=saturation, black=black)
-    except InputError as error:
-        return FileComparison(str(a), str(b), reasons=error.messages)
-
-
-_PATCHES = "patch table"
-
-
 def _listed(manifest: Manifest) -> dict[str, tuple[str, str | None]]:
-    """Map what a set holds, in words, to the file and its SHA-256; an EXR that exposures share comes once."""
+    """Map the items of a set, in words, to their files and SHA-256; an EXR that exposures share comes once."""
     listed: dict[str, tuple[str, str | None]] = {}
     for image in manifest.images:
         what = f"{image.light} at {_words(image.posture)}"
@@ -182,3 +145,23 @@ def _notes(golden: Manifest, new: Manifest) -> Iterator[str]:
     for name, old, now in (("rig", golden.rig, new.rig), ("part", golden.part, new.part)):
         if old and now and old.sha256 != now.sha256:
             yield f"different {name} file: golden {old.file}, new {now.file}"
+
+
+def comparison_provenance(
+    result: FileComparison | SetComparison, thresholds: ComparisonThresholds
+) -> dict[str, Any]:
+    """Inputs and thresholds of a comparison, in the layout of :mod:`lightopt.core.provenance`. Raises OSError."""
+    if isinstance(result, SetComparison):
+        inputs = {
+            "golden": _set_hashes(result.a, [file.a for file in result.files]),
+            "new": _set_hashes(result.b, [file.b for file in result.files]),
+        }
+    else:
+        inputs = {"golden": {"sha256": file_sha256(result.a)}, "new": {"sha256": file_sha256(result.b)}}
+    return provenance(inputs, asdict(thresholds))
+
+
+def _set_hashes(given: str, files: Sequence[str]) -> dict[str, str]:
+    manifest = Path(given) / MANIFEST_NAME if Path(given).is_dir() else Path(given)
+    names = (Path(file).relative_to(manifest.parent).as_posix() for file in files)
+    return {"manifest_sha256": file_sha256(manifest), "files_sha256": files_sha256(manifest.parent, names)}

@@ -1,48 +1,48 @@
-"""Driving the rig: the plan, the devices it needs, and a run that loses nothing.
+"""Capture sessions: the plan, the devices it needs, and a run whose finished images survive any interruption.
 
-The only room that chooses between the virtual bench and real devices.
+Only this package chooses between the virtual bench and real devices.
 """
 
 from lightopt.rig.capture._connect import check_devices, connect_devices
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._image_records import check_folder
+from lightopt.rig.capture._lights import switch_off
 from lightopt.rig.capture._manual_control import (
-    burn,
     check_angles,
-    check_burning,
     check_exposure,
     check_level,
-    device_rows,
+    check_on_time,
+    device_statuses,
+    hold_light,
     snap,
-    snap_s,
+    snap_on_s,
 )
 from lightopt.rig.capture._options import CaptureOptions
-from lightopt.rig.capture._plan import Plan, make_plan
-from lightopt.rig.capture._run import Captured, capture
+from lightopt.rig.capture._plan import CapturePlan, make_plan
+from lightopt.rig.capture._run import CaptureResult, capture
 from lightopt.rig.capture._simulated_rig import start_bench
-from lightopt.rig.capture._switch_off import switch_off
 from lightopt.rig.capture._timing import Timing
 from lightopt.rig.capture._wiring import wiring_of
 
 __all__ = [
     "CaptureOptions",
-    "Captured",
+    "CapturePlan",
+    "CaptureResult",
     "Devices",
-    "Plan",
     "Timing",
-    "burn",
     "capture",
     "check_angles",
-    "check_burning",
     "check_devices",
     "check_exposure",
     "check_folder",
     "check_level",
+    "check_on_time",
     "connect_devices",
-    "device_rows",
+    "device_statuses",
+    "hold_light",
     "make_plan",
     "snap",
-    "snap_s",
+    "snap_on_s",
     "start_bench",
     "switch_off",
     "wiring_of",

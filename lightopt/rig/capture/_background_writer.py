@@ -1,4 +1,4 @@
-"""Work for the disk that goes on while the stage moves and lights settle, in threads of its own."""
+"""Writing images in threads of its own, while the stage moves and lights settle."""
 
 from __future__ import annotations
 
@@ -13,17 +13,12 @@ MOST_LINEARS = 2
 """Linear images that wait or are being written, at most: their exposures are held in memory until then."""
 
 
-class DiskWork:
+class BackgroundWriter:
     """One worker checks and writes images, one merges and writes linear ones.
 
     The next exposure waits for the image before it, not for linear ones, which can be made from the images at any time.
     After an error no further image is written. A disk that refuses is a device that fails: what the workers raise as
     :class:`InputError` is raised here as :class:`HardwareError`.
-
-    Parameters
-    ----------
-    timing
-        Where waiting is counted.
     """
 
     def __init__(self, timing: Timing) -> None:
@@ -33,22 +28,22 @@ class DiskWork:
         self._last: Future[None] | None = None
         self._queued: list[Future[None]] = []
 
-    def image(self, work: Callable[..., None], *arguments: object) -> None:
+    def submit_image(self, work: Callable[..., None], *arguments: object) -> None:
         """Check and write an image, once those before it are done."""
-        self._last = self._images.submit(self._after(self._last, work, arguments))
+        self._last = self._images.submit(_run_after, self._last, work, *arguments)
 
-    def linear(self, work: Callable[..., None], *arguments: object) -> None:
-        """Write a linear image, once the images so far are done, of which it is made.
+    def submit_linear(self, work: Callable[..., None], *arguments: object) -> None:
+        """Write a linear image, once the images that it is made of are done.
 
-        Waits while as many as may be are not written yet; an error of those before is raised here.
+        Waits while the queue is full; an earlier error is raised here.
         """
         with self._timing.spent("writing_s"):
             while len(self._unwritten()) >= MOST_LINEARS:
                 wait(self._queued, return_when=FIRST_COMPLETED)
-        self._queued.append(self._linears.submit(self._after(self._last, work, arguments)))
+        self._queued.append(self._linears.submit(_run_after, self._last, work, *arguments))
 
     def wait_for_image(self, longest_s: float | None = None) -> bool:
-        """Wait until the last image is on disk, at most so long [s]; whether it is. Its error is raised here."""
+        """Wait until the last image is on disk, at most so long [s]; returns whether it is. Raises its error."""
         if self._last is None:
             return True
         with self._timing.spent("writing_s"):
@@ -65,17 +60,17 @@ class DiskWork:
             while self._unwritten():
                 wait(self._queued, return_when=FIRST_COMPLETED)
 
-    def give_up_linears(self) -> None:
-        """Let linear images be that nobody has begun with."""
+    def cancel_linears(self) -> None:
+        """Cancel linear images that have not been started."""
         self._linears.shutdown(wait=False, cancel_futures=True)
 
-    def idle(self, longest_s: float) -> bool:
-        """Whether all is done, within so long [s] at most."""
+    def wait_idle(self, longest_s: float) -> bool:
+        """Wait at most so long [s]; returns whether all is done."""
         last = [self._last] if self._last is not None else []
         return not wait([f for f in (*self._queued, *last) if not f.done()], longest_s).not_done
 
     def close(self) -> None:
-        """Let all be finished, whatever fails."""
+        """Finish all work, whatever fails."""
         self._images.shutdown(wait=True)
         self._linears.shutdown(wait=True)
 
@@ -87,16 +82,12 @@ class DiskWork:
             _result(future)
         return self._queued
 
-    @staticmethod
-    def _after(
-        before: Future[None] | None, work: Callable[..., None], arguments: tuple[object, ...]
-    ) -> Callable[[], None]:
-        def then() -> None:
-            if before is not None:
-                before.result()
-            work(*arguments)
 
-        return then
+def _run_after(before: Future[None] | None, work: Callable[..., None], *arguments: object) -> None:
+    """Do some work once the work before it has succeeded; its error is raised otherwise."""
+    if before is not None:
+        before.result()
+    work(*arguments)
 
 
 def _result(future: Future[Any]) -> None:

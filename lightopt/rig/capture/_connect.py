@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,25 @@ from lightopt.config import PartConfig, RigConfig, StageDeviceConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._folder_camera import FolderCamera
-from lightopt.rig.capture._open_camera import check_camera_software, opened_camera
-from lightopt.rig.capture._open_lights import open_lights
-from lightopt.rig.capture._plan import Plan
+from lightopt.rig.capture._lights import open_lights
+from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._simulated_rig import STAGE, start_bench
-from lightopt.rig.capture._wiring import VIRTUAL, Wiring
-from lightopt.rig.devices import Axis, Camera, Event, SerialLog, Stage, check_stage, open_stage, port_problem
-from lightopt.rig.simulated import BenchProcess, BenchTruth
+from lightopt.rig.capture._wiring import CAMERA, VIRTUAL, Wiring
+from lightopt.rig.devices import (
+    Axis,
+    Camera,
+    CameraSettings,
+    Event,
+    SerialLog,
+    Stage,
+    check_camera_driver,
+    check_stage,
+    open_camera,
+    open_stage,
+    port_problem,
+)
+from lightopt.rig.simulated import BenchProcess, BenchTruth, VirtualCamera
 
 
 def connect_devices(
@@ -26,52 +37,38 @@ def connect_devices(
     wiring: Wiring,
     *,
     part: PartConfig | None = None,
-    plan: Plan | None = None,
+    plan: CapturePlan | None = None,
     camera: bool = True,
     serial_log: Path | None = None,
     truth: BenchTruth | None = None,
     bench: BenchProcess | None = None,
     touch_lights: bool = True,
     warn: Callable[[str], None] | None = None,
-    silent: dict[str, LightoptError] | None = None,
+    unreachable: dict[str, LightoptError] | None = None,
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
 
     Lights are opened first, and each controller goes dark as it opens: after a run that was killed this is the only
-    way to darken what burns while another device is out of order.
+    way to darken lights that are on while another device is out of order.
 
     Parameters
     ----------
-    rig, wiring
-        The rig and its devices.
-    part
-        What lies on the virtual bench; needed for its camera.
-    plan
-        What a folder camera must have.
-    camera
-        Whether the camera is needed.
-    serial_log
-        File that gets every byte on the wires.
-    truth
-        How the virtual bench differs from the files.
-    bench
-        A virtual bench that runs already; it is left running.
-    touch_lights
-        False for a mere look at the devices: nothing is switched.
-    warn
-        Called with what is out of the ordinary on the wires, as it happens, and if the serial log ends early, which
-        ends nothing else.
-    silent
-        For a mere look: gets the controllers and the stage that do not answer, with why, and the others are opened all
-        the same. None: that is an error.
+    part: The part on the virtual bench; needed for its camera.
+    plan: The images that a folder camera must have.
+    serial_log: File that gets every byte on the wires.
+    truth: How the virtual bench differs from the files.
+    bench: A virtual bench that runs already; it is left running.
+    touch_lights: False to only look at the devices: nothing is switched.
+    warn: Called with irregularities on the wires as they happen, and if the serial log ends early (which ends no
+        more).
+    unreachable: Collects the controllers and the stage that do not answer, with why; the others are opened. None: an
+        error.
 
     Raises
     ------
-    InputError
-        When a port is not there or in use, or a folder lacks images of the plan.
-    HardwareError
-        When a device does not answer. By then every controller that can be reached was darkened, unless `touch_lights`
-        is false, and the message names the lights that may still burn.
+    InputError: A port is not there or in use, or a folder lacks images of the plan.
+    HardwareError: A device does not answer. By then every controller that can be reached was darkened, unless
+        `touch_lights` is false, and the message names the lights that may still burn.
     """
     replay = check_devices(rig, wiring, plan, camera=camera)
     signals = EndSignals()
@@ -86,33 +83,34 @@ def connect_devices(
             stack.callback(bench.close)
             closing.append(bench.close)
         ports: Mapping[str, str] = {} if bench is None else bench.ports
+        controllers = wiring.hardware.controllers
         lights = open_lights(
             wiring,
-            wiring.hardware.controllers,
-            ports={name: ports[name] for name in ports if _virtual(wiring, name)},
+            controllers,
+            ports={n: p for n, p in ports.items() if n in controllers and controllers[n].port == VIRTUAL},
             log=log,
             darken=touch_lights,
             opened=lambda controller: stack.callback(controller.close),
         )
-        if silent is not None:
-            silent |= lights.problems
+        if unreachable is not None:
+            unreachable |= lights.problems
         elif lights.problems:
-            raise lights.raised()
+            raise lights.error()
         stage: Stage | None = None
         try:
             stage = _stage(rig, wiring, ports, log)
             if stage is not None:
                 stack.callback(stage.close)
         except LightoptError as error:
-            if silent is None:
-                raise (lights.raised(error) if touch_lights else error) from error
-            silent[STAGE] = error
+            if unreachable is None:
+                raise (lights.error(error) if touch_lights else error) from error
+            unreachable[STAGE] = error
         seen: Camera | None = None
         if camera:
             try:
-                seen = opened_camera(rig, wiring, replay=replay, bench=bench, log=log)
+                seen = _open_rig_camera(rig, wiring, replay=replay, bench=bench, log=log)
             except LightoptError as error:
-                raise (lights.raised(error) if touch_lights else error) from error
+                raise (lights.error(error) if touch_lights else error) from error
             stack.callback(seen.close)
         devices = Devices(
             wiring=wiring,
@@ -129,59 +127,50 @@ def connect_devices(
             try:
                 devices.check_referenced()
             except LightoptError as error:
-                raise lights.raised(error) from error
+                raise lights.error(error) from error
         stack.pop_all()  # from here on the devices close themselves
     return devices
 
 
 def check_devices(
-    rig: RigConfig, wiring: Wiring, plan: Plan | None = None, *, camera: bool = True
+    rig: RigConfig, wiring: Wiring, plan: CapturePlan | None = None, *, camera: bool = True
 ) -> FolderCamera | None:
     """Check what can be known of devices before any is opened: ports, axes and speeds, the folder to replay.
 
-    Returns
-    -------
-    FolderCamera or None
-        The folder that is replayed, where one is.
+    Returns the folder that is replayed, where one is.
 
-    Raises
-    ------
-    InputError
-        With all that is wrong.
+    Raises InputError with all that is wrong.
     """
     problems: list[str] = []
     replay: FolderCamera | None = None
-    try:
-        if camera:
-            check_camera_software(rig, wiring)
+    driver = wiring.hardware.camera.driver
+    if camera and driver in ("aravis", "genicam"):  # is its software on this computer?
+        with _collected(problems, where=rig.source.at("hardware", "camera")):
+            check_camera_driver(driver, _producer(rig, wiring))
+    if camera and driver == "folder":
+        with _collected(problems):
             replay = _folder_camera(rig, wiring, plan)
-    except InputError as error:
-        problems += error.messages
-    try:
-        _check_ports(rig, wiring)
-    except InputError as error:
-        problems += error.messages
+    problems += _port_problems(rig, wiring)
     if (stage := wiring.hardware.stage) is not None:
-        try:
+        with _collected(problems, where=rig.source.at("hardware", "stage")):
             check_stage(stage.driver, _axes(rig, stage))
-        except InputError as error:
-            problems += [f"{rig.source.at('hardware', 'stage')}: {message}" for message in error.messages]
     if problems:
         raise InputError(*problems)
     return replay
 
 
-def _virtual(wiring: Wiring, name: str) -> bool:
-    config = wiring.hardware.controllers.get(name)
-    return config is not None and config.port == VIRTUAL
+@contextmanager
+def _collected(problems: list[str], *, where: str = "") -> Generator[None]:
+    """Collect the messages of an input error instead of raising it."""
+    try:
+        yield
+    except InputError as error:
+        problems += [f"{where}: {message}" if where else message for message in error.messages]
 
 
-def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderCamera | None:
-    config = wiring.hardware.camera
-    if config.driver != "folder":
-        return None
+def _folder_camera(rig: RigConfig, wiring: Wiring, plan: CapturePlan | None) -> FolderCamera:
     camera = FolderCamera(
-        rig.source.resolve(config.folder or ""),
+        rig.source.resolve(wiring.hardware.camera.folder or ""),
         resolution_px=rig.camera.resolution_px,
         exposure_us=wiring.exposure_us,
     )
@@ -193,8 +182,8 @@ def _folder_camera(rig: RigConfig, wiring: Wiring, plan: Plan | None) -> FolderC
     return camera
 
 
-def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
-    """Refuse ports that are not there before any other is opened; a URL is only known when it is opened."""
+def _port_problems(rig: RigConfig, wiring: Wiring) -> list[str]:
+    """Ports that are not there; whether a URL can be opened is not known before."""
     hardware = wiring.hardware
     named = [
         (rig.source.at("hardware", "controllers", name, "port"), config.port)
@@ -202,13 +191,11 @@ def _check_ports(rig: RigConfig, wiring: Wiring) -> None:
     ]
     if hardware.stage is not None:
         named.append((rig.source.at("hardware", "stage", "port"), hardware.stage.port))
-    problems = [
+    return [
         f"{where}: {problem}"
         for where, port in named
         if port != VIRTUAL and (problem := port_problem(port)) is not None
     ]
-    if problems:
-        raise InputError(*problems)
 
 
 def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog) -> Stage | None:
@@ -245,3 +232,47 @@ def _axes(rig: RigConfig, config: StageDeviceConfig) -> list[Axis]:
 
 def _events(drivers: list[Any]) -> list[Event]:
     return [event for driver in drivers for event in getattr(driver, "events", ())]
+
+
+def _open_rig_camera(
+    rig: RigConfig,
+    wiring: Wiring,
+    *,
+    replay: FolderCamera | None,
+    bench: BenchProcess | None,
+    log: SerialLog,
+) -> Camera:
+    """Open the camera with the rig's settings; no frame is taken."""
+    if replay is not None:
+        return replay
+    config = wiring.hardware.camera
+    ports: Mapping[str, str] = {} if bench is None else bench.ports
+    if config.driver == VIRTUAL:
+        assert bench is not None
+        return VirtualCamera(bench)
+    producer = _producer(rig, wiring)
+    settings = CameraSettings(
+        where=rig.source.at("hardware", "camera"),
+        resolution_px=rig.camera.resolution_px,
+        bit_depth=rig.camera.sensor.bit_depth,
+        port=ports[CAMERA] if wiring.camera_is_gige else config.port,
+        producer=None if producer is None else str(producer),
+        pixel_format=config.pixel_format,
+        offset_px=config.offset_px,
+        gain=config.gain,
+        trigger=config.trigger,
+        fixed_exposure_us=config.fixed_exposure_us,
+        packet_size=config.packet_size,
+        packet_delay_ns=config.packet_delay_ns,
+    )
+    return open_camera(
+        config.driver,
+        settings,
+        tell=log.note,
+        ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
+    )
+
+
+def _producer(rig: RigConfig, wiring: Wiring) -> Path | None:
+    producer = wiring.hardware.camera.producer
+    return None if producer is None else rig.source.resolve(producer)

@@ -10,9 +10,9 @@ from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._open_lights import NONE_OF_THE_RIG, lights_on
+from lightopt.rig.capture._lights import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._watchdog import BurnWatch
+from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
 from lightopt.rig.devices import (
     Camera,
@@ -34,22 +34,12 @@ class Devices:
 
     Parameters
     ----------
-    wiring
-        What is plugged in where.
-    controllers
-        By name.
-    stage, camera
-        None where the rig has none, or none is needed.
-    events
-        What was out of the ordinary on the links so far.
-    closing
-        Called last, in order: the links' log, the virtual bench.
-    signals
-        Installed already where devices were opened under their protection.
-    touch_lights
-        False for a mere look at the devices: what burns then burns on.
-    dark
-        Whether every channel has been switched off since it was opened.
+    stage, camera: None where the rig has none, or none is needed.
+    events: Irregularities on the links so far.
+    closing: Called last, in order: the links' log, the virtual bench.
+    signals: Installed already where devices were opened under their protection.
+    touch_lights: False to only look at the devices: lights that are on stay on.
+    dark: Whether every channel has been switched off since it was opened.
     """
 
     def __init__(
@@ -75,7 +65,7 @@ class Devices:
         self._signals = signals
         self._stage_may_move = False
         self._homed = False
-        self._watch = BurnWatch(self._darken)
+        self._watchdog = LightWatchdog(self._darken)
         self._lit: set[str] = set()
         self._touch_lights = touch_lights
         self._dark = dark
@@ -113,76 +103,68 @@ class Devices:
         assert self._signals is not None
         try:
             with self._signals.shielded():
-                state = self._make_safe(failed=error is not None)
+                lit, stage = self._make_safe(failed=error is not None)
                 unclosed = self._close()
                 self._left = True
         finally:
             atexit.unregister(self._last_resort)
             self._signals.restore()
-        lights_are_off = not state[0]
-        if isinstance(error, HardwareError) or (error is not None and not lights_are_off):
-            raise self._told(error, state, unclosed) from error
-        if error is None and not lights_are_off:
-            raise HardwareError(
-                f"while switching all lights off at the end: {state[0][0]}", *state[0][1:], *unclosed
-            )
+        if isinstance(error, HardwareError) or (error is not None and lit):
+            raise self._failure(error, lit, stage, unclosed) from error
+        if error is None and lit:
+            raise HardwareError(f"while switching all lights off at the end: {lit[0]}", *lit[1:], *unclosed)
         if error is None and unclosed:
             raise HardwareError(*unclosed, *(["all lights are off"] if self._touch_lights else []))
         if error is None and self._signals.pending is not None:
             raise KeyboardInterrupt(self._signals.pending)
 
     def light_on(self, name: str, level: int | None = None) -> int | None:
-        """Light a panel, at its level unless another is given; returns what is read back, None where nothing can be.
+        """Light a panel, at its level unless another is given; returns the level read back, None where impossible.
 
-        From here on the channel burns for its `max_on_s` at most, whatever hangs: see :meth:`check_burning`.
+        From here on the channel is lit for its `max_on_s` at most, whatever hangs: see :meth:`check_watchdog`.
 
         Raises
         ------
-        InputError
-            When the level is above the channel's `max_level`; nothing was sent.
-        HardwareError
-            When the controller does not obey.
+        InputError: The level is above the channel's `max_level`; nothing was sent.
+        HardwareError: The controller does not obey.
         """
         channel = self.wiring.light(name)
         controller = self.controllers[channel.controller]
-        asked = channel.level if level is None else level
-        if channel.max_level is not None and asked > channel.max_level:
+        requested = channel.level if level is None else level
+        if channel.max_level is not None and requested > channel.max_level:
             raise InputError(
-                f"{name}: level {asked} is above its max_level {channel.max_level}; nothing was sent"
+                f"{name}: level {requested} is above its max_level {channel.max_level}; nothing was sent"
             )
         if channel.max_on_s is not None:
-            self._watch.begin(name, channel.max_on_s)
+            self._watchdog.start(name, channel.max_on_s)
         self._lit.add(name)
-        held = controller.set_level(channel.channel, asked)
-        if channel.max_on_s is not None and self._watch.left_s(name) is None:
+        held = controller.set_level(channel.channel, requested)
+        if channel.max_on_s is not None and self._watchdog.remaining_s(name) is None:
             self._darken(name)  # its time was up before the level was sent: nothing watches it now
-            self.check_burning(name)
+            self.check_watchdog(name)
         return held
 
-    def told_s(self, name: str) -> float:
-        """When [s, monotonic clock] the controller of a panel had its last intensity, before it was read back."""
+    def level_sent_s(self, name: str) -> float:
+        """When [s, monotonic clock] the controller of a panel got its last level, before it was read back."""
         return self.controllers[self.wiring.light(name).controller].told_s
 
     def light_off(self, name: str) -> None:
         """Darken a panel.
 
-        Raises
-        ------
-        HardwareError
-            When it had to be darkened before, because it had burned for its `max_on_s`.
+        HardwareError when the watchdog had to darken it before, because it had been lit for its `max_on_s`.
         """
         self._darken(name)
         self._lit.discard(name)
-        self._watch.end(name)
-        self.check_burning(name)
+        self._watchdog.stop(name)
+        self.check_watchdog(name)
 
-    def may_burn_s(self, name: str) -> float | None:
-        """How long a panel that is lit may burn on [s]; None where nothing limits it."""
-        return self._watch.left_s(name)
+    def remaining_on_s(self, name: str) -> float | None:
+        """How long a lit panel may stay lit [s]; None where nothing limits it."""
+        return self._watchdog.remaining_s(name)
 
-    def check_burning(self, name: str) -> None:
-        """Raise a :class:`HardwareError` when a panel was darkened because it had burned for its `max_on_s`."""
-        if problem := self._watch.ended(name):
+    def check_watchdog(self, name: str) -> None:
+        """Raise a :class:`HardwareError` when the watchdog darkened a panel that had been lit for its `max_on_s`."""
+        if problem := self._watchdog.pop_problem(name):
             raise HardwareError(problem)
 
     def _darken(self, name: str) -> None:
@@ -190,13 +172,7 @@ class Devices:
         self.controllers[channel.controller].set_level(channel.channel, 0)
 
     def all_off(self) -> list[str]:
-        """Switch every channel off, what this program lit first, each tried even if another fails.
-
-        Returns
-        -------
-        list of str
-            What failed, in words.
-        """
+        """Switch every channel off, what this program lit first, each even if another fails; returns failures."""
         burning: dict[str, list[int]] = {}
         for channel in map(self.wiring.light, tuple(self._lit)):
             burning.setdefault(channel.controller, []).append(channel.channel)
@@ -212,12 +188,9 @@ class Devices:
         return []
 
     def check_referenced(self) -> None:
-        """Refuse a real stage of which nobody knows whether it was homed since it was switched on; moves nothing.
+        """Refuse a real stage that may not have been homed since it was switched on; moves nothing.
 
-        Raises
-        ------
-        HardwareError
-            When it says that it was not, or cannot say it and the rig file does not vouch for it.
+        HardwareError when it says that it was not, or cannot say it and the rig file does not vouch for it.
         """
         config = self.wiring.hardware.stage
         if self.stage is None or config is None or config.port == VIRTUAL:
@@ -267,7 +240,7 @@ class Devices:
         self._stage_may_move = False
 
     def identities(self) -> dict[str, Any]:
-        """Who the devices say they are, in JSON form."""
+        """Identities of the devices, in JSON form."""
         return {
             "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
             "stage": self.stage.identify().as_dict() if self.stage is not None else None,
@@ -275,24 +248,22 @@ class Devices:
         }
 
     def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:
-        """Lights first, then the stage; returns lights that may burn and how the stage is."""
-        burning = self.all_off() if self._touch_lights else []
-        self._watch.end_all()
-        if self.stage is None or not failed:
-            return burning, None
-        if not self._stage_may_move:
-            return burning, None
+        """Lights first, then the stage; returns failures of the lights and the state of the stage."""
+        lit = self.all_off() if self._touch_lights else []
+        self._watchdog.stop_all()
+        if self.stage is None or not failed or not self._stage_may_move:
+            return lit, None
         try:
             self.stage.stop()
             stopped = "the stage was stopped"
         except Exception as error:  # noqa: BLE001  (whatever fails here, the devices must be closed)
-            return burning, f"the stage MAY STILL MOVE, stopping it failed: {error_text(error)}"
+            return lit, f"the stage MAY STILL MOVE, stopping it failed: {error_text(error)}"
         try:
             state = self.stage.state()
         except Exception as error:  # noqa: BLE001  (as above)
-            return burning, f"{stopped}; where it stands is unknown: {error_text(error)}"
+            return lit, f"{stopped}; where it stands is unknown: {error_text(error)}"
         alarm = f", alarm: {state.alarm}" if state.alarm else ""
-        return burning, f"{stopped} and stands at {state.posture}{alarm}"
+        return lit, f"{stopped} and stands at {state.posture}{alarm}"
 
     def _last_resort(self) -> None:
         """At the end of the program, if it ended without leaving these devices."""
@@ -306,15 +277,14 @@ class Devices:
         attempts = [_attempt(close) for close in (*closing, *self._closing)]
         return [f"closing a device failed: {problem}" for problem in attempts if problem is not None]
 
-    def _told(
-        self, error: BaseException, state: tuple[list[str], str | None], unclosed: Sequence[str]
+    def _failure(
+        self, error: BaseException, lit: list[str], stage: str | None, unclosed: Sequence[str]
     ) -> HardwareError:
-        burning, stage = state
-        said = error.messages if isinstance(error, LightoptError) else ()
-        cause = said or (f"ended by {error_text(error)}",)
-        # what all_off said at the start and again at the end is said once
-        lights = [line for line in burning if line not in cause]
-        if self._touch_lights and not burning:
+        messages = error.messages if isinstance(error, LightoptError) else ()
+        cause = messages or (f"ended by {error_text(error)}",)
+        # a failure of all_off at the start and again at the end is reported once
+        lights = [line for line in lit if line not in cause]
+        if self._touch_lights and not lit:
             lights = ["all lights are off"]
         return HardwareError(
             f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else []), *unclosed
@@ -322,7 +292,7 @@ class Devices:
 
 
 def _attempt(action: Callable[[], None]) -> str | None:
-    """Do it; why that failed, or None."""
+    """Run an action; returns why it failed, or None."""
     try:
         action()
     except Exception as error:  # noqa: BLE001  (whatever fails here, the rest must be done, too)

@@ -1,4 +1,4 @@
-"""Judging the images of a run as they come: dark frames are dark, lit ones lit by their light."""
+"""Checking the images of a run as they come: dark frames are dark, lit ones lit by their light."""
 
 from __future__ import annotations
 
@@ -13,139 +13,115 @@ from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
 from lightopt.rendering import cast_rays_at
-from lightopt.rig.capture._exposure_consistency import exposures_disagree
-from lightopt.rig.capture._exposure_sequence import Shot
-from lightopt.rig.capture._frames import Exposed
-from lightopt.rig.capture._light_checks import Predictions, check_lit, lights_left_on, predict
+from lightopt.rig.capture._acquisition import AcquiredImage
+from lightopt.rig.capture._exposures import ExposureImage, exposure_mismatch
+from lightopt.rig.capture._light_checks import PredictedImages, check_light, find_light_left_on, predict
 from lightopt.scene import Scene
 
 Float32 = NDArray[np.float32]
 
 AMBIENT_LEVELS = 0.5
-"""Light that is always there and shifts levels by more than this is told [sensor level]."""
+"""Ambient light that shifts levels by more than this causes a warning [sensor level]."""
 
 
-class Judge:
-    """Holds the predictions of the latest postures, made while the stage travels, and the frame without light.
+class ImageChecker:
+    """Checks images as they come, with predictions of the latest postures, computed while the stage travels.
 
-    Parameters
-    ----------
-    scene
-        With all lights of the rig.
-    check
-        Whether to judge at all.
-    with_dark
-        Whether the set has frames without light, so that what is always there is known.
+    `with_dark` says whether the set has frames without light, so that ambient light is known.
     """
 
     def __init__(self, scene: Scene, *, check: bool, with_dark: bool) -> None:
         self._with_dark = with_dark
-        self._scene = scene
+        self._scene, self._sensor = scene, scene.sensor
         self._check = check
         self._caster = cast_rays_at(scene) if check else None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="predict")
-        self._predicted: dict[Posture, Future[Predictions]] = {}
+        self._predicted: dict[Posture, Future[PredictedImages]] = {}
         self._reference: dict[float, Float32] = {}
 
-    @property
-    def sensor(self) -> Sensor:
-        """The rig's."""
-        return self._scene.sensor
-
-    def has_reference(self, exposure: float) -> bool:
+    def has_dark_reference(self, exposure: float) -> bool:
         """Whether a frame without light has been seen at an exposure."""
         return not self._check or exposure in self._reference
 
-    def begin(self, posture: Posture) -> None:
+    def predict(self, posture: Posture) -> None:
         """Predict what the lights make of the part in a posture, in a thread of its own.
 
-        The prediction of the posture before is kept: its last frames may not have been judged yet.
+        The prediction of the posture before is kept: its last frames may not have been checked yet.
         """
         if self._caster is not None:
             before = list(self._predicted.items())[-1:]
             predicted = self._worker.submit(predict, self._scene, posture, self._caster)
             self._predicted = dict([*before, (posture, predicted)])
 
-    def refer(self, dark: Float32, exposure: float) -> None:
-        """Compare frames without light with one [sensor level], (H, W), that an earlier run found dark and kept."""
+    def set_dark_reference(self, dark: Float32, exposure: float) -> None:
+        """Set the reference for frames without light [sensor level], (H, W): one that an earlier run kept."""
         self._reference.setdefault(exposure, dark)
 
-    def dark(self, shot: Shot, posture: Posture, exposure: float, warn: Callable[[str], None]) -> None:
-        """Keep a frame without light, the first at its exposure, once it shows that no light burns.
+    def check_dark(self, acquired: AcquiredImage, warn: Callable[[str], None]) -> None:
+        """Check that no light is on in a frame without light; the first one at its exposure becomes the reference.
 
-        Raises
-        ------
-        HardwareError
-            When it looks like the image of a light.
+        HardwareError when it looks like the image of a light.
         """
         if not self._check:
             return
-        first = self._reference.get(exposure)
-        burning = lights_left_on(
-            shot.image.mean,
-            predictions=self._predicted[posture].result(),
-            sensor=self.sensor,
-            exposure=shot.image.exposure,
+        image, first = acquired.image, self._reference.get(acquired.exposure)
+        light = find_light_left_on(
+            image.mean,
+            predictions=self._predicted[acquired.posture].result(),
+            sensor=self._sensor,
+            exposure=image.exposure,
             before=first,
         )
-        if burning is not None:
+        if light is not None:
             raise HardwareError(
-                f"the frame without light looks like {burning}, although all channels were switched off; "
-                f"check the controller of {burning}"
+                f"the frame without light looks like {light}, although all channels were switched off; "
+                f"check the controller of {light}"
             )
         if first is None:
-            self._reference[exposure] = shot.image.mean
-            above = float(shot.image.mean.mean()) - self.sensor.black_level
-            if not self._with_dark and above > AMBIENT_LEVELS + clipped_mean(self.sensor):
+            self._reference[acquired.exposure] = image.mean
+            above = float(image.mean.mean()) - self._sensor.black_level
+            if not self._with_dark and above > AMBIENT_LEVELS + clipped_mean(self._sensor):
                 warn(
-                    f"without any light the image is {above:.2g} levels above black at exposure {exposure:g}: capture "
-                    "with --dark, or darken the room, or correct black_level"
+                    f"without any light the image is {above:.2g} levels above black at exposure {acquired.exposure:g}: "
+                    "capture with --dark, or darken the room, or correct black_level"
                 )
 
-    def judge(
+    def check(
         self,
-        light: str,
-        posture: Posture,
-        exposure: float,
-        shot: Shot,
+        acquired: AcquiredImage,
         dark: Mapping[float, Float32],
-        others: Mapping[float, Exposed],
+        others: Mapping[float, ExposureImage],
         warn: Callable[[str], None],
     ) -> dict[str, Any] | None:
-        """Check that an image is lit by its light; returns what was found, in JSON form.
+        """Check that an image is lit by its light; returns the findings in JSON form.
 
-        Raises
-        ------
-        HardwareError
-            When it is lit by another light, by two, or by none, or not as at its other exposures.
+        HardwareError when it is lit by another light, by two, or by none, or not as at its other exposures.
         """
         if not self._check:
             return None
-        found = check_lit(
+        light, image, own_dark = acquired.light, acquired.image, self._dark(dark, acquired.exposure)
+        assert light is not None
+        where = f"{light} {acquired.posture}"
+        found = check_light(
             light,
-            shot.image.mean,
-            self._dark(dark, exposure),
-            predictions=self._predicted[posture].result(),
-            sensor=self.sensor,
-            exposure=shot.image.exposure,
+            image.mean,
+            own_dark,
+            predictions=self._predicted[acquired.posture].result(),
+            sensor=self._sensor,
+            exposure=image.exposure,
         )
         problem = found.problem
-        for other, image in others.items():
-            problem = problem or exposures_disagree(
-                light,
-                shot.image,
-                image,
-                darks=(self._dark(dark, exposure), self._dark(dark, other)),
-                sensor=self.sensor,
-            )
+        for exposure, other in others.items():
+            darks = (own_dark, self._dark(dark, exposure))
+            problem = problem or exposure_mismatch(light, image, other, darks=darks, sensor=self._sensor)
         if problem is not None:
             stop = "" if problem.endswith("?") else "."
             raise HardwareError(
-                f"{light} {posture} at exposure {exposure:g}: {problem}{stop} The image was not kept; --no-check "
-                "captures without this check"
+                f"{where} at exposure {acquired.exposure:g}: {problem}{stop} The image was not kept; "
+                "--no-check captures without this check"
             )
         if found.undecided is not None and not others:
-            warn(f"{light} {posture}: cannot tell whether the light is the right one: {found.undecided}")
+            warn(f"{where}: cannot tell whether the light is the right one: {found.undecided}")
         return found.as_dict()
 
     def close(self) -> None:
@@ -153,11 +129,11 @@ class Judge:
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _dark(self, dark: Mapping[float, Float32], exposure: float) -> Float32 | float:
-        return dark.get(exposure, self._reference.get(exposure, self.sensor.black_level))
+        return dark.get(exposure, self._reference.get(exposure, self._sensor.black_level))
 
 
 def clipped_mean(sensor: Sensor) -> float:
-    """How far read noise, of which nothing is below level 0, lifts the mean level of a dark frame above black."""
+    """How far read noise, clipped at level 0, lifts the mean level of a dark frame above black."""
     noise = sensor.read_noise_levels
     z = sensor.black_level / noise if noise else np.inf
     density = np.exp(-0.5 * min(z, 40.0) ** 2) / np.sqrt(2.0 * np.pi)

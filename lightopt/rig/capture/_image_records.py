@@ -1,4 +1,4 @@
-"""The set on disk while it is being captured: what is there, what is missing, and what is written."""
+"""The captured image set on disk: what is there, what is missing, and what is written."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.images import (
-    CAME_BACK_KEY,
-    ENDED_DARK_KEY,
+    DARK_CHECKED_KEY,
     EVENTS_KEY,
     MANIFEST_NAME,
+    REPEATABILITY_KEY,
     ImageEntry,
     ImageSetWriter,
     Manifest,
@@ -31,47 +31,45 @@ from lightopt.images import (
     remove_file,
     resumable_manifest,
 )
-from lightopt.rig.capture._exposure_fusion import merge_bracket
-from lightopt.rig.capture._exposure_sequence import Shot
-from lightopt.rig.capture._frames import Exposed, mean_of_frames
-from lightopt.rig.capture._plan import Plan, PostureTask
+from lightopt.rig.capture._acquisition import AcquiredImage
+from lightopt.rig.capture._exposures import ExposureImage, mean_of_frames, merge_exposures
+from lightopt.rig.capture._plan import CapturePlan, PostureTask
 from lightopt.scene import Scene, build_scene
 
 Float32 = NDArray[np.float32]
 
 
 def open_set(
-    folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan, *, resume: bool, force: bool
+    folder: Path,
+    rig: RigConfig,
+    part: PartConfig,
+    scene: Scene,
+    plan: CapturePlan,
+    *,
+    resume: bool,
+    force: bool,
 ) -> CapturedSet:
     """Begin a captured set, or continue one; one in which nothing is listed is begun anew.
 
-    Raises
-    ------
-    InputError
-        When the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan; the
-        message says what differs.
+    InputError when the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan;
+    the message says what differs.
     """
     _refuse_set(folder, resume=resume, force=force)
     header = _header(rig, part, scene, plan)
     if not (resume or force) and _lists_nothing(folder):
-        try:
-            resumable_manifest(
-                folder, header
-            )  # of this plan: a killed run may have left a file that it did not list
+        try:  # of this plan: a killed run may have left a file that it did not list
+            resumable_manifest(folder, header)
         except InputError:
             remove_file(folder / MANIFEST_NAME)
     return CapturedSet(ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
 
 
 def check_folder(
-    folder: Path, rig: RigConfig, part: PartConfig, plan: Plan, *, resume: bool, force: bool
+    folder: Path, rig: RigConfig, part: PartConfig, plan: CapturePlan, *, resume: bool, force: bool
 ) -> None:
-    """Say whether a set could be begun or continued in a folder; nothing is written.
+    """Check whether a set could be begun or continued in a folder; nothing is written.
 
-    Raises
-    ------
-    InputError
-        As :func:`open_set`, and where a file is in the way of the folder.
+    Raises InputError as :func:`open_set`, and where a file is in the way of the folder.
     """
     if folder.exists() and not folder.is_dir():
         make_folder(folder)  # which says so
@@ -98,7 +96,7 @@ def _lists_nothing(folder: Path) -> bool:
     return manifest.kind == "captured" and not (manifest.images or manifest.files)
 
 
-def _header(rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan) -> Manifest:
+def _header(rig: RigConfig, part: PartConfig, scene: Scene, plan: CapturePlan) -> Manifest:
     return Manifest(
         kind="captured",
         bit_depth=scene.sensor.bit_depth,
@@ -113,36 +111,25 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, plan: Plan) -> Manif
 
 
 class CapturedSet:
-    """What of a plan is on disk, and the way for the rest to get there.
+    """The image set of a plan: what is on disk, and how the rest is written."""
 
-    Parameters
-    ----------
-    writer
-        Of the set's folder.
-    scene, plan
-        What is captured.
-    """
-
-    def __init__(self, writer: ImageSetWriter, scene: Scene, plan: Plan) -> None:
+    def __init__(self, writer: ImageSetWriter, scene: Scene, plan: CapturePlan) -> None:
         self.writer = writer
         self._scene = scene
         self._plan = plan
         self._angles = {
-            light.name: (
-                round(float(np.degrees(light.elevation)), 9),
-                round(float(np.degrees(light.azimuth)), 9),
-            )
-            for light in scene.lights
+            one.name: (round(float(np.degrees(one.elevation)), 9), round(float(np.degrees(one.azimuth)), 9))
+            for one in scene.lights
         }
 
     def missing(self, light: str, posture: Posture) -> tuple[float, ...]:
-        """Exposures to take: all of them where one is, because what the lamp gives now may be another brightness.
+        """Exposures to take: all of them where one is, because the lamp may now give another brightness.
 
-        The images of a posture count once a frame at its end has shown that no light burned on. Means of frames are
+        The images of a posture count once a frame at its end has shown that no light stayed on. Means of frames are
         not on disk, only rounded, so that no linear image is made of them.
         """
         exposures = self._plan.exposures
-        if self._plan.options.check and not self.ended_dark(posture):
+        if self._plan.options.check and not self.dark_checked(posture):
             return exposures
         if not all(self.writer.done(light, posture, exposure) for exposure in exposures):
             return exposures
@@ -150,7 +137,7 @@ class CapturedSet:
         return exposures if again else ()
 
     def todo(self, task: PostureTask) -> dict[str, tuple[float, ...]]:
-        """Lights of a posture that are not complete, and their exposures to take; none where the linear image lacks."""
+        """Incomplete lights of a posture with their exposures to take; none where only the linear image lacks."""
         missing = {light: self.missing(light, task.posture) for light in task.lights}
         return {
             light: exposures
@@ -158,79 +145,77 @@ class CapturedSet:
             if exposures or not self.writer.linear_done(light, task.posture)
         }
 
-    def ended_dark(self, posture: Posture) -> bool:
-        """Whether a frame after the images of a posture showed that no light burned on."""
-        return posture.as_dict() in self._ended_dark
+    def dark_checked(self, posture: Posture) -> bool:
+        """Whether a frame after the images of a posture showed that no light stayed on."""
+        return posture.as_dict() in self._dark_checks
 
-    def end_dark(self, posture: Posture) -> None:
-        """Note that a frame after the images of a posture showed that no light burned on."""
-        self.writer.add_extra(ENDED_DARK_KEY, [*self._ended_dark, posture.as_dict()])
+    def record_dark_check(self, posture: Posture) -> None:
+        """Record that a frame after the images of a posture showed that no light stayed on."""
+        self.writer.add_extra(DARK_CHECKED_KEY, [*self._dark_checks, posture.as_dict()])
 
-    def forget(self, posture: Posture, lights: Iterable[str]) -> None:
-        """Drop images of a posture, which then has not ended dark: to take them anew, or because they are in doubt."""
-        ended = [there for there in self._ended_dark if there != posture.as_dict()]
-        changed = {ENDED_DARK_KEY: ended} if ended != self._ended_dark else None
+    def discard(self, posture: Posture, lights: Iterable[str]) -> None:
+        """Drop images of a posture, to take them anew or because they are in doubt, and its final dark check."""
+        ended = [there for there in self._dark_checks if there != posture.as_dict()]
+        changed = {DARK_CHECKED_KEY: ended} if ended != self._dark_checks else None
         self.writer.drop(images=[(light, posture) for light in lights], extra=changed)
 
     @property
     def in_doubt(self) -> int:
         """Number of images on disk that no frame without light followed, so that they are taken anew."""
         images = self.writer.manifest.images if self._plan.options.check else ()
-        return sum(not self.ended_dark(entry.posture) for entry in images)
+        return sum(not self.dark_checked(entry.posture) for entry in images)
 
     @property
-    def _ended_dark(self) -> list[dict[str, float]]:
-        return list(self.writer.manifest.extra.get(ENDED_DARK_KEY, ()))
+    def _dark_checks(self) -> list[dict[str, float]]:
+        return list(self.writer.manifest.extra.get(DARK_CHECKED_KEY, ()))
 
-    def dark_kept(self, posture: Posture, exposure: float) -> bool:
+    def has_dark(self, posture: Posture, exposure: float) -> bool:
         """Whether a dark frame is on disk."""
         return self.writer.file_done(dark_name(posture, exposure))
 
     def dark_missing(self, posture: Posture, exposure: float) -> bool:
         """Whether a dark frame must be taken: it is not there, or only its rounded mean is."""
-        return not self.dark_kept(posture, exposure) or self._plan.options.average > 1
+        return not self.has_dark(posture, exposure) or self._plan.options.average > 1
 
-    def dark_there(self, posture: Posture, exposure: float) -> Float32:
+    def read_dark(self, posture: Posture, exposure: float) -> Float32:
         """A dark frame that is on disk [sensor level]."""
         return read_png(self.writer.folder / dark_name(posture, exposure)).astype(np.float32)
 
-    def add_dark(self, posture: Posture, exposure: float, shot: Shot) -> None:
+    def add_dark(self, acquired: AcquiredImage) -> None:
         """Put a dark frame on disk and into the manifest."""
         facts = {
             "light": None,
-            "posture": posture.as_dict(),
-            "exposure": exposure,
-            "mean_level": float(shot.image.mean.mean(dtype=np.float64)),
-            "capture": _facts(shot),
+            "posture": acquired.posture.as_dict(),
+            "exposure": acquired.exposure,
+            "mean_level": float(acquired.image.mean.mean(dtype=np.float64)),
+            "capture": _facts(acquired),
         }
-        name = dark_name(posture, exposure)
+        name = dark_name(acquired.posture, acquired.exposure)
         self.writer.drop(files=[name])
-        self.writer.add_levels(name, shot.image.png, metadata=facts)
+        self.writer.add_levels(name, acquired.image.png, metadata=facts)
 
-    def add(self, light: str, posture: Posture, exposure: float, shot: Shot) -> None:
+    def add(self, acquired: AcquiredImage) -> None:
         """Put an image on disk and into the manifest."""
-        elevation, azimuth = self._angles[light]
-        entry = ImageEntry(
-            light=light,
-            light_elevation_deg=elevation,
-            light_azimuth_deg=azimuth,
-            posture=posture,
-            exposure=exposure,
-            extra={"capture": _facts(shot)},
-        )
-        self.writer.add_image(entry, png=shot.image.png)
+        assert acquired.light is not None
+        angles = self._angles[acquired.light]
+        extra = {"capture": _facts(acquired)}
+        entry = ImageEntry(acquired.light, *angles, acquired.posture, acquired.exposure, extra=extra)
+        self.writer.add_image(entry, png=acquired.image.png)
 
-    def levels_there(self, light: str, posture: Posture, exposure: float) -> NDArray[Any]:
+    def read_levels(self, light: str, posture: Posture, exposure: float) -> NDArray[Any]:
         """An image that is on disk [sensor level]."""
+        return read_png(self._png(light, posture, exposure))
+
+    def _png(self, light: str, posture: Posture, exposure: float) -> Path:
         entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
-        return read_png(self.writer.folder / (entry.png or ""))
+        return self.writer.folder / (entry.png or "")
 
-    def note_came_back(self, facts: Mapping[str, Any]) -> None:
-        """Put into the manifest's header how the stage stood when it came back to its first posture."""
-        self.writer.add_extra(CAME_BACK_KEY, dict(facts))
+    def record_repeatability(self, facts: Mapping[str, Any]) -> None:
+        """Record the result of the repeatability check in the manifest."""
+        self.writer.add_extra(REPEATABILITY_KEY, dict(facts))
 
-    def note_events(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """Put what happened on the links, but at no image, into the manifest's header."""
+    def record_events(self, events: Sequence[Mapping[str, Any]]) -> None:
+        """Record irregularities on the links that belong to no image in the manifest."""
         if events:
             before = self.writer.manifest.extra.get(EVENTS_KEY, ())
             self.writer.add_extra(EVENTS_KEY, [*before, *events])
@@ -239,23 +224,22 @@ class CapturedSet:
         self,
         light: str,
         posture: Posture,
-        taken: Mapping[float, Exposed],
+        taken: Mapping[float, ExposureImage],
         dark: Mapping[float, Float32],
     ) -> None:
         """Merge the exposures of a light, those taken now and those on disk, and put the linear image on disk."""
         images = [
-            taken[exposure] if exposure in taken else self._there(light, posture, exposure)
+            taken[exposure] if exposure in taken else self._read_exposure(light, posture, exposure)
             for exposure in self._plan.exposures
         ]
         frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures] if dark else None
-        channels = merge_bracket(
+        channels = merge_exposures(
             images, sensor=self._scene.sensor, full_scale=self._scene.reflectance.full_scale, dark=frames
         )
         self.writer.add_linear(light, posture, channels)
 
-    def _there(self, light: str, posture: Posture, exposure: float) -> Exposed:
-        entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
-        path = self.writer.folder / (entry.png or "")
+    def _read_exposure(self, light: str, posture: Posture, exposure: float) -> ExposureImage:
+        path = self._png(light, posture, exposure)
         facts: dict[str, Any] = read_png_metadata(path).get("capture", {})
         held = facts.get("exposure_us", {}).get("read", self._plan.exposure_us(exposure))
         return mean_of_frames(
@@ -263,9 +247,7 @@ class CapturedSet:
         )
 
 
-def _facts(shot: Shot) -> dict[str, Any]:
-    """How a shot was taken, and what share of it says too little."""
-    return {
-        **shot.facts,
-        "saturated_share": np.count_nonzero(shot.image.saturated) / shot.image.saturated.size,
-    }
+def _facts(acquired: AcquiredImage) -> dict[str, Any]:
+    """How an image was taken, and its saturated share."""
+    saturated = acquired.image.saturated
+    return {**acquired.facts, "saturated_share": np.count_nonzero(saturated) / saturated.size}

@@ -1,7 +1,7 @@
-"""Whether an image is lit by the light that it says: against the frame without light, and against the prediction.
+"""Check that an image is lit by the right light, against the frame without light and against predictions.
 
-The image is compared with what each light of the rig would make of the part, seen coarsely. Gains and reflectance need
-not be right for that: only which pattern it resembles most counts, and by how much.
+The image is compared at low resolution with a prediction for each light of the rig. Gains and reflectance need not be
+right: only which prediction it correlates with most counts, and by how much.
 """
 
 from __future__ import annotations
@@ -28,38 +28,35 @@ STAYED_DARK = 0.03
 """An image darker than this share of the prediction is not lit."""
 
 CLEARLY_MORE = 0.06
-"""By this much another light's correlation must be higher before it is accused."""
+"""Another light is reported only if its correlation is higher by this much."""
 
 RESEMBLES = 0.5
-"""Below this correlation nothing is accused: the part is not the one predicted, or is not there."""
+"""Below this correlation no light is reported: the part is not the one predicted, or is not there."""
 
 LEAST_CELLS = 50
 
 PIXELS_OF_CELL = 4
-"""Of a larger cell about 4 × 4 pixels are looked at: the next exposure waits for it."""
+"""Of a larger cell about 4 × 4 pixels are used: the next exposure waits for the result."""
 
 PLAIN = 0.8
-"""Correlation that noise would leave of the prediction with itself; below it a low correlation accuses nothing."""
+"""Correlation of the prediction with itself under noise; below it a low correlation proves nothing."""
 
 FLAT = 0.1
-"""A prediction whose deviation is below this share of its mean has too little pattern to accuse anything."""
+"""A prediction whose deviation is below this share of its mean has too little pattern for any conclusion."""
 
 LEFT_ON = 0.05
-"""A frame without light that has this share of a light's image more than the first one shows that it burns."""
+"""A frame without light that has this share of a light's image more than the first one shows that it is on."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Predictions:
-    """What each light makes of the part in one posture, seen coarsely.
+class PredictedImages:
+    """Coarse prediction of what each light makes of the part in one posture.
 
     Attributes
     ----------
-    cell
-        Side of a cell [px].
-    levels
-        Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
-    part
-        Cells that show the part, shape (rows, columns).
+    cell: Side of a cell [px].
+    levels: Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
+    part: Cells that show the part, shape (rows, columns).
     """
 
     cell: int
@@ -68,190 +65,146 @@ class Predictions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LitCheck:
-    """What the check found.
+class LightCheck:
+    """Result of the check that an image is lit by its light.
 
     Attributes
     ----------
-    problem
-        What is wrong, in words; None where nothing is.
-    brightness
-        Mean brightness of the part above dark, as a share of the prediction.
-    resemblance
-        Correlation with the prediction of the light.
-    next_best
-        The other light that the image resembles most, and the correlation with it.
-    undecided
-        Why the image cannot tell, in words; None where it can.
+    problem: What is wrong, in words; None where nothing is.
+    brightness: Mean brightness of the part above dark, as a share of the prediction.
+    resemblance: Correlation with the prediction of the light.
+    next_best: The other light that the image resembles most, and the correlation with it.
+    undecided: Why the image allows no decision, in words; None where it does.
     """
 
-    problem: str | None
-    brightness: float
-    resemblance: float
+    problem: str | None = None
+    brightness: float = 0.0
+    resemblance: float = 0.0
     next_best: tuple[str, float] | None = None
     undecided: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {
+        facts: dict[str, Any] = {
             "brightness": round(self.brightness, 4),
             "resemblance": round(self.resemblance, 4),
-            **(
-                {"next_best": {"light": self.next_best[0], "resemblance": round(self.next_best[1], 4)}}
-                if self.next_best
-                else {}
-            ),
-            **({"undecided": self.undecided} if self.undecided else {}),
         }
+        if self.next_best is not None:
+            light, resemblance = self.next_best
+            facts["next_best"] = {"light": light, "resemblance": round(resemblance, 4)}
+        if self.undecided:
+            facts["undecided"] = self.undecided
+        return facts
 
 
-def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> Predictions:
-    """Render what the camera should see, one pixel for a cell of pixels.
+def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> PredictedImages:
+    """Render what the camera should see with all lights of the scene, one pixel for a cell of pixels.
 
-    Parameters
-    ----------
-    scene
-        With all lights of the rig.
-    posture
-        Of the part.
-    caster
-        From :func:`lightopt.rendering.cast_rays_at`.
-    supersample
-        Rays across a cell.
+    `caster` is from :func:`lightopt.rendering.cast_rays_at`, `supersample` the number of rays across a cell.
     """
     camera = scene.camera
     cell = max(1, round(camera.width / COARSE_COLUMNS))
     coarse = replace(
-        scene,
-        camera=replace(
-            camera,
-            width=max(1, camera.width // cell),
-            height=max(1, camera.height // cell),
-            pixel_size=camera.pixel_size * cell,
-        ),
+        camera,
+        width=max(1, camera.width // cell),
+        height=max(1, camera.height // cell),
+        pixel_size=camera.pixel_size * cell,
     )
-    images = render_posture(coarse, posture, caster=caster, supersample=supersample)
+    images = render_posture(replace(scene, camera=coarse), posture, caster=caster, supersample=supersample)
     scale = scene.sensor.max_level / scene.reflectance.full_scale
-    return Predictions(
+    return PredictedImages(
         cell=cell,
         levels={image.light: image.level.astype(np.float64) * scale for image in images.lights},
         part=images.geometry.hit,
     )
 
 
-def check_lit(
+def check_light(
     light: str,
     image: NDArray[Any],
     dark: NDArray[Any] | float,
     *,
-    predictions: Predictions,
+    predictions: PredictedImages,
     sensor: Sensor,
     exposure: float,
-) -> LitCheck:
+) -> LightCheck:
     """Compare an image with the frame without light and with what every light of the rig would make of the part.
 
     Parameters
     ----------
-    light
-        That should have burned, and no other.
-    image, dark
-        [sensor level], shape (H, W); the dark may be one level.
-    predictions
-        Of the posture.
-    sensor
-        That took the image.
-    exposure
-        Relative exposure of the image.
+    light: The only light that should have been on.
+    image, dark: [sensor level], shape (H, W); the dark may be one level.
+    exposure: Relative exposure of the image.
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
-        return LitCheck(
-            problem=None, brightness=0.0, resemblance=0.0, undecided="too little of the part shows"
-        )
-    seen = cells(image, predictions)[part] - (
-        cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
-    )
+        return LightCheck(undecided="too little of the part shows")
+    background = cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
+    seen = cells(image, predictions)[part] - background
     room = sensor.saturated_from - sensor.black_level
     alone = {name: np.minimum(level[part] * exposure, room) for name, level in predictions.levels.items()}
     expected = float(alone[light].mean())
-    noise = float(np.std(seen - _smooth_guess(seen, alone[light]))) / np.sqrt(seen.size)
+    noise = float(np.std(seen - _scaled(seen, alone[light]))) / np.sqrt(seen.size)
     if expected <= 5.0 * max(noise, 0.02):
-        return LitCheck(
-            problem=None, brightness=0.0, resemblance=0.0, undecided="too dark at this exposure to tell"
-        )
+        return LightCheck(undecided="too dark at this exposure to tell")
     brightness = float(seen.mean()) / expected
     resemblance = {name: _correlation(seen, level) for name, level in alone.items()}
-    own = resemblance[light]
-    others = {name: value for name, value in resemblance.items() if name != light}
-    best = max(others.items(), key=lambda item: item[1], default=None)
-    found = LitCheck(problem=None, brightness=brightness, resemblance=own, next_best=best)
-    if brightness < STAYED_DARK:
-        return replace(
-            found,
-            problem=f"{light} stays dark: the part is {brightness:.1%} as bright as it should be; "
-            "check its plug, its cable and its panel",
-        )
-    if best is not None and best[1] >= max(RESEMBLES, own + CLEARLY_MORE):
-        return replace(
-            found,
-            problem=f"{light} was lit, but the image looks like {best[0]} (correlation {best[1]:.2f}, with {light} "
-            f"{own:.2f}): are their plugs swapped?",
-        )
-    also = {
-        name: _correlation(
-            seen, np.minimum((predictions.levels[light] + predictions.levels[name])[part] * exposure, room)
-        )
-        for name in others
+    own = resemblance.pop(light)
+    best = max(resemblance.items(), key=lambda item: item[1], default=None)
+    levels = predictions.levels
+    together = {
+        name: _correlation(seen, np.minimum((levels[light] + levels[name])[part] * exposure, room))
+        for name in resemblance
     }
-    worst = max(also.items(), key=lambda item: item[1], default=None)
-    if (
-        worst is not None
-        and worst[1] >= max(RESEMBLES, own + CLEARLY_MORE)
-        and brightness > 1.0 + STAYED_DARK
-    ):
-        return replace(
-            found,
-            problem=f"{worst[0]} burns together with {light}: the image looks like both (correlation {worst[1]:.2f}, "
-            f"with {light} alone {own:.2f})",
+    both = max(together.items(), key=lambda item: item[1], default=None)
+    clearly = max(RESEMBLES, own + CLEARLY_MORE)
+    problem = undecided = None
+    if brightness < STAYED_DARK:
+        problem = (
+            f"{light} stays dark: the part is {brightness:.1%} as bright as it should be; "
+            "check its plug, its cable and its panel"
         )
-    if own < RESEMBLES:
-        if _shows(alone[light], sensor, predictions.cell) < PLAIN:
-            return replace(found, undecided="too little pattern at this exposure to tell")
-        return replace(
-            found,
-            problem=f"the part does not look as predicted under any light (correlation with {light} {own:.2f}); check "
-            "that it is the part of the part file, and where it lies",
+    elif best is not None and best[1] >= clearly:
+        problem = (
+            f"{light} was lit, but the image looks like {best[0]} (correlation {best[1]:.2f}, with {light} "
+            f"{own:.2f}): are their plugs swapped?"
         )
-    if best is not None and best[1] > own - CLEARLY_MORE:
-        return replace(found, undecided=f"{light} and {best[0]} make images that look alike")
-    return found
+    elif both is not None and both[1] >= clearly and brightness > 1.0 + STAYED_DARK:
+        problem = (
+            f"{both[0]} burns together with {light}: the image looks like both (correlation {both[1]:.2f}, "
+            f"with {light} alone {own:.2f})"
+        )
+    elif own < RESEMBLES and _self_correlation(alone[light], sensor, predictions.cell) < PLAIN:
+        undecided = "too little pattern at this exposure to tell"
+    elif own < RESEMBLES:
+        problem = (
+            f"the part does not look as predicted under any light (correlation with {light} {own:.2f}); check "
+            "that it is the part of the part file, and where it lies"
+        )
+    elif best is not None and best[1] > own - CLEARLY_MORE:
+        undecided = f"{light} and {best[0]} make images that look alike"
+    return LightCheck(
+        problem=problem, brightness=brightness, resemblance=own, next_best=best, undecided=undecided
+    )
 
 
-def lights_left_on(
+def find_light_left_on(
     dark: NDArray[Any],
     *,
-    predictions: Predictions,
+    predictions: PredictedImages,
     sensor: Sensor,
     exposure: float,
     before: NDArray[Any] | None = None,
 ) -> str | None:
-    """Name the light that a frame without light shows to burn; None where it shows none.
+    """Name of the light that a frame without light [sensor level], shape (H, W), shows to be on; None where none is.
 
-    Parameters
-    ----------
-    dark
-        [sensor level], shape (H, W).
-    predictions, sensor, exposure
-        As for :func:`check_lit`.
-    before
-        An earlier frame without light at this exposure, which showed that none burned: against it, a weaker one shows.
+    `before` is an earlier frame at this exposure, which showed none: against it, a weaker one shows.
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
         return None
-    seen = cells(dark, predictions)[part] - (
-        sensor.black_level if before is None else cells(before, predictions)[part]
-    )
+    background = sensor.black_level if before is None else cells(before, predictions)[part]
+    seen = cells(dark, predictions)[part] - background
     room = sensor.saturated_from - sensor.black_level
     for name, level in predictions.levels.items():
         alone = np.minimum(level[part] * exposure, room)
@@ -264,7 +217,7 @@ def lights_left_on(
     return None
 
 
-def cells(image: NDArray[Any], predictions: Predictions) -> Float64:
+def cells(image: NDArray[Any], predictions: PredictedImages) -> Float64:
     """Means over the cells of the image's middle, shape of the predictions."""
     cell = predictions.cell
     rows, columns = predictions.part.shape
@@ -275,7 +228,7 @@ def cells(image: NDArray[Any], predictions: Predictions) -> Float64:
     return some.mean(axis=(1, 3), dtype=np.float64)
 
 
-def _shows(expected: Float64, sensor: Sensor, cell: int) -> float:
+def _self_correlation(expected: Float64, sensor: Sensor, cell: int) -> float:
     """Correlation of a prediction with itself under the sensor's noise; 0 for one that is nearly flat."""
     pattern = float(np.std(expected))
     if pattern < FLAT * float(expected.mean()):
@@ -284,8 +237,8 @@ def _shows(expected: Float64, sensor: Sensor, cell: int) -> float:
     return pattern / float(np.sqrt(pattern**2 + noise))
 
 
-def _smooth_guess(seen: Float64, expected: Float64) -> Float64:
-    """The best multiple of the prediction."""
+def _scaled(seen: Float64, expected: Float64) -> Float64:
+    """The multiple of the prediction that fits best."""
     power = _dot(expected, expected)
     return expected * (_dot(seen, expected) / power if power > 0.0 else 0.0)
 

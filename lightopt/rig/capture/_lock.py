@@ -20,22 +20,18 @@ _FAR = 1 << 20
 
 
 @contextmanager
-def locked(folder: Path) -> Generator[None]:
+def lock_folder(folder: Path) -> Generator[None]:
     """Keep other captures out of a folder, which is made where it does not exist.
 
     The operating system holds the lock: that of a process that was killed is gone, though its file may be there.
-
-    Raises
-    ------
-    InputError
-        When another process captures into the folder, or it cannot be written.
+    InputError when another process captures into the folder, or it cannot be written.
     """
     path = folder / LOCK_NAME
-    file = _opened(path)
+    file = _open_locked(path)
     try:
-        while not _is_at(file, path):  # the one who had it has just removed it
+        while not _has_path(file, path):  # the one who had it has just removed it
             file.close()
-            file = _opened(path)
+            file = _open_locked(path)
         file.seek(0)
         file.truncate()
         file.write(f"{os.getpid()}\n")
@@ -48,7 +44,7 @@ def locked(folder: Path) -> Generator[None]:
         file.close()
 
 
-def _opened(path: Path) -> IO[str]:
+def _open_locked(path: Path) -> IO[str]:
     """Open and lock the file."""
     make_folder(path.parent)
     try:
@@ -58,7 +54,7 @@ def _opened(path: Path) -> IO[str]:
             f"{path.parent}: cannot be written: {error.strerror or error}; choose another output folder"
         ) from error
     try:
-        _take(file)
+        _lock_file(file)
     except OSError as error:
         file.seek(0)
         owner = file.read(20).strip()
@@ -70,7 +66,7 @@ def _opened(path: Path) -> IO[str]:
     return file
 
 
-def _take(file: IO[str]) -> None:
+def _lock_file(file: IO[str]) -> None:
     if sys.platform == "win32":
         import msvcrt
 
@@ -82,7 +78,7 @@ def _take(file: IO[str]) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _is_at(file: IO[str], path: Path) -> bool:
+def _has_path(file: IO[str], path: Path) -> bool:
     """Whether the locked file is the one that has the name."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), path.stat())

@@ -9,8 +9,7 @@ from typing import Any, Literal
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._options import CaptureOptions
-from lightopt.rig.capture._plan_checks import exposure_problems, light_problems, posture_problems
+from lightopt.rig.capture._options import CaptureOptions, exposure_problems, light_problems, posture_problems
 from lightopt.rig.capture._wiring import Wiring, wiring_of
 from lightopt.scene import part_postures, travel_order, travel_s
 
@@ -25,20 +24,15 @@ _TRANSFER_S_PER_PIXEL = {"virtual": 80e-9, "folder": 10e-9, "aravis": 20e-9, "ge
 _HOME = Posture(0.0, 0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Step:
+@dataclass(frozen=True)
+class PlanStep:
     """One step of a plan.
 
     Attributes
     ----------
-    kind
-        What is done.
-    what
-        To what: a posture, a light, an exposure.
-    seconds
-        How long it should take [s].
-    posture, light, exposure
-        Where the stage stands, which light burns (None: none does), at which relative exposure.
+    what: Its object: a posture, a light, an exposure.
+    seconds: Estimated duration [s].
+    posture, light, exposure: Where the stage stands, which light is on (None: none), at which relative exposure.
     """
 
     kind: StepKind
@@ -54,17 +48,7 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class PostureTask:
-    """What is taken in one posture.
-
-    Attributes
-    ----------
-    posture
-        Where the stage stands.
-    lights
-        The lights, one after the other.
-    dark_exposures
-        Exposures of the frames without light that belong to the set.
-    """
+    """Images of one posture: the lights one after the other, and the exposures of the set's frames without light."""
 
     posture: Posture
     lights: tuple[str, ...]
@@ -72,21 +56,15 @@ class PostureTask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
-    """What a capture will do.
+class CapturePlan:
+    """A capture as data.
 
     Attributes
     ----------
-    wiring
-        The devices.
-    options
-        What was asked for.
-    tasks
-        Posture by posture, in the order of travel.
-    exposures
-        Relative, the longest first.
-    home
-        Whether the stage seeks its origin first.
+    tasks: Posture by posture, in the order of travel.
+    exposures: Relative, the longest first.
+    home: Whether the stage seeks its origin first.
+    pixels: Number of pixels of a frame.
     """
 
     wiring: Wiring
@@ -111,138 +89,95 @@ class Plan:
         )
 
     @property
-    def reference(self) -> bool:
+    def needs_dark_reference(self) -> bool:
         """Whether frames without light are taken first, only to check the others against."""
         return self.options.check and not self.options.dark
 
+    def on_s(self) -> float:
+        """How long a light is on at a stretch [s]: settling and all its exposures."""
+        return self._light_settle_s + sum(map(self.frames_s, self.exposures))
+
     @property
-    def total_s(self) -> float:
-        """How long all of it should take [s]."""
-        return sum(step.seconds for step in self.steps())
+    def _light_settle_s(self) -> float:
+        return self.wiring.hardware.timing.light_ms / 1e3
 
-    def burning_s(self) -> float:
-        """How long a light burns at a stretch [s]: settling and all its exposures."""
-        return self.wiring.hardware.timing.light_ms / 1e3 + sum(
-            self.frames_s(exposure) for exposure in self.exposures
-        )
-
-    def travel_s(self, start: Posture, end: Posture) -> float:
-        """How long the stage should take from one posture to another [s]: both axes move at once."""
-        return _travel_s(self.wiring, start, end)
-
-    def steps(self) -> Iterator[Step]:
+    def steps(self) -> Iterator[PlanStep]:
         """All steps in order, as if nothing had been taken yet."""
         yield from self._start()
-        here, first = _HOME, True
+        here = _HOME
+        references = self.exposures if self.needs_dark_reference else ()
         for task in self.tasks:
             yield from self._arrive(here, task.posture)
-            for exposure in (*task.dark_exposures, *(self.exposures if self.reference and first else ())):
+            for exposure in (*task.dark_exposures, *references):
                 yield self._expose(task.posture, None, exposure)
             for light in task.lights:
-                yield from self._light(task.posture, light)
-            if self.options.check:  # does one burn on?
+                yield from self._light(task.posture, light, self.exposures)
+            if self.options.check:  # does one stay on?
                 yield self._expose(task.posture, None, self.exposures[0])
-            here, first = task.posture, False
-        if self.options.come_back:
+            here, references = task.posture, ()
+        if self.options.check_repeatability:
             task = self.tasks[0]
             yield from self._arrive(here, task.posture)
             yield from self._light(task.posture, task.lights[0], self.exposures[:1])
 
-    def _start(self) -> Iterator[Step]:
+    def _start(self) -> Iterator[PlanStep]:
         for light in self.wiring.hardware.lights:
-            yield Step(kind="light off", what=light, seconds=_COMMAND_S, light=light)
+            yield PlanStep("light off", light, _COMMAND_S, light=light)
         if self.home:
             stage = self.wiring.hardware.stage
-            axes = [
-                axis for axis in (stage and stage.elevation, stage and stage.rotation) if axis is not None
-            ]
+            axes = (stage.elevation, stage.rotation) if stage is not None else ()
             # how far the origin is, nobody knows: at most once round
-            slowest = min((axis.speed_deg_per_s for axis in axes), default=1.0)
-            yield Step(kind="home", what="the stage, at most", seconds=360.0 / slowest)
+            slowest = min((axis.speed_deg_per_s for axis in axes if axis is not None), default=1.0)
+            yield PlanStep("home", "the stage, at most", 360.0 / slowest)
 
-    def _arrive(self, here: Posture, posture: Posture) -> Iterator[Step]:
+    def _arrive(self, here: Posture, posture: Posture) -> Iterator[PlanStep]:
         if self.wiring.hardware.stage is None:
             return
-        yield Step(kind="move", what=f"to {posture}", seconds=self.travel_s(here, posture), posture=posture)
-        yield Step(
-            kind="settle",
-            what="stage",
-            seconds=self.wiring.hardware.timing.stage_ms / 1e3,
-            posture=posture,
-        )
+        yield PlanStep("move", f"to {posture}", _travel_s(self.wiring, here, posture), posture)
+        yield PlanStep("settle", "stage", self.wiring.hardware.timing.stage_ms / 1e3, posture)
 
-    def _light(
-        self, posture: Posture, light: str, exposures: tuple[float, ...] | None = None
-    ) -> Iterator[Step]:
+    def _light(self, posture: Posture, light: str, exposures: tuple[float, ...]) -> Iterator[PlanStep]:
         channel = self.wiring.light(light)
-        yield Step(
-            kind="light on",
-            what=f"{light} at level {channel.level} ({channel.controller}, channel {channel.channel})",
-            seconds=_COMMAND_S,
-            posture=posture,
-            light=light,
-        )
-        yield Step(
-            kind="settle",
-            what="light",
-            seconds=self.wiring.hardware.timing.light_ms / 1e3,
-            posture=posture,
-            light=light,
-        )
-        for exposure in self.exposures if exposures is None else exposures:
+        what = f"{light} at level {channel.level} ({channel.controller}, channel {channel.channel})"
+        yield PlanStep("light on", what, _COMMAND_S, posture, light)
+        yield PlanStep("settle", "light", self._light_settle_s, posture, light)
+        for exposure in exposures:
             yield self._expose(posture, light, exposure)
-        yield Step(kind="light off", what=light, seconds=_COMMAND_S, posture=posture, light=light)
+        yield PlanStep("light off", light, _COMMAND_S, posture, light)
 
-    def _expose(self, posture: Posture, light: str | None, exposure: float) -> Step:
+    def _expose(self, posture: Posture, light: str | None, exposure: float) -> PlanStep:
         frames = f"{self.options.average} × " if self.options.average > 1 else ""
-        return Step(
-            kind="expose",
-            what=f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})",
-            seconds=self.frames_s(exposure),
-            posture=posture,
-            light=light,
-            exposure=exposure,
+        what = (
+            f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})"
         )
+        return PlanStep("expose", what, self.frames_s(exposure), posture, light, exposure)
 
     @property
     def relighting_s(self) -> float:
         """How long it takes to switch a light off and on again until it has settled [s]."""
-        return 2 * _COMMAND_S + self.wiring.hardware.timing.light_ms / 1e3
+        return 2 * _COMMAND_S + self._light_settle_s
 
     def frames_s(self, exposure: float) -> float:
-        """How long the frames of an exposure take to be taken and got over [s]."""
+        """How long the frames of an exposure take to be taken and transferred [s]."""
         transfer = self.pixels * _TRANSFER_S_PER_PIXEL[self.wiring.hardware.camera.driver]
         return self.options.average * (self.exposure_us(exposure) / 1e6 + transfer)
 
     def as_dict(self) -> dict[str, Any]:
-        """What tells this plan from another when a capture is resumed, in JSON form."""
-        hardware = self.wiring.hardware
-        levels = {name: channel.level for name, channel in hardware.lights.items()}
+        """What identifies this plan when a capture is resumed, in JSON form."""
+        lights = self.wiring.hardware.lights
         return {
             **self.options.as_dict(),
-            "lights": [light for light in hardware.lights if light in self.tasks[0].lights],
+            "lights": [light for light in lights if light in self.tasks[0].lights],
             "postures": sorted((task.posture.as_dict() for task in self.tasks), key=str),
-            "levels": levels,
+            "levels": {name: channel.level for name, channel in lights.items()},
             "exposure_us": self.wiring.exposure_us,
         }
 
 
-def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None = None) -> Plan:
-    """Plan a capture and check it against what stage, lights and camera can do.
+def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None = None) -> CapturePlan:
+    """Plan a capture and check it against what stage, lights and camera can do. Nothing is opened.
 
-    Nothing is opened.
-
-    Parameters
-    ----------
-    rig, part
-        What is captured.
-    options
-        Which images.
-
-    Raises
-    ------
-    InputError
-        With one message per posture, light or exposure that cannot be.
+    Raises InputError with one message per posture, light or exposure that cannot be.
     """
     options = options or CaptureOptions()
     wiring = wiring_of(rig)
@@ -255,7 +190,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         if name not in known
     ]
     problems += posture_problems(rig, part, wiring, options)
-    if options.come_back and (wiring.hardware.stage is None or len(postures) < 2):
+    if options.check_repeatability and (wiring.hardware.stage is None or len(postures) < 2):
         problems.append(
             "come back: expected a stage and two postures or more; there is nothing to come back from otherwise"
         )
@@ -264,7 +199,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     if problems:
         raise InputError(*problems)
     ordered = travel_order(postures, start=_HOME, time=lambda a, b: _travel_s(wiring, a, b))
-    plan = Plan(
+    plan = CapturePlan(
         wiring=wiring,
         options=options,
         tasks=tuple(
@@ -280,7 +215,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
     )
     taken = f"{counted(len(exposures), 'exposure')} of {counted(options.average, 'frame')}"
-    problems += light_problems(rig, wiring, plan.tasks[0].lights, burning_s=plan.burning_s(), taken=taken)
+    problems += light_problems(rig, wiring, plan.tasks[0].lights, on_s=plan.on_s(), taken=taken)
     if problems:
         raise InputError(*problems)
     return plan

@@ -1,9 +1,9 @@
-"""Whether the stage comes back to where it was: two images of one posture, one light and one exposure, at two times.
+"""Repeatability of the stage: two images of one posture, one light and one exposure, taken at two times.
 
-A stepper that lost steps stands elsewhere than it says, and no driver can tell. Two images of the same posture do: they
-differ when the part has turned between them. Whether it has is told by the two images alone, whatever the reflectance
-and wherever the part lies in its fixture. By how much, and about which axis, is told with the prediction of how an
-image changes by a degree; that is rough, and rather too small, because edges are never just where they were predicted.
+A stepper that lost steps does not stand where its driver reports it. The two images differ when the part has turned
+between them, whatever the reflectance and wherever the part lies in its fixture. The angle and its axis come from a
+prediction of how the image changes per degree. The angle is rough and rather too small, because edges are never exactly
+where they were predicted.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from numpy.typing import NDArray
 from lightopt.core.least_squares import HUBER, Limits, linear_problem, solve
 from lightopt.core.transforms import Posture
 from lightopt.rendering import cast_rays_at
-from lightopt.rig.capture._light_checks import Predictions, cells, predict
+from lightopt.rig.capture._light_checks import PredictedImages, cells, predict
 from lightopt.scene import Scene
 
 Float64 = NDArray[np.float64]
 
 STEP_DEG = 0.5
-"""Predictions this far to both sides say how the image changes."""
+"""Predictions this far to both sides give the change of the image per degree."""
 
 FINER = 3
-"""Predictions have so many rays across a cell: outlines cross cells."""
+"""Rays across a cell of the predictions: outlines cross cells."""
 
-OFF_DEG = 0.1
-"""From here on it is told."""
+REPORTED_DEG = 0.1
+"""Least angle that is reported."""
 
-UNSEEN_DEG = 0.5
-"""An angle that could be so far off without being told is said not to be seen."""
+UNOBSERVABLE_DEG = 0.5
+"""An axis that could deviate by more than this unnoticed is reported as unobservable."""
 
 CERTAIN = 5.0
-"""And only if it is this many of its standard errors: an axis of symmetry turns nothing that can be seen."""
+"""Least multiple of its standard error at which an angle is reported: an axis of symmetry shows nothing."""
 
 LIT = 0.2
-"""The part's brightness is that of cells that are predicted brighter than this share of the median."""
+"""The part's brightness is that of cells predicted brighter than this share of the median."""
 
 HIGHLIGHT = 1.5
 """Cells brighter than this multiple of the brightest diffuse light show something else."""
 
 MOST_DEG = 10.0
-"""Greatest angle that is found: predictions are straight lines through half a degree to both sides."""
+"""Greatest angle that is found: the prediction is linear, from half a degree to both sides."""
 
 LEAST_CELLS = 50
 BOUNDED = 0.1
@@ -52,17 +52,14 @@ BOUNDED = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameBack:
-    """How far the part has turned between two images.
+class Repeatability:
+    """Rotation of the part between two images.
 
     Attributes
     ----------
-    tilt_deg, turn_deg
-        About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
-    tilt_error_deg, turn_error_deg
-        Standard errors [°]; those of an axis that cannot be seen are large.
-    converged
-        Whether the comparison found its optimum; if not, the angles say nothing.
+    tilt_deg, turn_deg: About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
+    tilt_error_deg, turn_error_deg: Standard errors [°]; those of an unobservable axis are large.
+    converged: Whether the comparison found its optimum; if not, the angles say nothing.
     """
 
     tilt_deg: float
@@ -72,25 +69,25 @@ class CameBack:
     converged: bool = True
 
     @property
-    def off(self) -> str | None:
-        """What stands elsewhere, in words; None where nothing does for certain."""
+    def deviation(self) -> str | None:
+        """The axes that certainly deviate, in words; None where none does."""
         if not self.converged:
             return None
-        said = [
+        texts = [
             f"its {axis} by roughly {angle:+.1f}°"
             for axis, angle, error in (
                 ("elevation", self.tilt_deg, self.tilt_error_deg),
                 ("rotation", self.turn_deg, self.turn_error_deg),
             )
-            if abs(angle) > max(OFF_DEG, CERTAIN * error)
+            if abs(angle) > max(REPORTED_DEG, CERTAIN * error)
         ]
-        return " and ".join(said) or None
+        return " and ".join(texts) or None
 
     @property
-    def unseen(self) -> str:
-        """Angles of which the images would not tell `UNSEEN_DEG`; empty where there is none."""
+    def unobservable(self) -> str:
+        """Axes of which the images would not show `UNOBSERVABLE_DEG`; empty where there is none."""
         errors = (("elevation", self.tilt_error_deg), ("rotation", self.turn_error_deg))
-        return " and ".join(name for name, error in errors if CERTAIN * error > UNSEEN_DEG)
+        return " and ".join(name for name, error in errors if CERTAIN * error > UNOBSERVABLE_DEG)
 
     def as_dict(self) -> dict[str, float | bool]:
         """JSON form."""
@@ -100,26 +97,13 @@ class CameBack:
         }
 
 
-def came_back(
-    first: NDArray[Any],
-    last: NDArray[Any],
-    *,
-    light: str,
-    posture: Posture,
-    scene: Scene,
-) -> CameBack | None:
-    """How far the part has turned between two images of the same posture; None where too little of it shows.
+def measure_repeatability(
+    first: NDArray[Any], last: NDArray[Any], *, light: str, posture: Posture, scene: Scene
+) -> Repeatability | None:
+    """Rotation of the part between two images of the same posture; None where too little of it shows.
 
-    Parameters
-    ----------
-    first, last
-        Of one exposure [sensor level], shape (H, W).
-    light
-        That burned for both.
-    posture
-        Where the stage said that it stood for both.
-    scene
-        With that light among its lights.
+    `first` and `last` are of one exposure [sensor level], shape (H, W), both under `light`, which is among the scene's.
+    `posture` is what the stage reported for both.
     """
     caster = cast_rays_at(scene)
     # highlights are where the reflectance puts them; diffuse light and outlines are where the part is
@@ -129,14 +113,14 @@ def came_back(
         reflectance=replace(scene.reflectance, R_d=1.0, R_s=0.0),
     )
 
-    def seen_at(tilt_deg: float, turn_deg: float) -> Predictions:
+    def predict_at(tilt_deg: float, turn_deg: float) -> PredictedImages:
         there = Posture(posture.elevation_deg + tilt_deg, posture.rotation_deg + turn_deg)
         return predict(alone, there, caster, supersample=FINER)
 
-    here = seen_at(0.0, 0.0)
+    here = predict_at(0.0, 0.0)
     sides = [
-        (seen_at(STEP_DEG, 0.0), seen_at(-STEP_DEG, 0.0)),
-        (seen_at(0.0, STEP_DEG), seen_at(0.0, -STEP_DEG)),
+        (predict_at(STEP_DEG, 0.0), predict_at(-STEP_DEG, 0.0)),
+        (predict_at(0.0, STEP_DEG), predict_at(0.0, -STEP_DEG)),
     ]
     black, room = scene.sensor.black_level, scene.sensor.saturated_from
     before, after = cells(first, here), cells(last, here)
@@ -159,6 +143,11 @@ def came_back(
     # a few edges, which are steep and nowhere just where they were predicted, would outweigh all the rest
     steep = np.abs(slopes[0]) + np.abs(slopes[1])
     weight = np.minimum(1.0, typical / np.maximum(steep, 1e-12)) ** 2
+    return _fit_rotation(columns, (after - before)[usable], weight, typical=typical)
+
+
+def _fit_rotation(columns: Float64, change: Float64, weight: Float64, *, typical: float) -> Repeatability:
+    """Fit changes of level, shape (N,), by columns (N, 4): per degree of tilt and turn, lamp, and offset."""
     unit = BOUNDED * typical / HUBER
     reach = np.array([MOST_DEG, MOST_DEG, 1.0, typical])
     limits = Limits(
@@ -170,14 +159,9 @@ def came_back(
         # nothing is held at 0: errors say what is seen, and they come from the scatter, not from the bound
         resolution=np.full(4, np.inf),
     )
-    found = solve(
-        linear_problem(columns / unit, (after - before)[usable] / unit, weight),
-        limits.nominal,
-        limits,
-        loss="huber",
-        least_spread=1.0,
-    )
-    return CameBack(
+    problem = linear_problem(columns / unit, change / unit, weight)
+    found = solve(problem, limits.nominal, limits, loss="huber", least_spread=1.0)
+    return Repeatability(
         tilt_deg=float(found.x[0]),
         turn_deg=float(found.x[1]),
         tilt_error_deg=float(found.errors[0]),

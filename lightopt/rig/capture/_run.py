@@ -9,43 +9,33 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.rig.capture._camera_identity import check_camera
+from lightopt.core.errors import InputError
 from lightopt.rig.capture._connect import connect_devices
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._image_records import open_set
-from lightopt.rig.capture._lock import locked
+from lightopt.rig.capture._lock import lock_folder
 from lightopt.rig.capture._options import CaptureOptions
-from lightopt.rig.capture._plan import Plan, make_plan
-from lightopt.rig.capture._session import CaptureReport, Taking
+from lightopt.rig.capture._plan import CapturePlan, make_plan
+from lightopt.rig.capture._session import CaptureReport, CaptureSession
 from lightopt.rig.capture._timing import Timing
+from lightopt.rig.devices import Camera
 from lightopt.scene import build_scene
 
-Connect = Callable[[Plan], Devices]
+Connect = Callable[[CapturePlan], Devices]
 """Opens the devices of a plan."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Captured:
-    """What a capture did.
+class CaptureResult:
+    """Result of a capture.
 
     Attributes
     ----------
-    folder
-        The image set.
-    images
-        Number of images of the plan.
-    taken
-        Number of those taken now; the others were there.
-    replaced
-        Files of another set that were removed.
-    retries
-        Commands that were sent again.
-    virtual_bench
-        Whether the rig has no hardware section, so that all devices were simulated.
-    timing
-        Where the time went.
-    warnings
-        What was noticed, also in the manifest.
+    images, taken: Number of images of the plan, and of those taken now; the others were there.
+    replaced: Number of files of another set that were removed.
+    retries: Number of commands that were sent again.
+    virtual_bench: Whether the rig has no hardware section, so that all devices were simulated.
+    warnings: Also in the manifest.
     """
 
     folder: Path
@@ -70,60 +60,46 @@ def capture(
     serial_log: Path | None = None,
     warn: Callable[[str], None] | None = None,
     report: CaptureReport | None = None,
-) -> Captured:
+) -> CaptureResult:
     """Capture an image set: every light in every posture at every exposure.
 
     Parameters
     ----------
-    rig, part
-        The rig and the part on it.
-    folder
-        Of the image set; made where it does not exist.
-    options
-        Which images.
-    resume
-        Continue the set that is there: only what is missing is taken.
-    force
-        Replace the set that is there.
-    connect
-        Opens the devices; those of the rig's file if not given.
-    serial_log
-        File that gets every byte on the wires with its time.
-    warn
-        Called with warnings, and with what is out of the ordinary on the wires, as it happens.
-    report
-        Called with progress.
+    resume: Continue the set that is there: only what is missing is taken.
+    force: Replace the set that is there.
+    connect: Opens the devices; by default those of the rig's file.
+    serial_log: File that gets every byte on the wires with its time.
+    warn: Called with warnings, also of irregularities on the wires.
 
     Raises
     ------
-    InputError
-        When the plan cannot be, the folder holds something else, or the disk refuses; before anything is opened
-        wherever that can be known.
-    HardwareError
-        When a device fails or an image is not lit by its light; the message says in which step and what state things
-        are in. The lights are off then, or it says which may not be.
-    Interrupted
-        After Ctrl-C and the signals that end a program, once the lights are off; the message says what is there.
+    InputError: The plan is impossible, the folder holds something else, or the disk refuses; before anything is
+        opened wherever that can be known.
+    HardwareError: A device fails or an image is not lit by its light; the message says in which step and the state
+        of the devices. The lights are off then, or it says which may not be.
+    Interrupted: After Ctrl-C and the signals that end a program, once the lights are off; the message says what is
+        on disk.
     """
     folder, timing, begun = Path(folder), Timing(), time.monotonic()
     with timing.spent("opening_s"):
         plan = make_plan(rig, part, options)
         scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
     # the devices are made safe first, then what is still being written is finished
-    with locked(folder), ExitStack() as after, ExitStack() as safe:
+    with lock_folder(folder), ExitStack() as after, ExitStack() as safe:
 
-        def begin() -> Taking:
+        def begin() -> CaptureSession:
             records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
-            return after.enter_context(Taking(plan, scene, records, timing, warn, report))
+            return after.enter_context(CaptureSession(plan, scene, records, timing, warn, report))
 
         def open_devices() -> Devices:
-            devices = safe.enter_context((connect or _connecting(rig, part, serial_log, warn))(plan))
-            check_camera(
-                devices,
-                resolution_px=rig.camera.resolution_px,
-                bit_depth=scene.sensor.bit_depth,
-                where=rig.source.at("camera"),
-            )
+            if connect is not None:
+                opened = connect(plan)
+            else:
+                opened = connect_devices(
+                    rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, warn=warn
+                )
+            devices = safe.enter_context(opened)
+            _check_camera(devices.camera, rig)
             return devices
 
         with timing.spent("opening_s"):
@@ -139,7 +115,7 @@ def capture(
                 safe.close()
         run.flush()
     timing.whole_s = time.monotonic() - begun
-    return Captured(
+    return CaptureResult(
         folder=folder,
         images=len(plan.keys),
         taken=run.taken,
@@ -151,9 +127,12 @@ def capture(
     )
 
 
-def _connecting(
-    rig: RigConfig, part: PartConfig, serial_log: Path | None, warn: Callable[[str], None] | None
-) -> Connect:
-    return lambda plan: connect_devices(
-        rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, warn=warn
-    )
+def _check_camera(camera: Camera, rig: RigConfig) -> None:
+    """Refuse a camera of another resolution or bit depth than the rig's, before anything is lit or moved."""
+    (width, height), bits = rig.camera.resolution_px, rig.camera.sensor.bit_depth
+    if camera.resolution_px != (width, height) or camera.bit_depth != bits:
+        raise InputError(
+            f"{rig.source.at('camera')}: the rig has {width} × {height} pixels of {bits} bits, the camera "
+            f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
+            "camera or the rig"
+        )

@@ -1,4 +1,4 @@
-"""Signals that end a run: each unwinds it as Ctrl-C does, and none gets in between while the rig is made safe."""
+"""Signals that end a run: each unwinds it as Ctrl-C does, and none interrupts making the rig safe."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class EndSignals:
 
     The first one that unwinds holds those after it back, so that none gets in between while the rig is made safe, which
     takes a bounded time. A signal that is ignored (as SIGHUP under nohup) stays ignored. In a thread other than the
-    main one nothing is changed.
+    main one nothing is changed. `pending` is the name of the signal that came while shielded.
     """
 
     def __init__(self) -> None:
         self._before: dict[int, Any] = {}
         self._shielded = False
-        self._pending: str | None = None
+        self.pending: str | None = None
         self._holding: set[CodeType] = set()
 
     def install(self) -> None:
@@ -56,15 +56,10 @@ class EndSignals:
         """Hold signals back from the first instruction of a function on: before it can ask for :meth:`shielded`."""
         self._holding.add(code)
 
-    @property
-    def pending(self) -> str | None:
-        """Name of the signal that came while shielded."""
-        return self._pending
-
     def _receive(self, number: int, frame: FrameType | None) -> None:
         name = signal.Signals(number).name
         if self._shielded or self._held_in(frame):
-            self._pending = name
+            self.pending = name
             return
         if put_off(number, frame):
             return

@@ -15,12 +15,9 @@ STAGE = "stage"
 def start_bench(
     rig: RigConfig, wiring: Wiring, *, part: PartConfig | None = None, truth: BenchTruth | None = None
 ) -> BenchProcess:
-    """Switch on a virtual bench with the devices of a rig that are virtual, and with a camera where there is a part.
+    """Start a virtual bench with the virtual devices of a rig, and with a camera where there is a part.
 
-    Raises
-    ------
-    HardwareError
-        When its process does not start.
+    Raises HardwareError: its process does not start.
     """
     hardware = wiring.hardware
     devices = _controllers(wiring)
@@ -51,13 +48,7 @@ def start_bench(
 
 
 def start_lights(wiring: Wiring) -> BenchProcess:
-    """Switch on a virtual bench with the virtual light controllers alone.
-
-    Raises
-    ------
-    HardwareError
-        When its process does not start.
-    """
+    """Start a virtual bench with the virtual light controllers alone."""
     return BenchProcess(_controllers(wiring))
 
 

@@ -1,4 +1,4 @@
-"""How long lights may burn at a stretch, kept even while everything else hangs or fails."""
+"""Limits how long lights stay on at a stretch, even while everything else hangs or fails."""
 
 from __future__ import annotations
 
@@ -10,95 +10,91 @@ from dataclasses import dataclass, field
 
 from lightopt.core.errors import error_text
 
-_AGAIN_S = 0.5  # a light that did not go dark is tried again after
+_RETRY_S = 0.5  # a light that did not go dark is tried again after
 
 
 @dataclass(eq=False)
-class _Burning:
-    """A light that burns, until when [s, monotonic] it may, and what ends the thread that watches it."""
+class _LitPeriod:
+    """A light that is on, until when [s, monotonic] it may be, and what ends the thread that watches it."""
 
     longest_s: float
     until: float
     over: threading.Event = field(default_factory=threading.Event)
 
 
-class BurnWatch:
-    """Darkens lights that burn for as long as they may, each from a thread of its own.
+class LightWatchdog:
+    """Darkens lights that have been on for their `max_on_s`, each from a thread of its own.
 
     A camera that hangs, a disk that is slow, a person who went away: the light goes dark all the same. What was being
     done then fails at its next step, because its images would be wrong. Whatever the driver raises, the light is tried
-    again, and no light waits for another whose controller hangs.
-
-    Parameters
-    ----------
-    darken
-        Switches a light off; a command that is under way on its link is broken off for it.
+    again, and no light waits for another whose controller hangs. `darken` switches a light off; a command that is under
+    way on its link is broken off for it.
     """
 
     def __init__(self, darken: Callable[[str], None]) -> None:
         self._darken = darken
         self._lock = threading.Lock()
-        self._burning: dict[str, _Burning] = {}
-        self._ended: dict[str, str] = {}
+        self._periods: dict[str, _LitPeriod] = {}
+        self._problems: dict[str, str] = {}
         # held while a light is darkened, so that it is not lit anew in between
         self._darkening: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
 
-    def begin(self, light: str, longest_s: float) -> None:
-        """From now on a light may burn so long [s]."""
-        self.end(light)
-        burning = _Burning(longest_s, time.monotonic() + longest_s)
+    def start(self, light: str, longest_s: float) -> None:
+        """Allow a light to be on for so long [s] from now."""
+        self.stop(light)
+        period = _LitPeriod(longest_s, time.monotonic() + longest_s)
         with self._lock:
-            self._ended.pop(light, None)
-            self._burning[light] = burning
+            self._problems.pop(light, None)
+            self._periods[light] = period
         try:
-            threading.Thread(target=self._watch, args=(light, burning), daemon=True).start()
+            threading.Thread(target=self._watch, args=(light, period), daemon=True).start()
         except BaseException:  # the light is not lit then
-            self.end(light)
+            self.stop(light)
             raise
 
-    def left_s(self, light: str) -> float | None:
-        """How long a light may burn on [s]; None where nothing limits it."""
+    def remaining_s(self, light: str) -> float | None:
+        """Remaining time that a light may be on [s]; None where nothing limits it."""
         with self._lock:
-            burning = self._burning.get(light)
-            return None if burning is None else burning.until - time.monotonic()
+            period = self._periods.get(light)
+            return None if period is None else period.until - time.monotonic()
 
-    def end(self, light: str) -> None:
-        """A light is dark; waits while it is being darkened."""
+    def stop(self, light: str) -> None:
+        """Stop watching a light, which is dark; waits while it is being darkened."""
         with self._darkening_of(light), self._lock:
-            if burning := self._burning.pop(light, None):
-                burning.over.set()
+            if period := self._periods.pop(light, None):
+                period.over.set()
 
-    def end_all(self) -> None:
-        """All lights are dark, or all was tried."""
-        for light in tuple(self._burning):
-            self.end(light)
+    def stop_all(self) -> None:
+        """Stop watching: all lights are dark, or all was tried."""
+        for light in tuple(self._periods):
+            self.stop(light)
 
-    def ended(self, light: str) -> str | None:
-        """What to say of a light that had to be darkened; None where it had not. It is said once."""
+    def pop_problem(self, light: str) -> str | None:
+        """Message about a light that had to be darkened, once; None where it had not."""
         with self._lock:
-            return self._ended.pop(light, None)
+            return self._problems.pop(light, None)
 
-    def _watch(self, light: str, burning: _Burning) -> None:
+    def _watch(self, light: str, period: _LitPeriod) -> None:
         """Darken a light when its time is up, and try again for as long as that fails."""
-        wait_s = burning.longest_s
-        while not burning.over.wait(wait_s):
+        wait_s = period.longest_s
+        while not period.over.wait(wait_s):
             with self._darkening_of(light):
-                if burning.over.is_set():
+                if period.over.is_set():
                     return
                 problem = _tried(self._darken, light)
                 with self._lock:
                     if problem is None:
-                        self._burning.pop(light, None)
-                        burning.over.set()
-                        self._ended[light] = (
-                            f"{light} burned for its max_on_s of {burning.longest_s:g} s and was switched off, "
+                        self._periods.pop(light, None)
+                        period.over.set()
+                        self._problems[light] = (
+                            f"{light} burned for its max_on_s of {period.longest_s:g} s and was switched off, "
                             "although it was still needed: something took longer than planned"
                         )
                     else:
-                        self._ended[light] = (
-                            f"{light} burns longer than its max_on_s of {burning.longest_s:g} s: {problem}"
+                        self._problems[light] = (
+                            f"{light} burns longer than its max_on_s of {period.longest_s:g} s: {problem}"
                         )
-            wait_s = _AGAIN_S
+            wait_s = _RETRY_S
 
     def _darkening_of(self, light: str) -> threading.Lock:
         with self._lock:

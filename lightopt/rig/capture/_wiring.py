@@ -36,12 +36,9 @@ class Wiring:
 
     Attributes
     ----------
-    hardware
-        What the rig file says, or the virtual bench.
-    given
-        Whether the rig file says it.
-    exposure_us
-        Exposure time of exposure 1 [µs].
+    hardware: From the rig file, or the virtual bench.
+    given: Whether the rig file has it.
+    exposure_us: Exposure time of exposure 1 [µs].
     """
 
     hardware: HardwareConfig
@@ -52,9 +49,11 @@ class Wiring:
         """Where a light is plugged in."""
         return self.hardware.lights[name]
 
-    def controller(self, name: str) -> ControllerConfig:
-        """The controller of a light."""
-        return self.hardware.controllers[self.light(name).controller]
+    def top_level(self, name: str) -> int:
+        """Highest level that a light may have."""
+        channel = self.light(name)
+        top = self.hardware.controllers[channel.controller].top_level
+        return min(top, channel.max_level or top)
 
     @property
     def stage_is_virtual(self) -> bool:
@@ -92,16 +91,11 @@ def wiring_of(rig: RigConfig) -> Wiring:
     for i, light in enumerate(rig.lights):
         name = f"bench{i // _CHANNELS_EACH + 1}"
         controllers.setdefault(name, ControllerConfig(driver="ccs", port=VIRTUAL, channels=_CHANNELS_EACH))
-        lights[light.name] = ChannelConfig(
-            controller=name, channel=i % _CHANNELS_EACH + 1, level=_VIRTUAL_LEVEL
-        )
+        channel = i % _CHANNELS_EACH + 1
+        lights[light.name] = ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
     stage = StageDeviceConfig(
         driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION
     )
-    return Wiring(
-        HardwareConfig(
-            controllers=controllers, lights=lights, stage=stage, camera=CameraDeviceConfig(driver="virtual")
-        ),
-        given=False,
-        exposure_us=exposure_us,
-    )
+    camera = CameraDeviceConfig(driver="virtual")
+    hardware = HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
+    return Wiring(hardware, given=False, exposure_us=exposure_us)

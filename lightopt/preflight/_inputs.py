@@ -1,4 +1,4 @@
-"""What the checks look at, made once."""
+"""The rig and scene under test, and samples of what the camera sees."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ SAMPLES = 60_000
 
 
 @dataclass(frozen=True)
-class RigSubject:
-    """A rig and what it amounts to; world frame."""
+class CheckedRig:
+    """A rig with its camera and lights in the world frame."""
 
     rig: RigConfig
     camera: PinholeCamera
     lights: tuple[PanelLight, ...]
 
-    def at_light(self, index: int) -> str:
-        """Where a light stands in the rig file."""
-        return self.rig.source.at("lights", index)
+    def at(self, *keys: str | int) -> str:
+        """File, line and key of a setting of the rig."""
+        return self.rig.source.at(*keys)
 
 
 @dataclass(frozen=True)
-class Look:
+class PostureSamples:
     """What the camera sees of the part in a posture, at every `step`-th pixel of rows and columns; part frame."""
 
     posture: Posture
@@ -51,32 +51,32 @@ class Look:
 
 
 @dataclass(frozen=True)
-class SceneSubject:
+class CheckedScene:
     """A rig with a part on it."""
 
     rig: RigConfig
     part: PartConfig
     scene: Scene
     caster: RayCaster
-    looks: tuple[Look, ...]
+    samples: tuple[PostureSamples, ...]
 
     def at_posture(self, index: int) -> str:
-        """Where a posture stands in the part file."""
+        """File, line and key of a posture of the part."""
         return self.part.source.at("postures", index)
 
 
-def rig_subject(rig: RigConfig) -> RigSubject:
+def prepare_rig(rig: RigConfig) -> CheckedRig:
     """Place the rig's camera and lights."""
-    return RigSubject(rig, build_camera(rig), build_lights(rig))
+    return CheckedRig(rig, build_camera(rig), build_lights(rig))
 
 
-def scene_subject(rig: RigConfig, part: PartConfig, scene: Scene) -> SceneSubject:
+def prepare_scene(rig: RigConfig, part: PartConfig, scene: Scene) -> CheckedScene:
     """Cast a grid of camera rays in each posture of a scene."""
     caster = cast_rays_at(scene)
-    return SceneSubject(rig, part, scene, caster, tuple(_look(scene, p, caster) for p in scene.postures))
+    return CheckedScene(rig, part, scene, caster, tuple(_sample(scene, p, caster) for p in scene.postures))
 
 
-def _look(scene: Scene, posture: Posture, caster: RayCaster) -> Look:
+def _sample(scene: Scene, posture: Posture, caster: RayCaster) -> PostureSamples:
     view = view_from_part(scene, posture)
     left, top, right, bottom = screen_window(view.camera, scene.mesh)
     step = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / SAMPLES)))
@@ -85,4 +85,4 @@ def _look(scene: Scene, posture: Posture, caster: RayCaster) -> Look:
         np.arange(top + step // 2, bottom, step, dtype=np.float64) + 0.5,
     )
     hits, surface = trace_samples(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
-    return Look(posture, view, step, hits, surface)
+    return PostureSamples(posture, view, step, hits, surface)

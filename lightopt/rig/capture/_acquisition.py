@@ -12,9 +12,9 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
 from lightopt.rig.capture._devices import Devices
+from lightopt.rig.capture._exposures import ExposureImage, FrameMean
 from lightopt.rig.capture._folder_camera import FolderCamera
-from lightopt.rig.capture._frames import Exposed, FrameMean
-from lightopt.rig.capture._plan import Plan
+from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._timing import Timing, utc
 from lightopt.rig.devices import Event, Frame, frame_limit_s
 
@@ -23,47 +23,44 @@ EXPOSURE_TOLERANCE = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shot:
+class AcquiredImage:
     """An image as it came from the camera.
 
     Attributes
     ----------
-    developed
-        The image of the frames, which is made while the light goes out.
-    facts
-        How it was taken, JSON-able, for the manifest.
+    light: None for a frame without light.
+    exposure: Requested relative exposure.
+    future: The image of the frames, which is computed while the light goes out.
+    facts: How it was taken, JSON-able, for the manifest.
     """
 
-    developed: Future[Exposed]
+    light: str | None
+    posture: Posture
+    exposure: float
+    future: Future[ExposureImage]
     facts: dict[str, Any]
 
     @property
-    def image(self) -> Exposed:
-        """Of the frames; waits for it."""
-        return self.developed.result()
+    def image(self) -> ExposureImage:
+        """The image of the frames; waits for it."""
+        return self.future.result()
 
 
-class Shooter:
+class AcquisitionEngine:
     """Takes the images of a plan with opened devices.
 
-    Parameters
-    ----------
-    devices, plan, sensor
-        What takes them, which, and how levels count.
-    identities
-        Who the devices are, for the manifest.
-    timing
-        Where the time that is spent is counted.
-
-    Raises
-    ------
-    InputError
-        When the camera cannot expose as long or as short as the plan wants, or not in such steps, with the exposures
-        that it can hold instead; nothing was lit or moved.
+    InputError when the camera cannot expose as long or as short as the plan wants, or not in such steps, with the
+    exposures that it can hold instead; nothing was lit or moved. `identities` of the devices are for the manifest.
     """
 
     def __init__(
-        self, devices: Devices, plan: Plan, *, sensor: Sensor, identities: dict[str, Any], timing: Timing
+        self,
+        devices: Devices,
+        plan: CapturePlan,
+        *,
+        sensor: Sensor,
+        identities: dict[str, Any],
+        timing: Timing,
     ) -> None:
         low, high = devices.camera.exposure_range_us
         for time_us in map(plan.exposure_us, plan.exposures):
@@ -73,7 +70,7 @@ class Shooter:
                     "(--exposures), or another camera.exposure_us in the rig"
                 )
         _check_steps(devices, plan)
-        self._devices = devices
+        self.devices = devices
         self._plan = plan
         self._sensor = sensor
         self._identities = identities
@@ -84,49 +81,49 @@ class Shooter:
         self._light_settled = 0.0
         self._held_us: float | None = None
         self._changed = True
-        self._told: dict[int, Event] = {}
-        self._darkroom = ThreadPoolExecutor(1, thread_name_prefix="frames")
+        self._reported_events: dict[int, Event] = {}
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="frames")
 
     def close(self) -> None:
-        """Let the images be made of which the frames are there."""
-        self._darkroom.shutdown(wait=True)
+        """Wait for the images whose frames are there."""
+        self._worker.shutdown(wait=True)
 
     def home(self) -> None:
         """Let the stage seek its origin."""
-        self._devices.step = "homing the stage"
+        self.devices.step = "homing the stage"
         with self._timing.spent("moving_s"):
-            self._devices.home()
+            self.devices.home()
 
     def move(self, posture: Posture) -> None:
         """Move the stage and verify where it stands."""
-        if self._devices.stage is None:
+        if self.devices.stage is None:
             return
-        self._devices.step = f"moving the stage to {posture}"
+        self.devices.step = f"moving the stage to {posture}"
         with self._timing.spent("moving_s"):
-            state = self._devices.move_to(posture)
+            state = self.devices.move_to(posture)
         self._stage_settled = time.monotonic() + self._plan.wiring.hardware.timing.stage_ms / 1e3
         self._stage = {"asked": posture.as_dict(), "read": state.posture.as_dict()}
         self._changed = True
 
     def confirm_stage(self) -> None:
-        """See that the stage still stands where it was left."""
-        self._devices.step = "asking whether the stage still stands where it was left"
+        """Check that the stage still stands where it was left."""
+        self.devices.step = "asking whether the stage still stands where it was left"
         with self._timing.spent("moving_s"):
-            self._devices.confirm_stage()
+            self.devices.confirm_stage()
 
     def light_on(self, name: str) -> None:
         """Light a panel, once the stage needs no longer to settle than the light; it settles while it is read back."""
-        self._devices.step = f"lighting {name}"
+        self.devices.step = f"lighting {name}"
         light_s = self._plan.wiring.hardware.timing.light_ms / 1e3
         self._wait_until(self._stage_settled - light_s)
         channel = self._plan.wiring.light(name)
         begun = time.monotonic()
-        held = self._devices.light_on(name)
-        told = self._devices.told_s(name)
-        read_s = time.monotonic() - told
+        held = self.devices.light_on(name)
+        sent = self.devices.level_sent_s(name)
+        read_s = time.monotonic() - sent
         self._timing.settling_s += min(read_s, light_s)
-        self._timing.lights_s += told - begun + max(0.0, read_s - light_s)
-        self._light_settled = told + light_s
+        self._timing.lights_s += sent - begun + max(0.0, read_s - light_s)
+        self._light_settled = sent + light_s
         facts = {
             "controller": channel.controller,
             "channel": channel.channel,
@@ -136,20 +133,20 @@ class Shooter:
         self._changed = True
 
     def light_off(self) -> None:
-        """Darken the panel that burns."""
+        """Darken the panel that is lit."""
         assert self._lit is not None
-        self._devices.step = f"switching {self._lit[0]} off"
+        self.devices.step = f"switching {self._lit[0]} off"
         with self._timing.spent("lights_s"):
-            self._devices.light_off(self._lit[0])
+            self.devices.light_off(self._lit[0])
         self._light_settled = time.monotonic() + self._plan.wiring.hardware.timing.light_ms / 1e3
         self._lit = None
         self._changed = True
 
     def set_exposure(self, exposure: float) -> None:
-        """Set the camera's exposure time, which takes while stage and light settle."""
+        """Set the camera's exposure time, while stage and light settle."""
         asked = self._plan.exposure_us(exposure)
-        self._devices.step = f"setting the exposure to {asked:g} µs"
-        held = self._devices.camera.set_exposure(asked)
+        self.devices.step = f"setting the exposure to {asked:g} µs"
+        held = self.devices.camera.set_exposure(asked)
         if not _holds(held, asked):
             raise HardwareError(
                 f"the camera holds an exposure of {held:g} µs instead of {asked:g} µs, which it held before"
@@ -158,28 +155,28 @@ class Shooter:
         self._held_us = held
 
     def settle(self, *, counted: str = "settling_s") -> None:
-        """Wait until stage and light have settled; as what the time counts can be said."""
-        self._devices.step = "letting stage and light settle"
+        """Wait until stage and light have settled; `counted` names the entry of the timing."""
+        self.devices.step = "letting stage and light settle"
         self._wait_until(max(self._stage_settled, self._light_settled), counted)
 
-    def patience_s(self, exposures: Sequence[float]) -> float:
-        """How long a light that has settled may burn for nothing before its exposures [s].
+    def max_wait_s(self, exposures: Sequence[float]) -> float:
+        """How long a settled light may stay lit unused before its exposures [s].
 
-        As long as lighting it anew would take: so it never burns more than twice as long as needed, and what is saved
-        is never less than half of what could be. Never so long that it could not burn for all of them.
+        As long as lighting it anew would take: so it is never lit more than twice as long as needed, and what is saved
+        is never less than half of what could be. Never so long that it could not stay lit for all of them.
         """
         anew_s = self._plan.relighting_s
-        if (left_s := self._may_burn_s()) is None:
+        if (left_s := self._remaining_on_s()) is None:
             return anew_s
         return max(0.0, min(anew_s, left_s - sum(map(self._plan.frames_s, exposures))))
 
-    def expose(self, posture: Posture, exposure: float) -> Shot:
-        """Take an image under the light that burns, or in the dark."""
+    def expose(self, posture: Posture, exposure: float) -> AcquiredImage:
+        """Take an image under the light that is lit, or in the dark."""
         light = self._lit[0] if self._lit else None
-        self._devices.step = f"exposing {light or 'dark'} {posture} at exposure {exposure:g}"
+        self.devices.step = f"exposing {light or 'dark'} {posture} at exposure {exposure:g}"
         if light is not None:
-            self._devices.check_burning(light)
-        camera = self._devices.camera
+            self.devices.check_watchdog(light)
+        camera = self.devices.camera
         if isinstance(camera, FolderCamera):
             camera.show(light, posture, exposure)
         if self._changed and not camera.triggered:
@@ -193,7 +190,7 @@ class Shooter:
         for _ in range(self._plan.options.average):
             last = self._grab()
             first = first or last
-            counted.append(self._darkroom.submit(mean.add, last.levels))  # while the next is exposed
+            counted.append(self._worker.submit(mean.add, last.levels))  # while the next is exposed
         assert first is not None
         assert last is not None
         held = first.exposure_us
@@ -216,18 +213,19 @@ class Shooter:
         if first.says:
             facts["camera"] = first.says
 
-        def develop() -> Exposed:
+        def finish() -> ExposureImage:
             for frame in counted:
                 frame.result()
             return mean.image(held / self._plan.wiring.exposure_us)
 
-        return Shot(developed=self._darkroom.submit(develop), facts=facts)
+        future = self._worker.submit(finish)
+        return AcquiredImage(light=light, posture=posture, exposure=exposure, future=future, facts=facts)
 
     def events_since(self) -> tuple[Event, ...]:
-        """What was out of the ordinary on the links since the image before."""
-        events = tuple(self._devices.events())
-        new = tuple(event for event in events if id(event) not in self._told)
-        self._told.update((id(event), event) for event in new)
+        """Irregularities on the links since the image before."""
+        events = tuple(self.devices.events())
+        new = tuple(event for event in events if id(event) not in self._reported_events)
+        self._reported_events.update((id(event), event) for event in new)
         return new
 
     def _grab(self) -> Frame:
@@ -235,22 +233,25 @@ class Shooter:
         assert self._held_us is not None
         exposure_s = self._held_us / 1e6
         limit_s = frame_limit_s(self._held_us, timing.frame_timeout_s)
-        if (left_s := self._may_burn_s()) is not None:
+        if self._lit is not None and (left_s := self._remaining_on_s()) is not None:
             if left_s <= exposure_s:
-                self._burns_too_long(left_s)
+                raise HardwareError(
+                    f"{self._lit[0]} may burn {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
+                    "takes longer: frames came later than planned; take fewer or shorter exposures"
+                )
             limit_s = min(limit_s, left_s)
         begun = time.monotonic()
-        frame = self._devices.camera.grab(timeout_s=limit_s)
+        frame = self.devices.camera.grab(timeout_s=limit_s)
         taken_s = time.monotonic() - begun
         self._timing.exposing_s += min(exposure_s, taken_s)
         self._timing.transfer_s += max(0.0, taken_s - exposure_s)
         if self._lit is not None:
-            self._devices.check_burning(self._lit[0])
+            self.devices.check_watchdog(self._lit[0])
         self._check_frame(frame)
         return frame
 
     def _check_frame(self, frame: Frame) -> None:
-        width, height = self._devices.camera.resolution_px
+        width, height = self.devices.camera.resolution_px
         if frame.levels.shape != (height, width) or int(frame.levels.max()) > self._sensor.max_level:
             raise HardwareError(
                 f"the camera delivered a frame of {frame.levels.shape[1]} × {frame.levels.shape[0]} pixels with levels "
@@ -262,16 +263,9 @@ class Shooter:
                 f"the camera took {name} at {frame.exposure_us:g} µs, although it held {self._held_us:g} µs"
             )
 
-    def _may_burn_s(self) -> float | None:
-        """How long the light may burn on [s]; None where nothing limits it."""
-        return None if self._lit is None else self._devices.may_burn_s(self._lit[0])
-
-    def _burns_too_long(self, left_s: float) -> None:
-        assert self._lit is not None
-        raise HardwareError(
-            f"{self._lit[0]} may burn {max(0.0, left_s):.3g} s more (max_on_s) and the exposure takes longer: frames "
-            "came later than planned; take fewer or shorter exposures"
-        )
+    def _remaining_on_s(self) -> float | None:
+        """How long the light may stay lit [s]; None where nothing limits it."""
+        return None if self._lit is None else self.devices.remaining_on_s(self._lit[0])
 
     def _wait_until(self, moment: float, counted: str = "settling_s") -> None:
         with self._timing.spent(counted):
@@ -280,12 +274,12 @@ class Shooter:
 
 
 def _holds(held_us: float, asked_us: float) -> bool:
-    """Whether an exposure time is as good as the one that was asked for."""
+    """Whether the camera holds the requested exposure time."""
     return abs(held_us - asked_us) <= EXPOSURE_TOLERANCE * asked_us
 
 
-def _check_steps(devices: Devices, plan: Plan) -> None:
-    """Let the camera hold every exposure of a plan once, and refuse the plan when it holds others."""
+def _check_steps(devices: Devices, plan: CapturePlan) -> None:
+    """Set every exposure of a plan once, and refuse the plan when the camera holds others."""
     problems: list[str] = []
     for exposure in plan.exposures:
         asked = plan.exposure_us(exposure)

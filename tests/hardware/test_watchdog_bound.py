@@ -8,7 +8,7 @@ import time
 import pytest
 
 from lightopt.core.errors import HardwareError
-from lightopt.rig.capture._watchdog import BurnWatch
+from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.devices import LightSettings, LightsStillOnError, all_off, light_drivers, side_by_side
 from lightopt.rig.simulated import BenchProcess
 
@@ -29,8 +29,8 @@ def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
         settings = LightSettings("main", bench.ports["main"], timeout_s=1.0)
         controller = light_drivers()[kind](settings, None)
         bench.set_fault("main", "drop", count=None, after=answered)
-        watch = BurnWatch(lambda _light: controller.set_level(3, 0))
-        watch.begin("light", LONGEST_S)
+        watch = LightWatchdog(lambda _light: controller.set_level(3, 0))
+        watch.start("light", LONGEST_S)
         with pytest.raises(HardwareError, match="because a light had to be switched off"):
             controller.set_level(3, 200)
         until = time.monotonic() + 3
@@ -38,7 +38,7 @@ def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
             time.sleep(0.02)
         assert burned_s(bench, "main", 3) < LONGEST_S + 0.4
         bench.set_fault("main", "clear")
-        watch.end_all()
+        watch.stop_all()
         controller.close()
 
 
@@ -46,11 +46,11 @@ def test_a_reading_gives_way_to_darkening():
     with BenchProcess({"main": {"kind": "ccs", "options": {"levels": {"1": 200}}}}) as bench:
         controller = light_drivers()["ccs"](LightSettings("main", bench.ports["main"], timeout_s=5.0), None)
         bench.set_fault("main", "drop")
-        watch = BurnWatch(lambda _light: controller.set_level(1, 0))
-        watch.begin("light", 0.1)
+        watch = LightWatchdog(lambda _light: controller.set_level(1, 0))
+        watch.start("light", 0.1)
         with pytest.raises(HardwareError, match="no longer waited for"):
             controller.read_level(2)
-        watch.end_all()  # waits for the thread that darkens
+        watch.stop_all()  # waits for the thread that darkens
         assert not any(bench.levels("main").values())
         assert controller.read_level(1) == 0
         controller.close()

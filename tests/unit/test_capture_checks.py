@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt.optics import Sensor
-from lightopt.rig.capture._exposure_fusion import merge_bracket
-from lightopt.rig.capture._frames import mean_of_frames
-from lightopt.rig.capture._light_checks import Predictions, check_lit, lights_left_on
+from lightopt.rig.capture._exposures import mean_of_frames, merge_exposures
+from lightopt.rig.capture._light_checks import PredictedImages, check_light, find_light_left_on
 
 EIGHT = Sensor(bit_depth=8, saturation_level=250, black_level=4)
 
@@ -74,7 +73,7 @@ def test_the_merge_is_that_of_the_plain_reference(seed, exposures, with_dark):
     exposures = sorted(exposures, reverse=True)
     stack = [rng.integers(0, 256, (5, 6)).astype(np.uint8) for _ in exposures]
     dark = [rng.uniform(3, 6, (5, 6)).astype(np.float32) for _ in exposures] if with_dark else None
-    merged = merge_bracket(
+    merged = merge_exposures(
         [image(s, e) for s, e in zip(stack, exposures, strict=True)],
         sensor=EIGHT,
         full_scale=1000.0,
@@ -96,7 +95,7 @@ PART = np.zeros((ROWS, COLUMNS), bool)
 PART[4:20, 5:25] = True
 RAMP = np.where(PART, 5 + 95 * np.linspace(0, 1, COLUMNS) ** 3, 0.0)
 SENSOR = Sensor(bit_depth=8)
-TWO = Predictions(cell=2, levels={"left": RAMP[:, ::-1], "right": RAMP}, part=PART)
+TWO = PredictedImages(cell=2, levels={"left": RAMP[:, ::-1], "right": RAMP}, part=PART)
 
 
 def seen(level, *, exposure=1.0, dark=3.0, noise=1.0, seed=0):
@@ -107,7 +106,7 @@ def seen(level, *, exposure=1.0, dark=3.0, noise=1.0, seed=0):
 
 def check(light, level, predictions=TWO, **options):
     dark = options.get("dark", 3.0)
-    return check_lit(
+    return check_light(
         light,
         seen(level, **options),
         dark,
@@ -149,7 +148,7 @@ def test_a_second_light_is_named():
 @pytest.mark.parametrize("seed", range(20))
 def test_lights_that_look_alike_accuse_nobody(seed):
     flat = np.where(PART, 50.0, 0.0)
-    alike = Predictions(cell=2, levels={"left": flat * 1.01, "right": flat}, part=PART)
+    alike = PredictedImages(cell=2, levels={"left": flat * 1.01, "right": flat}, part=PART)
     found = check("left", flat, alike, noise=3.0, seed=seed)
     assert found.problem is None
     assert found.undecided is not None
@@ -172,7 +171,7 @@ def test_saturation_is_predicted_too():
         check(
             "right",
             10 * RAMP,
-            Predictions(cell=2, levels={"left": 10 * RAMP[:, ::-1], "right": 10 * RAMP}, part=PART),
+            PredictedImages(cell=2, levels={"left": 10 * RAMP[:, ::-1], "right": 10 * RAMP}, part=PART),
         ).problem
         is None
     )
@@ -181,9 +180,9 @@ def test_saturation_is_predicted_too():
 def test_a_light_left_on_shows_in_the_dark_frame():
     frames = {"left": seen(RAMP[:, ::-1], dark=0.0), None: seen(0.0 * RAMP, dark=0.0)}
     for light, frame in frames.items():
-        assert lights_left_on(frame, predictions=TWO, sensor=SENSOR, exposure=1.0) == light
+        assert find_light_left_on(frame, predictions=TWO, sensor=SENSOR, exposure=1.0) == light
     ambient = seen(np.full(PART.shape, 30.0), dark=0.0)
-    assert lights_left_on(ambient, predictions=TWO, sensor=SENSOR, exposure=1.0) is None
+    assert find_light_left_on(ambient, predictions=TWO, sensor=SENSOR, exposure=1.0) is None
 
 
 def test_means_are_rounded_without_a_bias():

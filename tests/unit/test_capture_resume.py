@@ -17,9 +17,9 @@ from lightopt.core.errors import HardwareError, InputError, Interrupted
 from lightopt.core.provenance import file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
-from lightopt.rig.capture import Plan
-from lightopt.rig.capture._background_writer import MOST_LINEARS, DiskWork
-from lightopt.rig.capture._exposure_sequence import Shooter
+from lightopt.rig.capture import CapturePlan
+from lightopt.rig.capture._acquisition import AcquisitionEngine
+from lightopt.rig.capture._background_writer import MOST_LINEARS, BackgroundWriter
 from lightopt.rig.capture._image_records import CapturedSet
 from lightopt.rig.capture._lock import LOCK_NAME
 from lightopt.rig.capture._timing import Timing
@@ -196,10 +196,10 @@ def test_nothing_is_written_after_an_image_that_was_not():
     def fail():
         raise InputError("no room")
 
-    done, disk = [], DiskWork(Timing())
-    disk.image(fail)
-    disk.image(done.append, 1)
-    disk.linear(done.append, 2)
+    done, disk = [], BackgroundWriter(Timing())
+    disk.submit_image(fail)
+    disk.submit_image(done.append, 1)
+    disk.submit_linear(done.append, 2)
     with pytest.raises(HardwareError, match="no room"):
         disk.wait_for_image()
     disk.close()
@@ -208,7 +208,7 @@ def test_nothing_is_written_after_an_image_that_was_not():
 
 def test_few_linear_images_wait(take, monkeypatch):
     plain, waiting, most = CapturedSet.add_linear, [], []
-    queue = DiskWork.linear
+    queue = BackgroundWriter.submit_linear
 
     def slow(self, *arguments):
         time.sleep(0.1)
@@ -221,7 +221,7 @@ def test_few_linear_images_wait(take, monkeypatch):
         queue(self, *arguments)
 
     monkeypatch.setattr(CapturedSet, "add_linear", slow)
-    monkeypatch.setattr(DiskWork, "linear", count)
+    monkeypatch.setattr(BackgroundWriter, "submit_linear", count)
     take(check=False, postures=tuple(Posture(0.0, angle) for angle in (0.0, 40.0, 80.0, 120.0)))
     assert len(most) == 8
     assert max(most) <= MOST_LINEARS + 1  # the one that is about to be queued has its exposures, too
@@ -230,9 +230,9 @@ def test_few_linear_images_wait(take, monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="os.kill ends a Windows process at once")
 def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world, bench, monkeypatch):
     from lightopt.images import _writer
-    from lightopt.rig.capture import _session as _taking
+    from lightopt.rig.capture import _session
 
-    monkeypatch.setattr(_taking, "SILENT_S", 0.05)
+    monkeypatch.setattr(_session, "DISK_WARNING_S", 0.05)
     inside, gate, said, plain = threading.Event(), threading.Event(), [], _writer.write_png
 
     def hang(*arguments, **options):
@@ -307,7 +307,7 @@ def test_ctrl_c_at_the_very_end_says_that_the_set_is_complete(take, world, bench
 def test_a_light_that_is_lit_anew_settles_anew(take, world, monkeypatch):
     from lightopt.images import _writer
 
-    plain, lit, waited, grabs = _writer.write_png, [], [], Shooter.light_on
+    plain, lit, waited, grabs = _writer.write_png, [], [], AcquisitionEngine.light_on
 
     def slow(*arguments, **options):
         time.sleep(0.1)
@@ -322,9 +322,9 @@ def test_a_light_that_is_lit_anew_settles_anew(take, world, monkeypatch):
         if event[0] == "grab" and world.burning:
             waited.append(time.monotonic() >= lit[-1])
 
-    monkeypatch.setattr(Plan, "relighting_s", 0.01)
+    monkeypatch.setattr(CapturePlan, "relighting_s", 0.01)
     monkeypatch.setattr(_writer, "write_png", slow)
-    monkeypatch.setattr(Shooter, "light_on", light_on)
+    monkeypatch.setattr(AcquisitionEngine, "light_on", light_on)
     world.trouble = watch
     take(exposures=(1.0, 1 / 16), postures=HERE)
     assert len(lit) > 2  # each light anew for its second exposure
@@ -338,12 +338,12 @@ def test_an_exposure_for_which_the_light_may_not_burn_is_not_begun():
         wiring=SimpleNamespace(hardware=SimpleNamespace(timing=SimpleNamespace(frame_timeout_s=1.0))),
     )
     camera = SimpleNamespace(exposure_range_us=(1.0, 1e7))
-    devices = SimpleNamespace(camera=camera, may_burn_s=lambda name: 0.01)
-    shooter = Shooter(devices, plan, sensor=None, identities={}, timing=Timing())
-    shooter._lit, shooter._held_us = ("light1", {}), 20_000.0
+    devices = SimpleNamespace(camera=camera, remaining_on_s=lambda name: 0.01)
+    engine = AcquisitionEngine(devices, plan, sensor=None, identities={}, timing=Timing())
+    engine._lit, engine._held_us = ("light1", {}), 20_000.0
     with pytest.raises(HardwareError, match=r"light1 may burn 0\.01 s more \(max_on_s\)"):
-        shooter._grab()
-    shooter.close()
+        engine._grab()
+    engine.close()
 
 
 def test_what_was_noticed_stays_in_the_manifest_of_a_run_that_failed(take, world, bench):

@@ -15,7 +15,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.capture._repeatability import CameBack, came_back
+from lightopt.rig.capture._repeatability import Repeatability, measure_repeatability
 from lightopt.scene import Scene, build_scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -49,10 +49,10 @@ def taken(scene: Scene, posture: Posture, seed: int, gain: float = 1.0) -> np.nd
 
 def looked_again(
     scene: Scene, world: Scene, tilt_deg: float, turn_deg: float, gain: float = 0.95
-) -> CameBack | None:
+) -> Repeatability | None:
     first = taken(world, POSTURE, 1)
     last = taken(world, Posture(tilt_deg, turn_deg), 2, gain)
-    return came_back(first, last, light="light1", posture=POSTURE, scene=scene)
+    return measure_repeatability(first, last, light="light1", posture=POSTURE, scene=scene)
 
 
 PREDICTED: dict[str, float] = {}
@@ -80,15 +80,15 @@ def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(
     world = replace(scene, reflectance=replace(scene.reflectance, **reflectance))
     same = looked_again(scene, world, 0.0, 0.0)
     assert same is not None
-    assert (same.off, same.converged) == (None, True)
+    assert (same.deviation, same.converged) == (None, True)
     assert max(abs(same.tilt_deg), abs(same.turn_deg)) < 0.1
     for tilt, turn in ((1.0, 0.0), (0.0, -1.0)):
         found = looked_again(scene, world, tilt, turn)
         assert found is not None
-        assert found.off is not None
+        assert found.deviation is not None
         assert found.converged
         assert (found.tilt_deg, found.turn_deg) == pytest.approx((tilt, turn), abs=0.7)
-        assert ("elevation" if tilt else "rotation") in found.off
+        assert ("elevation" if tilt else "rotation") in found.deviation
 
 
 @pytest.mark.slow
@@ -98,31 +98,31 @@ def test_a_third_of_a_degree_is_told_in_a_small_image_or_said_to_be_unseen() -> 
     same, found = looked_again(scene, scene, 0.0, 0.0), looked_again(scene, scene, 0.3, 0.0)
     assert same is not None
     assert found is not None
-    assert (same.off, same.unseen) == (None, "")
-    assert found.off is not None
-    assert found.off.startswith("its elevation by roughly +")
-    assert "rotation" not in found.off
+    assert (same.deviation, same.unobservable) == (None, "")
+    assert found.deviation is not None
+    assert found.deviation.startswith("its elevation by roughly +")
+    assert "rotation" not in found.deviation
     world = replace(scene, reflectance=replace(scene.reflectance, **METAL))
     dim = looked_again(scene, world, 0.3, 0.0)
     assert dim is not None
-    assert (dim.off, dim.unseen) == (None, "elevation and rotation")
+    assert (dim.deviation, dim.unobservable) == (None, "elevation and rotation")
 
 
 @pytest.mark.slow
 def test_what_cannot_be_seen_is_said_to_be_so() -> None:
-    unsure = CameBack(tilt_deg=0.9, turn_deg=2.0, tilt_error_deg=0.01, turn_error_deg=0.7)
-    assert unsure.off == "its elevation by roughly +0.9°"
-    assert unsure.unseen == "rotation"
+    unsure = Repeatability(tilt_deg=0.9, turn_deg=2.0, tilt_error_deg=0.01, turn_error_deg=0.7)
+    assert unsure.deviation == "its elevation by roughly +0.9°"
+    assert unsure.unobservable == "rotation"
     lost = replace(unsure, converged=False)
-    assert lost.off is None
+    assert lost.deviation is None
     assert lost.as_dict()["converged"] is False
     scene = scene_of("cover-knob.yaml")
     dark = np.zeros((300, 400), np.uint8)
-    assert came_back(dark, dark, light="light1", posture=POSTURE, scene=scene) is None
+    assert measure_repeatability(dark, dark, light="light1", posture=POSTURE, scene=scene) is None
 
 
 def test_a_run_that_comes_back_takes_no_more_images_and_ends_in_the_dark(take, world, bench) -> None:
-    done = take(come_back=True)
+    done = take(check_repeatability=True)
     assert (done.images, done.taken, done.warnings) == (4, 4, ())
     moves = [Posture(0.0, 0.0), Posture(-10.0, 170.0), Posture(0.0, 0.0)]
     assert world.did("move") == [("move", posture) for posture in moves]
@@ -131,7 +131,7 @@ def test_a_run_that_comes_back_takes_no_more_images_and_ends_in_the_dark(take, w
     assert (facts["light"], facts["posture"]) == ("light1", {"elevation_deg": 0.0, "rotation_deg": 0.0})
     assert abs(facts["tilt_deg"]) < 0.1
     take(resume=True)  # whether it came back is no part of what the set is
-    take(resume=True, come_back=True)
+    take(resume=True, check_repeatability=True)
 
 
 def test_a_stage_that_lost_steps_on_its_way_is_told(take, world, bench) -> None:
@@ -140,7 +140,7 @@ def test_a_stage_that_lost_steps_on_its_way_is_told(take, world, bench) -> None:
             world.slipped = Posture(1.0, 0.0)
 
     world.trouble = slip
-    done = take(come_back=True)
+    done = take(check_repeatability=True)
     (told,) = done.warnings
     assert told.startswith(
         "came back to (0°, 0°): the part has turned since the first image there, its elevation by roughly +"
@@ -153,4 +153,4 @@ def test_a_stage_that_lost_steps_on_its_way_is_told(take, world, bench) -> None:
 
 def test_there_has_to_be_something_to_come_back_from(take) -> None:
     with pytest.raises(InputError, match="come back: expected a stage and two postures or more"):
-        take(come_back=True, postures=(Posture(0.0, 0.0),))
+        take(check_repeatability=True, postures=(Posture(0.0, 0.0),))

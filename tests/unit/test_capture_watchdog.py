@@ -13,10 +13,9 @@ from capture_doubles import Lights, Stage, World
 
 from lightopt.config import load_lights, load_rig
 from lightopt.core.errors import HardwareError, InputError, error_text
-from lightopt.rig.capture import Devices, _open_lights, switch_off, wiring_of
-from lightopt.rig.capture import _watchdog as _burning
-from lightopt.rig.capture._open_lights import open_lights
-from lightopt.rig.capture._watchdog import BurnWatch
+from lightopt.rig.capture import Devices, _lights, _watchdog, switch_off, wiring_of
+from lightopt.rig.capture._lights import open_lights
+from lightopt.rig.capture._watchdog import LightWatchdog
 
 LONGEST_S = 0.05
 
@@ -44,7 +43,7 @@ def of(errors):
 
 @pytest.fixture(autouse=True)
 def soon_again(monkeypatch):
-    monkeypatch.setattr(_burning, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(_watchdog, "_RETRY_S", 0.01)
 
 
 @pytest.fixture
@@ -92,11 +91,11 @@ def test_a_light_goes_dark_whatever_its_driver_raised_at_first(error):
         if len(tried) < 4:
             raise error
 
-    watch = BurnWatch(darken)
-    watch.begin("light1", LONGEST_S)
+    watch = LightWatchdog(darken)
+    watch.start("light1", LONGEST_S)
     until(lambda: len(tried) == 4)
-    until(lambda: watch.left_s("light1") is None)
-    assert "was switched off" in watch.ended("light1")
+    until(lambda: watch.remaining_s("light1") is None)
+    assert "was switched off" in watch.pop_problem("light1")
     time.sleep(0.05)
     assert len(tried) == 4, "a light that is dark is left alone"
 
@@ -106,13 +105,13 @@ def test_what_the_driver_says_is_told_as_long_as_the_light_burns(error):
     def darken(_light):
         raise error
 
-    watch = BurnWatch(darken)
-    watch.begin("light1", LONGEST_S)
+    watch = LightWatchdog(darken)
+    watch.start("light1", LONGEST_S)
     told = []
-    until(lambda: told or told.extend(filter(None, [watch.ended("light1")])))
+    until(lambda: told or told.extend(filter(None, [watch.pop_problem("light1")])))
     assert told[0].startswith(f"light1 burns longer than its max_on_s of {LONGEST_S:g} s: ")
     assert error_text(error) in told[0]
-    watch.end_all()
+    watch.stop_all()
 
 
 def test_no_light_waits_for_one_whose_driver_hangs():
@@ -123,22 +122,22 @@ def test_no_light_waits_for_one_whose_driver_hangs():
             hangs.wait(5.0)
         dark.append(light)
 
-    watch = BurnWatch(darken)
-    watch.begin("light1", LONGEST_S)
-    watch.begin("light2", 2 * LONGEST_S)
+    watch = LightWatchdog(darken)
+    watch.start("light1", LONGEST_S)
+    watch.start("light2", 2 * LONGEST_S)
     until(lambda: dark == ["light2"])
-    assert watch.left_s("light1") is not None
+    assert watch.remaining_s("light1") is not None
     hangs.set()
-    until(lambda: watch.left_s("light1") is None)
+    until(lambda: watch.remaining_s("light1") is None)
 
 
 def test_a_light_that_is_out_in_time_is_not_touched():
     tried = []
-    watch = BurnWatch(tried.append)
-    watch.begin("light1", LONGEST_S)
-    watch.end("light1")
+    watch = LightWatchdog(tried.append)
+    watch.start("light1", LONGEST_S)
+    watch.stop("light1")
     time.sleep(2 * LONGEST_S)
-    assert (tried, watch.ended("light1")) == ([], None)
+    assert (tried, watch.pop_problem("light1")) == ([], None)
 
 
 def test_a_light_that_no_thread_can_watch_is_not_lit(opened, world, monkeypatch):
@@ -154,7 +153,7 @@ def test_a_light_that_no_thread_can_watch_is_not_lit(opened, world, monkeypatch)
 def test_a_light_whose_time_is_up_before_it_is_lit_does_not_stay_on(opened, world):
     def slow(event):
         if event[0] == "level" and event[3] > 0:
-            until(lambda: opened.may_burn_s("light1") is None)
+            until(lambda: opened.remaining_on_s("light1") is None)
 
     with pytest.raises(HardwareError, match="was switched off"), opened as devices:
         world.trouble = slow
@@ -232,21 +231,21 @@ def test_controllers_that_open_go_dark_and_the_others_are_named(bench, world, mo
             raise error
         return Lights(world, which, 4)
 
-    monkeypatch.setattr(_open_lights, "open_controller", open_controller)
+    monkeypatch.setattr(_lights, "open_controller", open_controller)
     found = open_lights(
         wiring, wiring.hardware.controllers, ports={}, log=None, darken=True, opened=lambda _: None
     )
     assert not world.burning
     assert set(found.controllers) == {"other"}
-    assert set(found.burning) == {"light1", "light3"}
-    assert error_text(error) in str(found.raised())
+    assert set(found.may_be_on) == {"light1", "light3"}
+    assert error_text(error) in str(found.error())
 
 
 def test_switching_off_tells_what_may_burn_whatever_the_driver_raised(bench, monkeypatch):
     def open_controller(_wiring, _name, *, port, log):
         raise ValueError("could not parse")
 
-    monkeypatch.setattr(_open_lights, "open_controller", open_controller)
+    monkeypatch.setattr(_lights, "open_controller", open_controller)
     with pytest.raises(HardwareError, match="could not parse") as raised:
         switch_off(load_lights(bench.rig))
     assert "lights that may still burn: light1, light3" in raised.value.messages

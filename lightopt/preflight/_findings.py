@@ -1,0 +1,59 @@
+"""Findings of the checks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+Level = Literal["ok", "note", "warning", "error"]
+"""From best to worst: as it should be; good to know; will probably disappoint; impossible."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding of a check.
+
+    Attributes
+    ----------
+    topic: What it is about, in a word or two.
+    text: For people: with numbers, and what to do where something is to be done.
+    where: File, line and key it comes from (``rig.yaml:12: lights[2]``), or None.
+    values: The numbers for programs; names carry the unit, values are what JSON can hold.
+    """
+
+    level: Level
+    topic: str
+    text: str
+    where: str | None = None
+    values: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {**vars(self), "values": dict(self.values)}
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """All findings about a rig, or about a rig and a part, in the order of the checks."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def worst(self) -> Level:
+        """The worst level found; ok where there is none."""
+        levels: list[Level] = ["ok", *(finding.level for finding in self.findings)]
+        return max(levels, key=get_args(Level).index)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {"worst": self.worst, "findings": [finding.as_dict() for finding in self.findings]}
+
+
+def percent(share: float) -> str:
+    """A share as percent: two digits of a small one, no more than whole percents of a large one."""
+    return f"{100.0 * share:.2g} %" if share < 0.095 else f"{100.0 * share:.0f} %"

@@ -1,0 +1,243 @@
+"""Whether highlights are rendered right: panel points and mesh facets against the lobe, levels against saturation.
+
+Flat shading is off by up to half the angle β between two facets, an error of first order in the edge length h. Between
+vertices with normals, interpolation is off by the second order, κ'·h²/8, where the curvature κ changes along the edge,
+and by β³/42 where it does not. That error is measured from the mesh itself. Along an edge with unit direction e and
+normals N₀, N₁ at its ends, the surface leaves the chord with the slopes −N₀·e and −N₁·e. The cubic through both ends
+with these slopes has the slope (N₀ + N₁)·e/4 in the middle, where the interpolated normal stands for −(N₀ + N₁)·e/2;
+they differ by
+
+    ¾ · |(N₀ + N₁)·e|
+
+which is κ'·h²/8 for exact normals, zero on a sphere, and also finds normals that were averaged badly from uneven
+triangles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
+from lightopt.optics import Sensor
+from lightopt.preflight._findings import Finding
+from lightopt.preflight._inputs import CheckedScene
+from lightopt.rendering import highlight_level
+from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
+
+Float64 = NDArray[np.float64]
+
+NEGLIGIBLE_ERROR = 0.015
+
+VISIBLE_ERROR = 0.5
+"""Normals that are off by this share of σ change the level on a highlight's flank by about half: facets show."""
+
+LEAST_BEND = 0.05
+"""Edges where the normal turns by less than this share of σ are flat to this lobe and do not count."""
+
+
+def check_points(checked: CheckedScene) -> Iterator[Finding]:
+    """The panels' point lights against σ; like panels are reported together."""
+    sigma = checked.scene.reflectance.sigma
+    for indices in like_panels(checked.scene.lights):
+        light = checked.scene.lights[indices[0]]
+        names = ", ".join(checked.scene.lights[i].name for i in indices)
+        own = checked.rig.lights[indices[0]].points is not None
+        keys = ("lights", indices[0], "points") if own else ("light_source", "points")
+        yield _points(replace(light, name=names), sigma, checked.rig.source.at(*keys))
+
+
+def _points(light: PanelLight, sigma: float, where: str) -> Finding:
+    found = point_spacing(light, sigma)
+    if found is None:
+        text = f"{light.name}: points: auto, the whole panel is integrated whatever σ is"
+        return Finding("ok", "points", text, where, {"points": "auto", "sigma_rad": sigma})
+    values = {
+        "points": found.points,
+        "sigma_rad": sigma,
+        "spacing_mm": found.spacing,
+        "lobe_mm": found.lobe,
+        "saturated_area_error": found.area_error,
+        "enough_points": found.enough,
+    }
+    warning = coarse_points(light, sigma)
+    if warning is not None:
+        return Finding("warning", "points", warning, where, values)
+    points = "1 point stands for" if found.points == 1 else f"{found.points} points stand apart by"
+    text = (
+        f"{light.name}: the panel's {points} {found.spacing:.3g} mm, the lobe of σ = {sigma:g} rad takes in "
+        f"{found.lobe:.3g} mm (2·distance·σ): overexposed areas about {100 * abs(found.area_error):.1f} % too "
+        f"{'small' if found.area_error < 0.0 else 'large'}"
+    )
+    if abs(found.area_error) <= NEGLIGIBLE_ERROR:
+        return Finding("ok", "points", text, where, values)
+    assert abs(found.area_error) <= COARSE_SHARE
+    return Finding("note", "points", f"{text}. {points_advice(light, found.enough)}", where, values)
+
+
+def check_levels(checked: CheckedScene) -> Iterator[Finding]:
+    """The brightest diffuse level at exposure 1 against saturation."""
+    reflectance, sensor = checked.scene.reflectance, checked.scene.sensor
+    where = checked.part.source.at("reflectance")
+    if reflectance.R_d == 0.0 and reflectance.R_s == 0.0:
+        yield Finding("warning", "levels", "R_d and R_s are both 0: every image will be black", where)
+        return
+    # in levels of the reflectance's full scale, as R_d is
+    saturation = (sensor.saturated_from - sensor.black_level) / sensor.max_level * reflectance.full_scale
+    brightest = max(checked.scene.lights, key=lambda light: light.total_weight)
+    level = reflectance.R_d * brightest.total_weight
+    peak, mirrored = max((highlight_level(checked.scene, one), one.name) for one in checked.scene.lights)
+    values = {
+        "diffuse_level": level,
+        "highlight_level": peak,
+        "saturation_level": saturation,
+        "full_scale": reflectance.full_scale,
+    }
+    shown = f"{peak:.3g}" if peak < 100.0 else f"{peak:,.0f}"
+    text = (
+        f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one that "
+        f"mirrors the whole panel of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}"
+        f"{_scale_text(sensor, reflectance.full_scale)}"
+    )
+    if level >= saturation:
+        exposure = 0.5 * saturation / level
+        text += f": it saturates without any highlight. Check R_d, gain, normalisation, or expose by {exposure:.2g}"
+        yield Finding("warning", "levels", text, where, values)
+    else:
+        yield Finding("ok", "levels", text, where, values)
+
+
+def _scale_text(sensor: Sensor, full_scale: float) -> str:
+    # why light saturates at another level than the sensor file says
+    black = f" less its black level of {sensor.black_level:g}" if sensor.black_level else ""
+    scale = f", in levels of full_scale {full_scale:g}" if sensor.max_level != full_scale else ""
+    return f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""
+
+
+@dataclass(frozen=True)
+class NormalErrors:
+    """Errors of the normal at the edges of a mesh where it bends.
+
+    Attributes
+    ----------
+    median, high: Median and 90th percentile of the error, weighted by edge length [rad].
+    angle: Median angle by which the normal turns along or across these edges [rad].
+    edge: Median length of these edges [mm].
+    """
+
+    median: float
+    high: float
+    angle: float
+    edge: float
+
+
+def facet_angles(mesh: TriangleMesh, *, bent: float, crease: float) -> NormalErrors | None:
+    """Angles between facets over edges with angles from `bent` to `crease` [rad]; None where no edge bends."""
+    found = mesh_edges(mesh.faces)
+    pair = found.uses == 2
+    normals = face_normals(mesh)
+    chord = np.linalg.norm(normals[found.faces[pair, 0]] - normals[found.faces[pair, 1]], axis=1)
+    angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * chord))
+    ends = found.ends[pair]
+    length = np.linalg.norm(mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]], axis=1)
+    return _summary(angle, angle, length, (angle > bent) & (angle <= crease))
+
+
+def interpolation_errors(mesh: TriangleMesh, *, bent: float) -> NormalErrors | None:
+    """Errors of interpolated normals midway along edges that bend by more than `bent` [rad]; None: no such edge."""
+    assert mesh.normals is not None
+    ends = mesh_edges(mesh.faces).ends
+    along = mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]]
+    length = np.linalg.norm(along, axis=1)
+    first, second = mesh.normals[ends[:, 0]], mesh.normals[ends[:, 1]]
+    error = 0.75 * np.abs(np.einsum("ij,ij->i", first + second, along)) / length
+    angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(first - second, axis=1)))
+    return _summary(error, angle, length, angle > bent)
+
+
+def check_facets(checked: CheckedScene) -> Iterator[Finding]:
+    """Whether the highlight shows the mesh's facets."""
+    sigma = checked.scene.reflectance.sigma
+    mesh = checked.scene.mesh
+    if mesh.normals is None:
+        crease = math.radians(checked.part.mesh.crease_angle_deg)
+        yield _flat(checked, facet_angles(mesh, bent=LEAST_BEND * sigma, crease=crease))
+    else:
+        yield _smooth(checked, interpolation_errors(mesh, bent=LEAST_BEND * sigma))
+
+
+def _flat(checked: CheckedScene, found: NormalErrors | None) -> Finding:
+    sigma = checked.scene.reflectance.sigma
+    where = checked.part.source.at("mesh", "normals")
+    if found is None:
+        return Finding("ok", "facets", f"no curved surface: no facets to show at σ = {sigma:g} rad", where)
+    shows = found.median > VISIBLE_ERROR * sigma
+    text = (
+        f"shaded flat, with angles of {_angle(found.median)} between facets (median over curved surface; 90 % below "
+        f"{_angle(found.high)}) against σ = {sigma:g} rad ({_angle(sigma)})"
+    )
+    if shows:
+        text += (
+            f": highlights break up into facets. Use normals: smooth, a STEP file, or an export with facets at most "
+            f"{_angle(VISIBLE_ERROR * sigma)} apart ({found.median / (VISIBLE_ERROR * sigma):.2g} times shorter)"
+        )
+    return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))
+
+
+def _smooth(checked: CheckedScene, found: NormalErrors | None) -> Finding:
+    sigma = checked.scene.reflectance.sigma
+    if found is None:
+        text = f"normals turn by less than {LEAST_BEND:g}·σ along every edge: no facets to show at σ = {sigma:g} rad"
+        return Finding("ok", "facets", text, checked.part.source.at("mesh", "normals"))
+    shows = found.high > VISIBLE_ERROR * sigma
+    text = (
+        f"normals turn by {_angle(found.angle)} along an edge of {found.edge:.3g} mm (medians over curved surface); "
+        f"interpolated, they are off by about {_angle(found.median)}, at 90 % of the edges by less than "
+        f"{_angle(found.high)}, against σ = {sigma:g} rad ({_angle(sigma)})"
+    )
+    if shows:
+        finer = math.sqrt(found.high / (VISIBLE_ERROR * sigma))
+        text += (
+            f": highlights show the mesh's facets. Use a STEP file, an export with edges {finer:.2g} times shorter on "
+            "curved surface or, where sharp edges were smoothed over, a smaller crease_angle_deg"
+        )
+    where = checked.part.source.at("mesh", "file")
+    return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))
+
+
+def _values(found: NormalErrors, sigma: float) -> dict[str, float]:
+    return {
+        "sigma_rad": sigma,
+        "median_angle_rad": found.angle,
+        "median_edge_mm": found.edge,
+        "median_normal_error_rad": found.median,
+        "high_normal_error_rad": found.high,
+    }
+
+
+def _angle(radians: float) -> str:
+    return f"{math.degrees(radians):.2g}°"
+
+
+def _summary(
+    error: Float64, angle: Float64, length: Float64, counts: NDArray[np.bool_]
+) -> NormalErrors | None:
+    if not counts.any():
+        return None
+    error, angle, length = error[counts], angle[counts], length[counts]
+    return NormalErrors(
+        median=_percentile(error, length, 0.5),
+        high=_percentile(error, length, 0.9),
+        angle=_percentile(angle, length, 0.5),
+        edge=_percentile(length, length, 0.5),
+    )
+
+
+def _percentile(values: Float64, weights: Float64, share: float) -> float:
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(total, share * total[-1])]])

@@ -1,0 +1,170 @@
+"""Images at one exposure: the mean of their frames, whether two agree, and one linear image from all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.optics import Sensor
+
+Levels = NDArray[np.uint8] | NDArray[np.uint16]
+Float32 = NDArray[np.float32]
+
+LEAST_LEVEL = 1.5
+"""Pixels count that should be at least so far above black in the shorter exposure [sensor level]."""
+
+LEAST_PIXELS = 30
+
+MOST_PIXELS = 200_000
+"""Of larger images a grid of about so many pixels is compared: the next exposure waits for it."""
+
+TOLERANCE = 0.1
+"""Share by which the exposures may differ: exposure times of cameras are not exact."""
+
+TOLERANCE_LEVELS = 0.4
+"""Levels by which they may differ in addition: clipping at level 0, an inexact black level."""
+
+
+@dataclass(frozen=True)
+class ExposureImage:
+    """An image at one exposure; arrays of shape (H, W).
+
+    Attributes
+    ----------
+    exposure: Relative exposure, as the camera held it.
+    mean: Mean of the frames [sensor level].
+    saturated: Where any of the frames reached the saturation level, so that the mean is too low.
+    png: Stored as PNG [sensor level]: the frame as delivered; of several the mean, rounded half to even (half up
+        would add 1/(2N) on average), and the highest level of all where any was saturated.
+    """
+
+    exposure: float
+    mean: NDArray[np.float32]
+    saturated: NDArray[np.bool_]
+    png: Levels
+
+
+class FrameMean:
+    """Mean of frames that come in one by one, each of shape (H, W) [sensor level]."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor = sensor
+        self._number = 0
+        self._highest: NDArray[Any] | None = None
+        self._sum: NDArray[np.float64] | None = None
+
+    def add(self, levels: Levels) -> None:
+        """Add a frame."""
+        self._number += 1
+        if self._highest is None:
+            self._highest = levels
+            return
+        if self._sum is None:
+            self._sum = self._highest.astype(np.float64)
+        self._sum += levels
+        self._highest = np.maximum(self._highest, levels)
+
+    def image(self, exposure: float) -> ExposureImage:
+        """The image of the frames so far, at least one, at the relative exposure that the camera held."""
+        highest = self._highest
+        assert highest is not None
+        saturated = highest >= self._sensor.saturated_from
+        if self._sum is None:
+            return ExposureImage(exposure, highest.astype(np.float32), saturated, png=highest)
+        mean = self._sum / self._number
+        png = np.where(saturated, highest, np.rint(mean).astype(highest.dtype))
+        return ExposureImage(exposure, mean.astype(np.float32), saturated, png)
+
+
+def mean_of_frames(frames: Iterable[Levels], *, sensor: Sensor, exposure: float) -> ExposureImage:
+    """One image from frames (H, W) [sensor level], at least one; `exposure` as the camera held it."""
+    mean = FrameMean(sensor)
+    for levels in frames:
+        mean.add(levels)
+    return mean.image(exposure)
+
+
+def exposure_mismatch(
+    light: str,
+    one: ExposureImage,
+    other: ExposureImage,
+    *,
+    darks: tuple[Float32 | float, Float32 | float],
+    sensor: Sensor,
+) -> str | None:
+    """How the brightness of a light differs between two exposures (H, W), in words; None where it does not.
+
+    Pixels that are saturated in the longer exposure must be at least that bright in the shorter one.
+    `darks` are what each shows without the light [sensor level], (H, W) or one level.
+    """
+    pairs = [(one, np.asarray(darks[0], np.float32)), (other, np.asarray(darks[1], np.float32))]
+    if one.exposure < other.exposure:
+        pairs.reverse()
+    (long, long_dark), (short, short_dark) = pairs
+    ratio = short.exposure / long.exposure
+    step = max(1, round(math.sqrt(long.mean.size / MOST_PIXELS)))
+    some = (slice(step // 2, None, step), slice(step // 2, None, step))
+    long_dark, short_dark = (dark[some] if dark.ndim else dark for dark in (long_dark, short_dark))
+    long_full, short_full = long.saturated[some], short.saturated[some]
+    expected = np.minimum(long.mean[some], sensor.saturated_from) - long_dark
+    expected = expected * np.float32(ratio)
+    seen = short.mean[some] - short_dark
+    bright = expected >= LEAST_LEVEL
+    both = bright & ~long_full & ~short_full
+    only_long = bright & long_full & ~short_full
+    for where, least in ((both, False), (only_long, True)):
+        count = int(np.count_nonzero(where))
+        if count < LEAST_PIXELS:
+            continue
+        should, found = (float(a[where].mean(dtype=np.float64)) for a in (expected, seen))
+        off = found - should
+        noise = sensor.noise_variance(should)
+        allowed = TOLERANCE * should + TOLERANCE_LEVELS + 6.0 * float(np.sqrt(2.0 * noise / count))
+        if off < -allowed or (off > allowed and not least):
+            share = max(found, 0.0) / should if one is short else should / max(found, 1e-3)
+            return (
+                f"{light} is {share:.0%} as bright as at exposure {other.exposure:g}: it went out, changed, or another "
+                "light came on between the exposures"
+            )
+    return None
+
+
+def merge_exposures(
+    images: Sequence[ExposureImage],
+    *,
+    sensor: Sensor,
+    full_scale: float,
+    dark: Sequence[Float32] | None = None,
+) -> dict[str, Float32]:
+    """The linear image of a light: every pixel from the longest exposure in which it is not saturated.
+
+    Level at exposure 1 = (sensor level − dark) · full scale / ((2^b − 1) · exposure).
+
+    Parameters
+    ----------
+    images: The exposures, of one shape (H, W), the longest first.
+    full_scale: Grey level of a full-scale sensor level at exposure 1.
+    dark: Mean frame without light of each exposure [sensor level], shape (H, W); else the black level is removed.
+
+    Returns
+    -------
+    dict: EXR channels, float32 (H, W): ``Y`` [grey level at exposure 1]; ``valid``, 0 where every exposure was
+        saturated and `Y` is only a lower bound; ``exposure``, the relative exposure that the pixel came from.
+    """
+    level = np.zeros(images[0].mean.shape, np.float32)
+    exposure = np.zeros(level.shape, np.float32)
+    missing = np.ones(level.shape, np.bool_)
+    for i, image in enumerate(images):
+        last = i == len(images) - 1
+        take = missing if last else missing & ~image.saturated
+        black = sensor.black_level if dark is None else dark[i]
+        scale = full_scale / (sensor.max_level * image.exposure)
+        np.copyto(level, ((image.mean - black) * scale).astype(np.float32), where=take)
+        exposure[take] = image.exposure
+        missing = missing & image.saturated
+    return {"Y": level, "valid": (~missing).astype(np.float32), "exposure": exposure}

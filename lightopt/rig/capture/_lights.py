@@ -1,0 +1,232 @@
+"""Open light controllers so that reachable lights go dark and the others are named; switch all lights off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+from lightopt.config import LightsOnly
+from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
+from lightopt.rig.capture._signals import EndSignals
+from lightopt.rig.capture._simulated_rig import start_lights
+from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, wiring_of
+from lightopt.rig.devices import (
+    LightController,
+    LightSettings,
+    LightsStillOnError,
+    SerialLog,
+    all_off,
+    light_drivers,
+    side_by_side,
+)
+
+NONE_OF_THE_RIG = "none that the rig has a name for"
+
+
+@dataclass
+class OpenedLights:
+    """Result of opening the controllers.
+
+    Attributes
+    ----------
+    controllers: Those that answered, by name.
+    problems: Why others did not, or did not go dark, by name.
+    may_be_on: Lights that may still be on.
+    """
+
+    controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
+    problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])
+    may_be_on: list[str] = field(default_factory=list[str])
+
+    def error(self, *others: LightoptError) -> LightoptError:
+        """The error for what failed, other devices included, with the lights that may still be on."""
+        problems = [*self.problems.values(), *others]
+        kind = HardwareError if any(isinstance(p, HardwareError) for p in problems) else type(problems[0])
+        messages = [message for problem in problems for message in problem.messages]
+        if not self.problems:
+            return kind(*messages, "all lights are off")
+        return kind(*messages, f"lights that may still burn: {', '.join(self.may_be_on) or NONE_OF_THE_RIG}")
+
+
+def open_lights(
+    wiring: Wiring,
+    names: Iterable[str],
+    *,
+    ports: Mapping[str, str],
+    log: SerialLog | None,
+    darken: bool,
+    opened: Callable[[LightController], object],
+) -> OpenedLights:
+    """Open controllers in parallel, each even if another fails, and darken each as it opens.
+
+    Parameters
+    ----------
+    ports: Ports of those that are simulated.
+    darken: False to only look.
+    opened: Called with each that is open, before anything else is sent to it, from the thread that opened it.
+    """
+
+    def open_one(name: str) -> tuple[LightController | None, LightoptError | None]:
+        port = ports.get(name) or wiring.hardware.controllers[name].port
+        try:
+            controller = open_controller(wiring, name, port=port, log=log)
+        except LightoptError as error:
+            return None, error
+        except Exception as error:  # noqa: BLE001  (the others must go dark, and what may be on be named)
+            return None, _unexpected(name, error)
+        opened(controller)
+        if darken:
+            try:
+                all_off({name: controller})
+            except LightsStillOnError as error:
+                return controller, error
+            except Exception as error:  # noqa: BLE001  (as above)
+                return controller, _unexpected(name, error)
+        return controller, None
+
+    result = OpenedLights()
+    for name, (controller, problem) in side_by_side({n: partial(open_one, n) for n in names}).items():
+        if controller is not None:
+            result.controllers[name] = controller
+        if problem is not None:
+            result.problems[name] = problem
+            if isinstance(problem, LightsStillOnError):
+                result.may_be_on += lights_on(wiring, problem.channels)
+            else:
+                channels = range(1, wiring.hardware.controllers[name].channels + 1)
+                result.may_be_on += lights_on(wiring, {name: channels})
+    return result
+
+
+def _unexpected(name: str, error: Exception) -> HardwareError:
+    problem = HardwareError(f"controller {name}: {error_text(error)}")
+    problem.__cause__ = error
+    return problem
+
+
+def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:
+    """Open one controller; no light changes."""
+    config = wiring.hardware.controllers[name]
+    settings = LightSettings(
+        name=name,
+        port=port,
+        baud=config.baud,
+        channels=config.channels,
+        top_level=config.top_level,
+        dialect=config.dialect,
+        template=None if config.template is None else config.template.model_dump(),
+        timeout_s=config.timeout_s,
+        max_levels={
+            channel.channel: channel.max_level
+            for channel in wiring.hardware.lights.values()
+            if channel.controller == name and channel.max_level is not None
+        },
+    )
+    return light_drivers()[config.driver](settings, log)
+
+
+def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str]:
+    """The rig's lights on some channels of controllers, by name."""
+    there = {(name, number) for name, numbers in channels.items() for number in numbers}
+    return [
+        light
+        for light, channel in wiring.hardware.lights.items()
+        if (channel.controller, channel.channel) in there
+    ]
+
+
+@dataclass(frozen=True)
+class SwitchedOff:
+    """Controllers all of whose channels were darkened, and those of them that cannot be read back."""
+
+    controllers: tuple[str, ...] = ()
+    unverified: tuple[str, ...] = ()
+
+
+def switch_off(
+    lights: LightsOnly,
+    *,
+    serial_log: Path | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> SwitchedOff:
+    """Darken every channel of every controller, no controller waiting for another; stage and camera are left alone.
+
+    `lights` are the rig's, as far as its file can be read. `serial_log` gets every byte on the wires; `warn` is called
+    with irregularities on the wires as they happen, and if that file ends early.
+
+    Raises
+    ------
+    HardwareError: Once all were tried, with what failed, the controllers that are dark and the lights that may still
+        burn.
+    InputError: The same, where nothing failed but controllers of the file cannot be read.
+    """
+    wiring = _wiring(lights)
+    names = wiring.hardware.controllers
+    real = [name for name in names if names[name].port != VIRTUAL]
+    virtual = [name for name in names if names[name].port == VIRTUAL]
+    signals = EndSignals()
+    signals.install()
+    problems: dict[str, LightoptError] = {}
+    unverified: list[str] = []
+    may_be_on: list[str] = []
+    with ExitStack() as stack:
+        stack.callback(signals.restore)
+        stack.enter_context(signals.shielded())  # Ctrl-C waits until every channel was tried
+        log = SerialLog(serial_log, warn=warn)
+        stack.callback(log.close)
+        ports: dict[str, str] = {}
+        for group in (real, virtual):  # what is real does not wait for what is not
+            if group is virtual and virtual:
+                ports.update(stack.enter_context(start_lights(wiring)).ports)
+            done = open_lights(
+                wiring, group, ports=ports, log=log, darken=True, opened=lambda c: stack.callback(c.close)
+            )
+            problems |= done.problems
+            may_be_on += done.may_be_on
+            unverified += [
+                name for name, controller in done.controllers.items() if _cannot_read_back(controller)
+            ]
+    dark = SwitchedOff(tuple(name for name in names if name not in problems), tuple(unverified))
+    if problems or lights.unreadable or lights.lights_unknown:
+        unknown = [name for name in lights.lights_unknown if name not in may_be_on]
+        raise _failed(lights, problems.values(), dark, [*may_be_on, *unknown])
+    if signals.pending is not None:
+        raise KeyboardInterrupt(signals.pending)
+    return dark
+
+
+def _wiring(lights: LightsOnly) -> Wiring:
+    if lights.rig is not None:
+        wiring = wiring_of(lights.rig)
+        return replace(wiring, hardware=wiring.hardware.model_copy(update={"stage": None}))
+    assert lights.hardware is not None
+    return Wiring(lights.hardware, given=True, exposure_us=VIRTUAL_EXPOSURE_US)
+
+
+def _failed(
+    lights: LightsOnly, problems: Collection[LightoptError], dark: SwitchedOff, may_be_on: Iterable[str]
+) -> LightoptError:
+    """The error with what failed, what is dark and what may be on."""
+    messages = [message for problem in problems for message in problem.messages]
+    if lights.unreadable:
+        messages.append(
+            f"not switched off, because the file is wrong there: controller {', '.join(lights.unreadable)}; mend "
+            "it and repeat, or switch it off by hand"
+        )
+    kind = HardwareError if problems else InputError
+    return kind(
+        *messages,
+        f"controllers that went dark: {', '.join(dark.controllers) or 'none'}",
+        f"lights that may still burn: {', '.join(may_be_on) or NONE_OF_THE_RIG}",
+    )
+
+
+def _cannot_read_back(controller: LightController) -> bool:
+    """Whether it cannot be read back; where reading fails, darkening failed before, which is reported."""
+    try:
+        return controller.read_level(1) is None
+    except Exception:  # noqa: BLE001  (what is dark and what is not must be said)
+        return False
