@@ -6,9 +6,9 @@ import numpy as np
 from PIL import Image
 
 from lightopt.inspection import InspectedPosture, Inspection, grey_picture
-from lightopt.report._canvas import png_bytes
 from lightopt.report._inspection_pictures import enlarged, overlay_image
 from lightopt.report._page import Block, Gallery, Picture
+from lightopt.report._png import png_bytes
 from lightopt.report._thumbnail import shrunk
 
 OVERLAY_PX, SMALL_PX = 1600, 480

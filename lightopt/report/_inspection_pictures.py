@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from lightopt.inspection import KIND_COLOURS, FoundDefect, GreyPicture, InspectedPosture, Kind, grey_picture
-from lightopt.report._canvas import write_picture
-from lightopt.report._typeface import Typeface
+from lightopt.report._drawing import CAP_HEIGHT, font_file
+from lightopt.report._png import write_picture
 
 BOX_MARGIN_PX = 3
 LABEL_SIZE, LABEL_GAP_PX = 15, 3
@@ -65,19 +65,28 @@ def overlay_image(
     for index, sighting in enumerate(posture.sightings):
         rgb[_rim(posture.labels == index + 1)] = KIND_COLOURS[found[id(sighting)].best.kind]
     image = enlarged(Image.fromarray(rgb), enlarge)
-    line = max(1, round(LINE_SHARE * image.width))
-    draw, face = ImageDraw.Draw(image), Typeface(max(LABEL_SIZE, round(LABEL_SHARE * image.width)))
+    draw, line = ImageDraw.Draw(image), max(1, round(LINE_SHARE * image.width))
+    size = max(LABEL_SIZE, round(LABEL_SHARE * image.width))
+    font = ImageFont.truetype(font_file(), size)
     for sighting in posture.sightings:
         defect = found[id(sighting)]
-        colour = KIND_COLOURS[defect.best.kind]
         left, top, right, bottom = (enlarge * side for side in sighting.box_px)
         m = BOX_MARGIN_PX * enlarge
-        draw.rectangle([left - m, top - m, right + m - 1, bottom + m - 1], outline=colour, width=line)
-        x, baseline = _label_place(
-            image, face, str(defect.number), (left - m, top - m, right + m, bottom + m)
+        draw.rectangle(
+            [left - m, top - m, right + m - 1, bottom + m - 1],
+            outline=KIND_COLOURS[defect.best.kind],
+            width=line,
         )
-        fill = "#{:02x}{:02x}{:02x}".format(*LABEL_COLOURS[defect.best.kind])
-        face.paint(image, x, baseline, str(defect.number), fill=fill, halo="#000000")
+        number = str(defect.number)
+        draw.text(
+            _label_place(image, font, number, (left - m, top - m, right + m)),
+            number,
+            font=font,
+            anchor="ls",
+            fill=LABEL_COLOURS[defect.best.kind],
+            stroke_width=max(2, size // 7),
+            stroke_fill="#000000",
+        )
     return image, shown
 
 
@@ -87,15 +96,14 @@ def enlarged(image: Image.Image, times: int) -> Image.Image:
 
 
 def _label_place(
-    image: Image.Image, face: Typeface, text: str, box: tuple[int, int, int, int]
+    image: Image.Image, font: ImageFont.FreeTypeFont, text: str, box: tuple[int, int, int]
 ) -> tuple[float, float]:
     # left end and baseline: beside the box, on its other side where there is no room, and never beyond the picture
-    left, top, right, _ = box
-    width = face.width(text) + LABEL_GAP_PX
+    left, top, right = box
+    width, height = font.getlength(text) + LABEL_GAP_PX, CAP_HEIGHT * font.size
     x = right + LABEL_GAP_PX if right + LABEL_GAP_PX + width <= image.width else left - width
-    x = min(max(x, LABEL_GAP_PX), image.width - width)
-    baseline = min(max(top + face.cap_height, face.cap_height + LABEL_GAP_PX), image.height - LABEL_GAP_PX)
-    return float(x), float(baseline)
+    baseline = min(max(top + height, height + LABEL_GAP_PX), image.height - LABEL_GAP_PX)
+    return min(max(x, LABEL_GAP_PX), image.width - width), baseline
 
 
 def _rim(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 from PIL import Image
 
-from lightopt.report._canvas import png_bytes
 from lightopt.report._page import (
     Answer,
     Block,
@@ -26,6 +25,7 @@ from lightopt.report._page import (
     Table,
     Warnings,
 )
+from lightopt.report._png import png_bytes
 from lightopt.report._surface import SurfaceLayer, simplified
 from lightopt.report._surface_data import surface_data, surface_head
 from lightopt.report._surface_still import surface_still

@@ -7,7 +7,9 @@ import sys
 
 import pytest
 
-HEAVY = {"numpy", "numba", "pydantic", "OpenImageIO", "trimesh", "PIL", "rich", "cascadio", "embreex", "yaml"}
+HEAVY = {
+    "numpy", "numba", "pydantic", "OpenImageIO", "trimesh", "PIL", "matplotlib", "rich", "cascadio", "embreex", "yaml",
+}  # fmt: skip
 
 
 def loaded(statement: str) -> set[str]:
