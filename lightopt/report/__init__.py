@@ -8,11 +8,11 @@ from lightopt.report._inspection_batch import BatchRow, batch_report
 from lightopt.report._inspection_pictures import defect_overlay
 from lightopt.report._inspection_report import inspection_report
 from lightopt.report._inspection_tables import (
-    dark_told,
+    dark_text,
     defect_table,
-    placement_told,
+    placement_text,
+    surface_notes,
     surface_table,
-    surface_told,
 )
 from lightopt.report._optimum_report import optimum_report
 from lightopt.report._rig_drawing import rig_drawing
@@ -23,7 +23,7 @@ __all__ = [
     "batch_report",
     "chart",
     "contact_sheet",
-    "dark_told",
+    "dark_text",
     "defect_overlay",
     "defect_table",
     "figure_image",
@@ -31,10 +31,10 @@ __all__ = [
     "fixed_style",
     "inspection_report",
     "optimum_report",
-    "placement_told",
+    "placement_text",
     "residual_picture",
     "rig_drawing",
+    "surface_notes",
     "surface_table",
-    "surface_told",
     "with_legend",
 ]

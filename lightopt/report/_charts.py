@@ -32,10 +32,11 @@ def chart(
     Call it within :func:`lightopt.report.fixed_style`.
     """
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     height = TITLE_HEIGHT + len(labels) * PANEL_HEIGHT
-    figure = Figure(figsize=(WIDTH / DPI, height / DPI), dpi=DPI, layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.2, h_pad=0.15)  # pyright: ignore[reportOptionalMemberAccess]
+    layout = ConstrainedLayoutEngine(w_pad=0.2, h_pad=0.15)
+    figure = Figure(figsize=(WIDTH / DPI, height / DPI), dpi=DPI, layout=layout)
     figure.suptitle(
         printable(fit_text(title, TITLE_SIZE, WIDTH - 60)), x=0.03, ha="left", color=INK, fontsize=TITLE_SIZE * POINT
     )  # fmt: skip
@@ -61,6 +62,13 @@ def chart(
 def name_lines(panel: Axes) -> None:
     """Name the lines of a panel that have labels, to its right."""
     panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=TEXT_SIZE * POINT)
+
+
+def label_whole_numbers(axis: Axis) -> None:
+    """Ticks at whole numbers only."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator("auto", integer=True))
 
 
 def _label_decades(axis: Axis) -> None:

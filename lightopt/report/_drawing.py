@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -51,7 +51,7 @@ Box = tuple[float, float, float, float]
 
 
 @contextmanager
-def fixed_style() -> Iterator[None]:
+def fixed_style() -> Generator[None, None, None]:
     """Draw in matplotlib's default style with the fixed font, whatever the user has configured; also a decorator."""
     import matplotlib.style
 

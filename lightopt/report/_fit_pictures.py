@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
-from lightopt.report._charts import LINE, MARK, SHADE, chart
+from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
 from lightopt.report._drawing import SOFT, Drawing, figure_image, fixed_style
 from lightopt.report._png import write_picture
 
@@ -87,7 +87,7 @@ def _paper_rounds(record: PaperDiffuse) -> Figure:
     rounds = np.arange(1, len(record.iterations) + 1)
     coefficient.plot(rounds, [i[0] for i in record.iterations], ".-", color=LINE)
     difference.plot(rounds, [i[2] for i in record.iterations], ".-", color=LINE)
-    difference.xaxis.get_major_locator().set_params(integer=True)
+    label_whole_numbers(difference.xaxis)
     return figure
 
 
@@ -110,7 +110,7 @@ def _paper_sweep(record: PaperSpecular) -> Figure:
     coefficient.plot(record.sigma, record.R_s, "o", color=MARK)
     brightness.plot(sigma, [min(step.brightness, 10.0) for step in steps], ".-", color=LINE)
     rounds.plot(sigma, [len(step.iterations) for step in steps], ".-", color=LINE)
-    rounds.yaxis.get_major_locator().set_params(integer=True)
+    label_whole_numbers(rounds.yaxis)
     return figure
 
 
@@ -141,8 +141,9 @@ def residual_picture(
     bar = np.tile(np.linspace(-1.0, 1.0, width), (LEGEND_HEIGHT, 1))
     drawing = Drawing(width, height + LEGEND_HEIGHT)
     drawing.picture(_diverging(np.concatenate([difference / scale, bar])), 0, 0)
-    for x, text, align in ((4.0, f"−{scale:.3g}", "left"), (width - 4.0, f"+{scale:.3g} levels", "right")):
-        drawing.text(x, height + 17.0, text, size=13, colour="#ffffff", align=align)
+    below = height + 17.0
+    drawing.text(4.0, below, f"−{scale:.3g}", size=13, colour="#ffffff")
+    drawing.text(width - 4.0, below, f"+{scale:.3g} levels", size=13, colour="#ffffff", align="right")
     return write_picture(Path(path), drawing.image())
 
 

@@ -45,15 +45,7 @@ FALLBACK = (
 
 
 def page_html(page: Page) -> str:
-    """The page as HTML; the same page gives the same text.
-
-    Every text is escaped: names may contain anything.
-
-    Parameters
-    ----------
-    page
-        What to show.
-    """
+    """The page as HTML; the same page gives the same text. Every text is escaped: names may contain anything."""
     parts = [
         "<!doctype html>",
         '<html lang="en">',

@@ -76,7 +76,7 @@ def rig_image(scene: Scene, *, annotate: bool = True) -> Image.Image:
     drawing = Drawing(MAIN_WIDTH + SIDE_WIDTH, height)
     pen = Pen(drawing, _view(scene, shape, posture, height), [])
     _draw_rig(scene, caster, shape, posture, pen, annotate=annotate)
-    stage = draw_stage(scene, caster, posture, drawing, MAIN_WIDTH, annotate=annotate)
+    draw_stage(scene, caster, posture, drawing, MAIN_WIDTH, annotate=annotate)
     write_numbers(
         drawing,
         scene,
@@ -85,7 +85,6 @@ def rig_image(scene: Scene, *, annotate: bool = True) -> Image.Image:
         arcs=_arcs(scene) if annotate else None,
     )
     drawing.labels(pen.labels, size=19, bounds=(8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0))
-    drawing.labels(stage.labels, size=17, bounds=stage.box)
     return drawing.image()
 
 
@@ -150,18 +149,14 @@ def _draw_rig(
     for i, light in enumerate(arcs):
         pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)), spoke=_ARC * light.distance)
     part.draw(pen.drawing)
-    by_depth = sorted(scene.lights, key=lambda light: float(pen.view.nearness(light.centre)))
-    camera_depth = float(pen.view.nearness(scene.camera.position))
-    camera_drawn = False
-    for light in by_depth:
-        if not camera_drawn and float(pen.view.nearness(light.centre)) > camera_depth:
+    devices = [*((light.centre, light) for light in scene.lights), (scene.camera.position, None)]
+    for _, light in sorted(devices, key=lambda device: float(pen.view.nearness(device[0]))):
+        if light is None:
             pen.camera(scene.camera, shape, annotate=annotate)
-            camera_drawn = True
+            continue
         pen.panel(light)
         if light in arcs:
             pen.elevation_arc(light, _ARC * light.distance)
-    if not camera_drawn:
-        pen.camera(scene.camera, shape, annotate=annotate)
     if annotate and scene.lights:
         pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * rig_size(scene))
 

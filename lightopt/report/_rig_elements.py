@@ -49,7 +49,7 @@ class Pen:
         if pieces:
             self.drawing.arrow(self.view.place(pieces[-1]), colour=colour, width=width, head=head)
 
-    def polygon(self, points: Float64, *, fill: str, outline: str | None = None, width: float = 1.5) -> None:
+    def polygon(self, points: Float64, *, fill: str, outline: str = "none", width: float = 1.5) -> None:
         """Draw an area of shape (n, 3)."""
         self.drawing.polygon(self.view.place(points), fill=fill, outline=outline, width=width)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from lightopt.report._view import X, Y, Z, arc, fit_view
 from lightopt.scene import Scene, pixel_footprint
 
 SIDE_WIDTH, EDGE = 500, 30
-HEAD, TEXT = 20, 16
+HEAD, TEXT, LABEL = 20, 16, 17
 """Sizes of text [px]."""
 
 LINE = round(LINE_HEIGHT * TEXT)
@@ -33,14 +32,6 @@ _LIGHT_COLUMNS = (190, 250, 315, 440)
 """Where the columns of numbers in the table of lights end [px]."""
 
 _VIEW = (np.radians(22.0), np.radians(292.0))
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Labels of the picture of the stage, and the box that they may stand in."""
-
-    labels: list[Label]
-    box: Box
 
 
 def side_height(scene: Scene) -> int:
@@ -134,8 +125,8 @@ def _angle(degrees: float) -> str:
 
 def draw_stage(
     scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawing, left: int, *, annotate: bool
-) -> Stage:
-    """Draw the part at a posture with the stage's two axes, in the column that starts at `left` [px]."""
+) -> Box:
+    """Draw the part at a posture with the stage's axes, in the column from `left` [px] on; the box that it fills."""
     box = (left + EDGE, _stage_top(scene), left + SIDE_WIDTH - EDGE, drawing.height - EDGE)
     corners = part_box(scene, posture)
     radius = 0.5 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
@@ -157,7 +148,8 @@ def draw_stage(
         _draw_axes(pen, scene, posture, reach)
     length = pen.scale_bar(box[0], box[3] - 8, radius)
     pen.labels.append(Label(text=length, anchor=(box[0] + 4, box[3] - 14), colour=SOFT, away=(0.3, -1.0)))
-    return Stage(pen.labels, box)
+    drawing.labels(pen.labels, size=LABEL, bounds=box)
+    return box
 
 
 def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:

@@ -1,4 +1,4 @@
-"""An inspection held against what is known to be on the part: recall, false alarms, curves of detection."""
+"""Evaluation of an inspection against ground truth: recall, false alarms, curves of detection."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MARGIN = 1.3
 
 
 def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
-    """What :func:`lightopt.inspection.summarise` says, for people."""
+    """The summary of :func:`lightopt.inspection.summarise`, for people."""
     area = summary["roc_auc"]
     facts = Facts(
         rows=[

@@ -226,13 +226,13 @@ def test_stage_axes_stay_in_their_box() -> None:
     for posture in (Posture(0, 0), Posture(-45, 300), Posture(40, 10)):
         scene = scene_of(FOUR, postures=(posture,))
         drawing = Drawing(560, 1080)
-        stage = draw_stage(scene, cast_rays_at(scene), posture, drawing, 40, annotate=True)
+        box = draw_stage(scene, cast_rays_at(scene), posture, drawing, 40, annotate=True)
         drawn = np.argwhere(np.asarray(drawing.image()).min(axis=2) < 250)
         (top, left), (bottom, right) = drawn.min(axis=0), drawn.max(axis=0)
-        assert left >= stage.box[0] - 1
-        assert right <= stage.box[2] + 1
-        assert top >= stage.box[1] - 1
-        assert bottom <= stage.box[3] + 1
+        assert left >= box[0] - 1
+        assert right <= box[2] + 1
+        assert top >= box[1] - 1
+        assert bottom <= box[3] + 1
 
 
 @pytest.mark.parametrize(
