@@ -35,5 +35,9 @@ def test_a_commands_help_imports_no_more_than_typer_does(arguments):
     assert loaded(f"from lightopt.cli._main import run; run({arguments})") & HEAVY <= {"pydantic"}
 
 
+def test_matplotlib_is_imported_when_something_is_drawn_and_not_before():
+    assert "matplotlib" not in loaded("import lightopt.report")
+
+
 def test_the_test_would_notice():
     assert "numpy" in loaded("import lightopt.optics")
