@@ -10,6 +10,7 @@ import math
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -73,9 +74,9 @@ def sub(letter: str, index: str) -> str:
 
 def font_file() -> str:
     """Path of the font."""
-    from matplotlib.font_manager import FontProperties, findfont
+    import matplotlib
 
-    return findfont(FontProperties(family=FONT))
+    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
 
 
 def printable(text: str) -> str:
@@ -180,14 +181,14 @@ class Drawing:
     def arrow(self, points: Points, *, colour: str, width: float = 2.0, head: float = 13.0) -> None:
         """Draw a polyline that ends in an arrow head of the given length [px]; a short line gets a smaller one."""
         from matplotlib.patches import FancyArrowPatch
-        from matplotlib.path import Path
+        from matplotlib.path import Path as Polyline
 
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         if length < 1.0:
             return
         self._add(
             FancyArrowPatch(
-                path=Path(points), arrowstyle="-|>,head_length=0.9,head_width=0.27", color=colour,
+                path=Polyline(points), arrowstyle="-|>,head_length=0.9,head_width=0.27", color=colour,
                 mutation_scale=min(head, 0.6 * length) * POINT, linewidth=width * POINT, shrinkA=0.0, shrinkB=0.0,
                 capstyle="butt", joinstyle="miter",
             )
