@@ -49,7 +49,7 @@ from lightopt.inspection import (
     threshold,
 )
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
-from lightopt.report import ChartPanel, draw_chart
+from lightopt.report import chart, figure_image, fixed_style
 from lightopt.rig.capture import (
     CaptureOptions,
     CapturePlan,
@@ -325,25 +325,25 @@ def _cells(t: Tally) -> str:
 
 def plot(tallies: list[Tally], path: Path) -> None:
     """Predicted across, found up, a dot per part, rig and kind; the line is where they are equal."""
-    line = np.array([0.0, 100.0])
-    panels = [
-        ChartPanel(
-            label=f"found [%] against {what}, {seen_in} image{'s' if seen_in > 1 else ''}",
-            values=line,
-            dots=np.array(
-                [
-                    [100.0 * share, 100.0 * t.found / t.strewn]
-                    for t in tallies
-                    if t.kind != "all" and t.seen_in == seen_in
-                    for share in [t.planned if what.startswith("share") else t.whole / t.strewn]
-                ]
-            ),
+    shown = list(
+        itertools.product(SEEN_IN, ("share of pairs planned", "defects of which a pair beneath is seen"))
+    )
+    with fixed_style():
+        figure, panels = chart(
+            title="The loop, kind by kind",
+            x_label="predicted [%]",
+            labels=[
+                f"found [%] against {what}, {seen_in} image{'s' if seen_in > 1 else ''}"
+                for seen_in, what in shown
+            ],
         )
-        for seen_in, what in itertools.product(
-            SEEN_IN, ("share of pairs planned", "defects of which a pair beneath is seen")
-        )
-    ]
-    draw_chart(path, title="The loop, kind by kind", x_label="predicted [%]", x=line, panels=panels)
+        for panel, (seen_in, what) in zip(panels, shown, strict=True):
+            own = [t for t in tallies if t.kind != "all" and t.seen_in == seen_in]
+            predicted = [t.planned if what.startswith("share") else t.whole / t.strewn for t in own]
+            found = [100.0 * t.found / t.strewn for t in own]
+            panel.plot([100.0 * share for share in predicted], found, ".", color="#5c636e")
+            panel.plot([0.0, 100.0], [0.0, 100.0])
+        figure_image(figure).save(path)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -13,12 +13,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from frames_drawing import frames_drawing
 from PIL import Image
 
 from lightopt import build_scene, render
 from lightopt.images import read_exr, read_image_set
 from lightopt.optics import expose, saturated_region
-from lightopt.report import contact_sheet, frames_drawing, rig_drawing
+from lightopt.report import contact_sheet, rig_drawing
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

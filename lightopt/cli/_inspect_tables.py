@@ -52,16 +52,16 @@ def show_truth(summary: dict[str, Any]) -> None:
 def show_inspection(result: Inspection, verdict: Verdict) -> None:
     """Defects, where the part lies, what was inspected, and the verdict."""
     from lightopt.inspection import TOLD_DISC
-    from lightopt.report import dark_told, defect_table, placement_told, surface_table, surface_told
+    from lightopt.report import dark_text, defect_table, placement_text, surface_notes, surface_table
 
     if result.defects:
         table = defect_table(result, verdict)
         show_table(table.header, table.rows, numbers_from=table.numbers_from)
-    if result.placement is not None and (place := placement_told(result.placement)):
+    if result.placement is not None and (place := placement_text(result.placement)):
         say(f"the part lies off where its file has it by {place}")
     table = surface_table(result)
     show_table(table.header, table.rows, numbers_from=table.numbers_from)
-    for sentence in surface_told(result):
+    for sentence in surface_notes(result):
         say(sentence)
-    say(f"{TOLD_DISC} is found on {percent(verdict.finds)} of the visible surface{dark_told(verdict)}")
+    say(f"{TOLD_DISC} is found on {percent(verdict.finds)} of the visible surface{dark_text(verdict)}")
     say(f"{verdict.word}: {verdict.told}")

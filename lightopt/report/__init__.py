@@ -1,20 +1,19 @@
-"""Pictures and pages for people: contact sheets, drawings, charts, HTML reports. The one home of Pillow."""
+"""Pictures and pages for people: contact sheets, drawings, charts, HTML reports. Home of matplotlib and Pillow."""
 
-from lightopt.report._chart import ChartPanel, draw_chart
+from lightopt.report._charts import chart
 from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
+from lightopt.report._drawing import figure_image, fixed_style, with_legend
 from lightopt.report._fit_pictures import fit_chart, residual_picture
-from lightopt.report._frames_drawing import frames_drawing
 from lightopt.report._inspection_batch import BatchRow, batch_report
 from lightopt.report._inspection_pictures import defect_overlay
 from lightopt.report._inspection_report import inspection_report
 from lightopt.report._inspection_tables import (
-    dark_told,
+    dark_text,
     defect_table,
-    placement_told,
+    placement_text,
+    surface_notes,
     surface_table,
-    surface_told,
 )
-from lightopt.report._legend import with_legend
 from lightopt.report._optimum_report import optimum_report
 from lightopt.report._page import Page, Section, SurfaceView, Table
 from lightopt.report._page_html import page_html
@@ -23,7 +22,6 @@ from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 
 __all__ = [
     "BatchRow",
-    "ChartPanel",
     "ColouredSurface",
     "Page",
     "Section",
@@ -33,20 +31,21 @@ __all__ = [
     "Table",
     "add_contact_sheets",
     "batch_report",
+    "chart",
     "contact_sheet",
-    "dark_told",
+    "dark_text",
     "defect_overlay",
     "defect_table",
-    "draw_chart",
+    "figure_image",
     "fit_chart",
-    "frames_drawing",
+    "fixed_style",
     "inspection_report",
     "optimum_report",
     "page_html",
-    "placement_told",
+    "placement_text",
     "residual_picture",
     "rig_drawing",
+    "surface_notes",
     "surface_table",
-    "surface_told",
     "with_legend",
 ]

@@ -4,33 +4,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from PIL import Image, ImageDraw
+from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError, counted
+from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
-from lightopt.report._canvas import check_png_path, write_picture
-from lightopt.report._sheet_layout import (
-    GAP,
-    MARGIN,
-    SheetLayout,
-    SheetTable,
-    SheetType,
-    degrees,
-    lay_out,
-    light_position,
-    row_head,
-    sheet_table,
-    thumbnail_limit,
+from lightopt.report._drawing import (
+    CAP_HEIGHT,
+    FAINT,
+    LINE_HEIGHT,
+    SOFT,
+    Drawing,
+    fit_text,
+    fixed_style,
+    sub,
+    text_width,
 )
+from lightopt.report._png import check_png_path, write_picture
 from lightopt.report._thumbnail import SATURATED_COLOUR, Thumbnail, shade_of_saturation, thumbnail
-from lightopt.report._typeface import Typeface
 
-INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
 RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)
-PAPER, EMPTY = "#ffffff", "#f1f3f5"
+EMPTY = "#f1f3f5"
+
+MARGIN, GAP = 36, 18
+TITLE, HEAD, TEXT = 32, 20, 15
+"""Sizes of text [px]."""
+
+LINE = round(LINE_HEIGHT * TEXT)
+"""Distance of lines of small text [px]."""
+
+LARGEST, SMALLEST = 420, 240
+"""Sides of a thumbnail [px]: many columns make them smaller, until they could not be told apart any more."""
+
+SHEET_WIDTH = 4000
+"""Width that all thumbnails of a row may share before they become smaller [px]."""
 
 
 def add_contact_sheets(
@@ -38,26 +49,8 @@ def add_contact_sheets(
 ) -> tuple[Path, ...]:
     """Draw a contact sheet for each exposure into an image set's folder, and list it in the manifest.
 
-    Parameters
-    ----------
-    folder
-        Of the set.
-    exposures
-        That the set has images of.
-    title
-        Of the sheets.
-    overwrite
-        Whether a file that the manifest does not list may be replaced; one that it lists always may.
-
-    Returns
-    -------
-    tuple of pathlib.Path
-        The files written, in the order of the exposures.
-
-    Raises
-    ------
-    InputError
-        As :func:`contact_sheet`.
+    A file that the manifest lists is always replaced, another one only with `overwrite`. Raises as
+    :func:`contact_sheet`.
     """
     image_set = read_image_set(folder, verify=False)  # a sheet that was lost or changed is made anew
     writer = ImageSetWriter(folder, image_set.manifest)
@@ -71,6 +64,7 @@ def add_contact_sheets(
     return tuple(sheets)
 
 
+@fixed_style()
 def contact_sheet(
     image_set: ImageSet,
     path: str | Path,
@@ -86,21 +80,14 @@ def contact_sheet(
 
     Parameters
     ----------
-    image_set
-        From :func:`lightopt.images.read_image_set`.
     path
-        The PNG to make or to replace, in a folder that exists.
+        The PNG to make or to replace, in a folder that exists; it is returned.
     exposure
         Which exposure to show; the longest of the set by default.
     title
         Instead of the names of the part's and the rig's file.
     overwrite
         Whether a file of other content may be replaced.
-
-    Returns
-    -------
-    pathlib.Path
-        The file written.
 
     Raises
     ------
@@ -110,45 +97,90 @@ def contact_sheet(
     """
     path = check_png_path(path)
     shown = _exposure(image_set, exposure)
-    table = sheet_table(image_set, shown)
-    limit = thumbnail_limit(table)
+    table = _Table.of(image_set, shown)
+    limit = max(SMALLEST, min(LARGEST, SHEET_WIDTH // len(table.lights)))
     thumbnails = {key: entry_thumbnail(image_set, entry, limit) for key, entry in table.entries.items()}
-    type_ = SheetType(title=Typeface(32), head=Typeface(21), text=Typeface(16))
     heading = title or _names(image_set.manifest)
     facts = _facts(image_set.manifest, table, shown)
-    layout = lay_out(table, thumbnails, type_, heading, facts)
-    image = Image.new("RGB", (layout.width, layout.height), PAPER)
-    _paint_heading(image, type_, heading, facts)
-    _paint_heads(image, type_, table, layout)
+    layout = _Layout.of(table, thumbnails, heading, facts)
+    drawing = Drawing(layout.width, layout.height)
+    room = layout.width - 2 * MARGIN
+    y = MARGIN + CAP_HEIGHT * TITLE
+    drawing.text(MARGIN, y, fit_text(heading, TITLE, room), size=TITLE)
+    drawing.text(MARGIN, y + LINE + 10, fit_text(facts, TEXT, room), size=TEXT, colour=SOFT)
+    _draw_heads(drawing, table, layout)
     for row, posture in enumerate(table.postures):
         for column, light in enumerate(table.lights):
-            key = (posture, light)
-            corner = layout.corner(row, column)
-            note = (
-                light_position(table.entries[key])
-                if key in table.entries and len(table.angles(light)) > 1
-                else ""
-            )
-            _paint_cell(image, type_, corner, layout.cell, thumbnails.get(key), note)
-    _paint_legend(image, type_, image_set.manifest)
-    return write_picture(path, image, overwrite=overwrite)
+            entry = table.entries.get((posture, light))
+            note = light_position(entry) if entry is not None and table.moves(light) else ""
+            _draw_cell(drawing, layout, layout.corner(row, column), thumbnails.get((posture, light)), note)
+    _draw_legend(drawing, image_set.manifest)
+    return write_picture(path, drawing.image(), overwrite=overwrite)
 
 
-def _exposure(image_set: ImageSet, asked: float | None) -> float:
-    known = sorted({entry.exposure for entry in image_set.images})
-    if not known:
-        raise InputError(
-            f"{image_set.folder}: the image set lists no images; nothing to put on a contact sheet"
+@dataclass(frozen=True)
+class _Table:
+    """Which image stands where; an entry is missing where the set has none."""
+
+    lights: tuple[str, ...]
+    postures: tuple[Posture, ...]
+    entries: dict[tuple[Posture, str], ImageEntry]
+
+    @staticmethod
+    def of(image_set: ImageSet, exposure: float) -> _Table:
+        entries = [entry for entry in image_set.images if entry.exposure == exposure]
+        return _Table(
+            lights=tuple(dict.fromkeys(entry.light for entry in entries)),
+            postures=tuple(dict.fromkeys(entry.posture for entry in entries)),
+            entries={(entry.posture, entry.light): entry for entry in entries},
         )
-    if asked is None:
-        return known[-1]
-    # 1/3 typed as 0.3333333333 is the same exposure
-    found = [value for value in known if math.isclose(value, asked, rel_tol=1e-6)]
-    if not found:
-        raise InputError(
-            f"exposure: {image_set.folder} has no images at {asked:g}; it has {', '.join(f'{e:g}' for e in known)}"
+
+    def positions(self, light: str) -> list[ImageEntry]:
+        """An image for each position at which the light stood."""
+        own = [entry for (_, name), entry in self.entries.items() if name == light]
+        return list({(e.light_elevation_deg, e.light_azimuth_deg): e for e in own}.values())
+
+    def moves(self, light: str) -> bool:
+        return len(self.positions(light)) > 1
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where things stand [px]: the first cell's upper left corner, sizes of cells, captions and the whole sheet."""
+
+    left: int
+    top: int
+    cell: tuple[int, int]
+    caption: int
+    width: int
+    height: int
+
+    @staticmethod
+    def of(
+        table: _Table, thumbnails: dict[tuple[Posture, str], Thumbnail], heading: str, facts: str
+    ) -> _Layout:
+        rows, columns = np.max([t.picture.shape[:2] for t in thumbnails.values()], axis=0).tolist()
+        # narrow images still need room for the caption
+        cell = max(columns, text_width("8,888,888 px saturated (88.88 %)", TEXT)), rows
+        heads = [text_width(line, HEAD) for posture in table.postures for line in _posture_lines(posture)]
+        left = MARGIN + max([*heads, text_width("posture", TEXT)]) + 2 * GAP
+        top = MARGIN + round(LINE_HEIGHT * (TITLE + HEAD)) + 2 * LINE + 2 * GAP + GAP // 2
+        caption = (2 if any(map(table.moves, table.lights)) else 1) * LINE + 10
+        table_width = left + len(table.lights) * (cell[0] + GAP) - GAP
+        text = MARGIN + max(text_width(heading, TITLE), text_width(facts, TEXT), 620)
+        legend = 4 * LINE + 2 * GAP
+        return _Layout(
+            left=left,
+            top=top,
+            cell=cell,
+            caption=caption,
+            width=max(table_width, min(text, 1600)) + MARGIN,
+            height=top + len(table.postures) * (cell[1] + caption + GAP) - GAP + legend + MARGIN,
         )
-    return found[0]
+
+    def corner(self, row: int, column: int) -> tuple[int, int]:
+        """Upper left corner of a cell."""
+        return self.left + column * (self.cell[0] + GAP), self.top + row * (self.cell[1] + self.caption + GAP)
 
 
 def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
@@ -158,79 +190,14 @@ def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumb
     return thumbnail(share, image.saturated, limit=limit)
 
 
-def _names(manifest: Manifest) -> str:
-    part, rig = (source and PurePosixPath(source.file).stem for source in (manifest.part, manifest.rig))
-    return " on ".join(name for name in (part, rig) if name) or "Image set"
+def degrees(angle: float) -> str:
+    """An angle [°] with a true minus sign."""
+    return f"{angle:.6g}°".replace("-", "−")
 
 
-def _facts(manifest: Manifest, table: SheetTable, exposure: float) -> str:
-    facts = [
-        manifest.kind,
-        f"{counted(len(table.lights), 'light')} × {counted(len(table.postures), 'posture')}",
-        f"exposure {exposure:g}",
-        f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}",
-    ]
-    if manifest.black_level:
-        facts.append(f"black level {manifest.black_level:g}")
-    return "   ·   ".join(facts)
-
-
-def _paint_heading(image: Image.Image, type_: SheetType, heading: str, facts: str) -> None:
-    room = image.width - 2 * MARGIN
-    y = MARGIN + type_.title.cap_height
-    type_.title.paint(image, MARGIN, y, type_.title.fit(heading, room), fill=INK)
-    y += type_.text.line_height + 10
-    type_.text.paint(image, MARGIN, y, type_.text.fit(facts, room), fill=SOFT)
-
-
-def _paint_heads(image: Image.Image, type_: SheetType, table: SheetTable, layout: SheetLayout) -> None:
-    draw = ImageDraw.Draw(image)
-    rule = layout.top - GAP // 2
-    draw.line([(MARGIN, rule), (image.width - MARGIN - 1, rule)], fill=FAINT, width=1)
-    below, above = rule - 10, rule - 10 - type_.text.line_height
-    type_.text.paint(image, MARGIN, below, "posture", fill=SOFT)
-    for column, light in enumerate(table.lights):
-        x, _ = layout.corner(0, column)
-        type_.head.paint(image, x, above, type_.head.fit(light, layout.cell[0]), fill=INK)
-        angles = table.angles(light)
-        entry = next(e for (_, name), e in table.entries.items() if name == light)
-        where = f"elevation {degrees(entry.light_elevation_deg)}, azimuth {degrees(entry.light_azimuth_deg)}"
-        if type_.text.width(where) > layout.cell[0]:
-            where = light_position(entry)
-        where = where if len(angles) == 1 else f"{len(angles)} positions"
-        type_.text.paint(image, x, below, where, fill=SOFT)
-    for row, posture in enumerate(table.postures):
-        _, y = layout.corner(row, 0)
-        if row:
-            draw.line([(MARGIN, y - GAP // 2), (image.width - MARGIN - 1, y - GAP // 2)], fill=EMPTY, width=1)
-        for i, line in enumerate(row_head(posture)):
-            baseline = y + type_.head.cap_height + 4 + i * (type_.head.line_height + 4)
-            type_.head.paint(image, MARGIN, baseline, line, fill=INK)
-
-
-def _paint_cell(
-    image: Image.Image,
-    type_: SheetType,
-    corner: tuple[int, int],
-    cell: tuple[int, int],
-    thumbnail: Thumbnail | None,
-    note: str,
-) -> None:
-    x, y = corner
-    baseline = y + cell[1] + 8 + type_.text.cap_height
-    if thumbnail is None:
-        ImageDraw.Draw(image).rectangle([x, y, x + cell[0] - 1, y + cell[1] - 1], fill=EMPTY)
-        type_.text.paint(image, x + cell[0] / 2, y + cell[1] / 2, "no image", fill=SOFT, align="centre")
-        return
-    rows, columns = thumbnail.picture.shape[:2]
-    image.paste(Image.fromarray(thumbnail.picture), (x, y + (cell[1] - rows) // 2))
-    if columns < cell[0]:  # a narrow image is framed, lest its black run into nothing
-        ImageDraw.Draw(image).rectangle([x, y, x + cell[0] - 1, y + cell[1] - 1], outline=FAINT)
-    type_.text.paint(
-        image, x, baseline, saturation_text(thumbnail), fill=RED if thumbnail.saturated else SOFT
-    )
-    if note:
-        type_.text.paint(image, x, baseline + type_.text.line_height, note, fill=SOFT)
+def light_position(entry: ImageEntry) -> str:
+    """Elevation and azimuth of an image's light, short."""
+    return f"θ {degrees(entry.light_elevation_deg)}, φ {degrees(entry.light_azimuth_deg)}"
 
 
 def saturation_text(thumbnail: Thumbnail) -> str:
@@ -242,38 +209,125 @@ def saturation_text(thumbnail: Thumbnail) -> str:
     return f"{thumbnail.saturated:,} px saturated ({text} %)"
 
 
-def _paint_legend(image: Image.Image, type_: SheetType, manifest: Manifest) -> None:
-    bar_width, bar_height = 180, type_.text.cap_height + 4
-    y = image.height - MARGIN - 4 * type_.text.line_height
-    ImageDraw.Draw(image).line([(MARGIN, y), (image.width - MARGIN - 1, y)], fill=FAINT, width=1)
-    ramp = np.linspace(0.0, 1.0, bar_width)
+def _exposure(image_set: ImageSet, wanted: float | None) -> float:
+    known = sorted({entry.exposure for entry in image_set.images})
+    if not known:
+        raise InputError(
+            f"{image_set.folder}: the image set lists no images; nothing to put on a contact sheet"
+        )
+    if wanted is None:
+        return known[-1]
+    # 1/3 typed as 0.3333333333 is the same exposure
+    found = [value for value in known if math.isclose(value, wanted, rel_tol=1e-6)]
+    if not found:
+        raise InputError(
+            f"exposure: {image_set.folder} has no images at {wanted:g}; it has {', '.join(f'{e:g}' for e in known)}"
+        )
+    return found[0]
+
+
+def _names(manifest: Manifest) -> str:
+    part, rig = (source and PurePosixPath(source.file).stem for source in (manifest.part, manifest.rig))
+    return " on ".join(name for name in (part, rig) if name) or "Image set"
+
+
+def _facts(manifest: Manifest, table: _Table, exposure: float) -> str:
+    facts = [
+        manifest.kind,
+        f"{counted(len(table.lights), 'light')} × {counted(len(table.postures), 'posture')}",
+        f"exposure {exposure:g}",
+        f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}",
+    ]
+    if manifest.black_level:
+        facts.append(f"black level {manifest.black_level:g}")
+    return "   ·   ".join(facts)
+
+
+def _posture_lines(posture: Posture) -> tuple[str, str]:
+    return (
+        f"{sub('θ', 'j')} {degrees(posture.elevation_deg)}",
+        f"{sub('φ', 'j')} {degrees(posture.rotation_deg)}",
+    )
+
+
+def _draw_heads(drawing: Drawing, table: _Table, layout: _Layout) -> None:
+    rule = layout.top - GAP // 2
+    _draw_rule(drawing, rule, FAINT)
+    below, above = rule - 10, rule - 10 - LINE
+    drawing.text(MARGIN, below, "posture", size=TEXT, colour=SOFT)
+    for column, light in enumerate(table.lights):
+        x, _ = layout.corner(0, column)
+        drawing.text(x, above, fit_text(light, HEAD, layout.cell[0]), size=HEAD)
+        first, *others = table.positions(light)
+        where = f"elevation {degrees(first.light_elevation_deg)}, azimuth {degrees(first.light_azimuth_deg)}"
+        if others:
+            where = f"{1 + len(others)} positions"
+        elif text_width(where, TEXT) > layout.cell[0]:
+            where = light_position(first)
+        drawing.text(x, below, where, size=TEXT, colour=SOFT)
+    for row, posture in enumerate(table.postures):
+        _, y = layout.corner(row, 0)
+        if row:
+            _draw_rule(drawing, y - GAP // 2, EMPTY)
+        for i, line in enumerate(_posture_lines(posture)):
+            baseline = y + CAP_HEIGHT * HEAD + 4 + i * (LINE_HEIGHT * HEAD + 4)
+            drawing.text(MARGIN, baseline, line, size=HEAD)
+
+
+def _draw_rule(drawing: Drawing, y: float, colour: str) -> None:
+    drawing.line(np.array([(MARGIN, y), (drawing.width - MARGIN - 1, y)]), colour=colour, width=1.0)
+
+
+def _draw_cell(
+    drawing: Drawing, layout: _Layout, corner: tuple[int, int], thumbnail: Thumbnail | None, note: str
+) -> None:
+    (x, y), (width, height) = corner, layout.cell
+    if thumbnail is None:
+        drawing.rectangle((x, y, x + width, y + height), fill=EMPTY)
+        drawing.text(x + width / 2, y + height / 2, "no image", size=TEXT, colour=SOFT, align="center")
+        return
+    rows, columns = thumbnail.picture.shape[:2]
+    drawing.picture(thumbnail.picture, x, y + (height - rows) // 2)
+    if columns < width:  # a narrow image is framed, lest its black run into nothing
+        drawing.rectangle((x, y, x + width - 1, y + height - 1), outline=FAINT, width=1.0)
+    baseline = y + height + 8 + CAP_HEIGHT * TEXT
+    colour = RED if thumbnail.saturated else SOFT
+    drawing.text(x, baseline, saturation_text(thumbnail), size=TEXT, colour=colour)
+    drawing.text(x, baseline + LINE, note, size=TEXT, colour=SOFT)
+
+
+def _draw_legend(drawing: Drawing, manifest: Manifest) -> None:
+    y = drawing.height - MARGIN - 4 * LINE
+    _draw_rule(drawing, y, FAINT)
+    levels = f"level {manifest.black_level:g} to {manifest.max_level}"
+    averaged = "averaged over cells of pixels"
+    ramp = np.linspace(0.0, 1.0, 180)
     tint = shade_of_saturation(ramp)[:, None]
-    middle = 128.0
-    bars = (
-        (np.repeat(255.0 * ramp[:, None], 3, axis=1), _grey_text(manifest)),
+    bars: tuple[tuple[NDArray[np.float64], tuple[str, str]], ...] = (
         (
-            tint * np.array(SATURATED_COLOUR) + (1.0 - tint) * middle,
-            [
+            np.repeat(255.0 * ramp[:, None], 3, axis=1),
+            (
+                f"grey: {levels} shown linearly as black to white (screen values 0 to 255), {averaged}",
+                f"grey: {levels}, linear, {averaged}",
+            ),
+        ),
+        (
+            tint * np.array(SATURATED_COLOUR) + (1.0 - tint) * 128.0,
+            (
                 "red: share of saturated pixels in a cell, from a single one to all of them",
                 "red: saturated pixels in a cell, from one to all",
-            ],
+            ),
         ),
     )
-    baseline = y + GAP + type_.text.cap_height
-    room = image.width - 2 * MARGIN - bar_width - GAP
+    height = round(CAP_HEIGHT * TEXT) + 4
+    top = y + GAP - 2
+    room = drawing.width - 2 * MARGIN
     for colours, texts in bars:
-        bar = np.broadcast_to(np.floor(colours + 0.5), (bar_height, bar_width, 3)).astype(np.uint8)
-        image.paste(Image.fromarray(bar), (MARGIN, baseline - bar_height + 2))
-        text = next((t for t in texts if type_.text.width(t) <= room), texts[-1])
-        type_.text.paint(image, MARGIN + bar_width + GAP, baseline, type_.text.fit(text, room), fill=SOFT)
-        baseline += type_.text.line_height + 6
+        bar = np.broadcast_to(np.floor(colours + 0.5), (height, len(ramp), 3)).astype(np.uint8)
+        drawing.picture(bar, MARGIN, top)
+        beside = room - len(ramp) - GAP
+        text = next((t for t in texts if text_width(t, TEXT) <= beside), fit_text(texts[-1], TEXT, beside))
+        drawing.text(MARGIN + len(ramp) + GAP, top + height - 2, text, size=TEXT, colour=SOFT)
+        top += LINE + 6
     text = "Below each image: saturated pixels of the full image, and their share of all its pixels."
-    type_.text.paint(image, MARGIN, baseline, type_.text.fit(text, image.width - 2 * MARGIN), fill=SOFT)
-
-
-def _grey_text(manifest: Manifest) -> Sequence[str]:
-    levels = f"level {manifest.black_level:g} to {manifest.max_level}"
-    return [
-        f"grey: {levels} shown linearly as black to white (screen values 0 to 255), averaged over cells of pixels",
-        f"grey: {levels}, linear, averaged over cells of pixels",
-    ]
+    drawing.text(MARGIN, top + height - 2, fit_text(text, TEXT, room), size=TEXT, colour=SOFT)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
-from lightopt.report._canvas import write_picture
-from lightopt.report._chart import ChartPanel, draw_chart
-from lightopt.report._typeface import Typeface
+from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
+from lightopt.report._drawing import SOFT, Drawing, figure_image, fixed_style
+from lightopt.report._png import write_picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RESIDUAL_SCALE = 0.08
 """Difference of the full colours, as a share of the sensor's full scale: 20 of 255 levels."""
@@ -26,6 +28,7 @@ LEGEND_HEIGHT = 24
 _BELOW, _EQUAL, _ABOVE = (33, 102, 172), (247, 247, 247), (178, 24, 43)
 
 
+@fixed_style()
 def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
     """Draw how a fit came about: the ridge of R_s and σ, or the rounds of the paper's procedure.
 
@@ -34,32 +37,18 @@ def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
     result
         The fit.
     place
-        Called for the path of the PNG where there is something to draw.
-
-    Returns
-    -------
-    pathlib.Path
-        The file; None where there is nothing to draw.
+        Called for the path of the PNG where there is something to draw; None is returned where there is not.
     """
     if isinstance(result.paper, PaperSpecular):
-        return _paper_sweep(result.paper, place())
-    if isinstance(result.paper, PaperDiffuse):
-        rounds = np.arange(1.0, len(result.paper.iterations) + 1.0)
-        return draw_chart(
-            place(),
-            title="R_d, round by round (section 4.2)",
-            x_label="round",
-            x=rounds,
-            panels=(
-                ChartPanel(
-                    label="R_d [grey level]", values=np.array([i[0] for i in result.paper.iterations])
-                ),
-                ChartPanel(
-                    label="D, difference of the mean brightness [grey level]",
-                    values=np.array([i[2] for i in result.paper.iterations]),
-                ),
-            ),
-        )
+        figure = _paper_sweep(result.paper)
+    elif isinstance(result.paper, PaperDiffuse):
+        figure = _paper_rounds(result.paper)
+    else:
+        figure = _ridge(result)
+    return None if figure is None else write_picture(place(), figure_image(figure))
+
+
+def _ridge(result: FitResult) -> Figure | None:
     if result.kind == "diffuse" or result.estimate is None:
         return None
     scan = tuple(point for point in result.estimate.scan if point.R_s < RUNAWAY)
@@ -67,37 +56,65 @@ def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
         return None
     sigma = np.array([point.sigma for point in scan])
     fall = 2.0 * (max(point.value for point in scan) - np.array([point.value for point in scan]))
-    best = result.value("sigma_rad")
-    mark = (best, result.value("R_s")) if "sigma_rad" in result.fitted else None
-    interval = next((v.interval for v in result.values if v.name == "sigma_rad"), None)
-    # an end that the images do not bound is that of the drawing
-    span = None
-    if interval is not None:
-        low, high = (end or edge for end, edge in zip(interval, (sigma[0], sigma[-1]), strict=True))
-        span = max(float(low), float(sigma[0])), min(float(high), float(sigma[-1]))
-    described = result.estimate.describes
-    what = "twice the log-likelihood" if described else "twice the log-likelihood of least squares"
-    return draw_chart(
-        place(),
+    what = "twice the log-likelihood" + ("" if result.estimate.describes else " of least squares")
+    figure, (ridge, below) = chart(
         title="The ridge: at each sigma, the R_s that fits best, and how much worse it fits",
         x_label="sigma [rad]",
-        x=sigma,
+        labels=("R_s [grey level]", f"{what} below the best, plus 1; the 95 % interval is shaded"),
         log_x=True,
-        panels=(
-            ChartPanel(
-                label="R_s [grey level]", values=np.array([point.R_s for point in scan]), log=True, mark=mark
-            ),
-            ChartPanel(
-                label=f"{what} below the best, plus 1; the 95 % interval is shaded",
-                values=fall + 1.0,
-                log=True,
-                mark=None if mark is None else (best, 1.0),
-                span=span,
-            ),
-        ),
+        log_y=(True, True),
     )
+    ridge.plot(sigma, [point.R_s for point in scan], ".-", color=LINE)
+    below.plot(sigma, fall + 1.0, ".-", color=LINE)
+    if "sigma_rad" in result.fitted:
+        best = result.value("sigma_rad")
+        ridge.plot(best, result.value("R_s"), "o", color=MARK)
+        below.plot(best, 1.0, "o", color=MARK)
+    interval = next((v.interval for v in result.values if v.name == "sigma_rad"), None)
+    if interval is not None:
+        # an end that the images do not bound is that of the drawing
+        low, high = (end or edge for end, edge in zip(interval, (sigma[0], sigma[-1]), strict=True))
+        below.axvspan(max(float(low), sigma[0]), min(float(high), sigma[-1]), color=SHADE, linewidth=0.0)
+    return figure
 
 
+def _paper_rounds(record: PaperDiffuse) -> Figure:
+    figure, (coefficient, difference) = chart(
+        title="R_d, round by round (section 4.2)",
+        x_label="round",
+        labels=("R_d [grey level]", "D, difference of the mean brightness [grey level]"),
+    )
+    rounds = np.arange(1, len(record.iterations) + 1)
+    coefficient.plot(rounds, [i[0] for i in record.iterations], ".-", color=LINE)
+    difference.plot(rounds, [i[2] for i in record.iterations], ".-", color=LINE)
+    label_whole_numbers(difference.xaxis)
+    return figure
+
+
+def _paper_sweep(record: PaperSpecular) -> Figure:
+    steps = sorted(record.steps, key=lambda step: step.sigma)
+    sigma = [step.sigma for step in steps]
+    figure, (coefficient, brightness, rounds) = chart(
+        title="The sweep over sigma (section 4.3)",
+        x_label="sigma [rad]",
+        labels=(
+            "R_s at which as many pixels are saturated as measured, and its rounds (dots) [grey level]",
+            "total specular brightness, simulated over measured",
+            "rounds of equation 10",
+        ),
+        log_y=(True, False, False),
+    )
+    dots = np.array([[s.sigma, max(r_s, 1e-3)] for s in steps for r_s, _ in s.iterations]).reshape(-1, 2)
+    coefficient.plot(*dots.T, ".", color=SOFT, markersize=5.0)
+    coefficient.plot(sigma, [max(step.R_s, 1e-3) for step in steps], ".-", color=LINE)
+    coefficient.plot(record.sigma, record.R_s, "o", color=MARK)
+    brightness.plot(sigma, [min(step.brightness, 10.0) for step in steps], ".-", color=LINE)
+    rounds.plot(sigma, [len(step.iterations) for step in steps], ".-", color=LINE)
+    label_whole_numbers(rounds.yaxis)
+    return figure
+
+
+@fixed_style()
 def residual_picture(
     path: str | Path,
     *,
@@ -111,7 +128,7 @@ def residual_picture(
     Parameters
     ----------
     path
-        The PNG, in a folder that exists.
+        In a folder that exists.
     measured, predicted
         Sensor levels, shape (height, width); both are clipped at the saturation level first.
     saturated_from, full
@@ -119,15 +136,15 @@ def residual_picture(
     """
     top = np.float32(saturated_from)
     difference = np.minimum(measured, top) - np.clip(predicted, 0.0, top)
+    height, width = difference.shape
     scale = RESIDUAL_SCALE * full
-    bar = np.tile(np.linspace(-1.0, 1.0, difference.shape[1]), (LEGEND_HEIGHT, 1))
-    image = Image.fromarray(_diverging(np.concatenate([difference / scale, bar])))
-    face, baseline = Typeface(13), len(difference) + 17.0
-    face.paint(image, 4.0, baseline, f"−{scale:.3g}", fill="#ffffff", align="left")
-    face.paint(
-        image, difference.shape[1] - 4.0, baseline, f"+{scale:.3g} levels", fill="#ffffff", align="right"
-    )
-    return write_picture(Path(path), image)
+    bar = np.tile(np.linspace(-1.0, 1.0, width), (LEGEND_HEIGHT, 1))
+    drawing = Drawing(width, height + LEGEND_HEIGHT)
+    drawing.picture(_diverging(np.concatenate([difference / scale, bar])), 0, 0)
+    below = height + 17.0
+    drawing.text(4.0, below, f"−{scale:.3g}", size=13, colour="#ffffff")
+    drawing.text(width - 4.0, below, f"+{scale:.3g} levels", size=13, colour="#ffffff", align="right")
+    return write_picture(Path(path), drawing.image())
 
 
 def _diverging(shares: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
@@ -136,31 +153,3 @@ def _diverging(shares: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
         for low, middle, high in zip(_BELOW, _EQUAL, _ABOVE, strict=True)
     ]
     return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
-
-
-def _paper_sweep(record: PaperSpecular, path: str | Path) -> Path:
-    steps = sorted(record.steps, key=lambda step: step.sigma)
-    sigma = np.array([step.sigma for step in steps])
-    return draw_chart(
-        path,
-        title="The sweep over sigma (section 4.3)",
-        x_label="sigma [rad]",
-        x=sigma,
-        panels=(
-            ChartPanel(
-                label="R_s at which as many pixels are saturated as measured, and its rounds (dots) [grey level]",
-                values=np.array([max(step.R_s, 1e-3) for step in steps]),
-                log=True,
-                mark=(record.sigma, record.R_s),
-                dots=np.array([[s.sigma, max(r_s, 1e-3)] for s in steps for r_s, _ in s.iterations]),
-            ),
-            ChartPanel(
-                label="total specular brightness, simulated over measured",
-                values=np.array([min(step.brightness, 10.0) for step in steps]),
-            ),
-            ChartPanel(
-                label="rounds of equation 10",
-                values=np.array([float(len(step.iterations)) for step in steps]),
-            ),
-        ),
-    )

@@ -26,9 +26,9 @@ class BatchRow:
     report
         Its own report, relative to the batch's; empty where it has none.
     defects
-        That were found, whether they count or not.
+        Number of those found, whether they count or not.
     verdict
-        On it; None where it was refused.
+        None where the part was refused.
     refused
         Why it was not inspected.
     """
@@ -70,18 +70,16 @@ def batch_report(
     version: str,
     truth: Mapping[str, Any] | None = None,
 ) -> str:
-    """The report of several parts as HTML: a row each, whose own report is in its folder.
+    """The report of several parts as HTML: a row each, in the order of the sets.
 
     Parameters
     ----------
-    rows
-        In the order of the sets.
     part, rig
         Their names.
     version
         Of lightopt.
     truth
-        As :func:`lightopt.report.inspection_page` takes it, over all sets.
+        As :func:`inspection_report` takes it, over all sets.
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
     refused = sum(row.verdict is None for row in rows)
@@ -103,7 +101,7 @@ def batch_report(
         "but is dark.",
         links=[row.report for row in rows],
     )
-    told = f"; {counted(refused, 'set')} not inspected" if refused else ""
+    rest = f"; {counted(refused, 'set')} not inspected" if refused else ""
     sections = [
         Section(heading="Parts", blocks=[table]),
         Section(heading="Against the truth", blocks=[] if truth is None else truth_blocks(truth)),
@@ -112,7 +110,7 @@ def batch_report(
         Page(
             title=f"{counted(len(rows), 'part')}: {part}",
             subtitle=f"{part} on {rig}, lightopt {version}",
-            lead=[Answer(figure=f"{good} of {len(rows)}", text=f"parts are OK{told}")],
+            lead=[Answer(figure=f"{good} of {len(rows)}", text=f"parts are OK{rest}")],
             sections=[section for section in sections if section.blocks],
         )
     )

@@ -1,4 +1,4 @@
-"""Pictures of an inspection: the defects drawn over what the camera saw."""
+"""Pictures of an inspection: the defects drawn over what the camera saw, and the image without highlights."""
 
 from __future__ import annotations
 
@@ -8,11 +8,21 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
-from lightopt.inspection import KIND_COLOURS, FoundDefect, GreyPicture, InspectedPosture, Kind, grey_picture
-from lightopt.report._canvas import write_picture
-from lightopt.report._typeface import Typeface
+from lightopt.inspection import (
+    KIND_COLOURS,
+    FoundDefect,
+    GreyPicture,
+    InspectedPosture,
+    Inspection,
+    Kind,
+    grey_picture,
+)
+from lightopt.report._drawing import CAP_HEIGHT, font_file
+from lightopt.report._page import Block, Gallery, Picture
+from lightopt.report._png import png_bytes, write_picture
+from lightopt.report._thumbnail import shrunk
 
 BOX_MARGIN_PX = 3
 LABEL_SIZE, LABEL_GAP_PX = 15, 3
@@ -27,6 +37,12 @@ LABEL_COLOURS: Final[Mapping[Kind, tuple[int, int, int]]] = {
 }
 """Lighter, to be read on black."""
 
+OVERLAY_PX, SMALL_PX = 1600, 480
+"""No side of a picture in the report is longer."""
+
+COLUMN_PX = 896
+"""A picture of smaller images is made larger by whole factors up to the width that the page gives it."""
+
 
 def defect_overlay(path: Path, posture: InspectedPosture, defects: Sequence[FoundDefect]) -> Path:
     """Write the picture that :func:`overlay_image` makes as PNG, as large as the images, into a folder that exists."""
@@ -36,24 +52,11 @@ def defect_overlay(path: Path, posture: InspectedPosture, defects: Sequence[Foun
 def overlay_image(
     posture: InspectedPosture, defects: Sequence[FoundDefect], *, enlarge: int = 1
 ) -> tuple[Image.Image, GreyPicture]:
-    """The posture's image without highlights, with the outlines and numbers of its defects.
+    """The posture's image without highlights, with the outlines and numbers of its defects; and what is beneath them.
 
     Red for shape, blue for stain, orange for what could not be told of the defect, whichever posture told it. Where no
-    such image was made, the least level of each pixel.
-
-    Parameters
-    ----------
-    posture
-        Of an inspection.
-    defects
-        Of the inspection.
-    enlarge
-        Pixels are made squares of so many; lines and numbers are as the picture's width asks for.
-
-    Returns
-    -------
-    :
-        The picture, and what is beneath its marks.
+    such image was made, the least level of each pixel. Pixels are made squares of `enlarge`; lines and numbers are as
+    the picture's width asks for.
     """
     if posture.synthetic is not None:
         level, mask = posture.synthetic.level, posture.synthetic.mask
@@ -65,19 +68,28 @@ def overlay_image(
     for index, sighting in enumerate(posture.sightings):
         rgb[_rim(posture.labels == index + 1)] = KIND_COLOURS[found[id(sighting)].best.kind]
     image = enlarged(Image.fromarray(rgb), enlarge)
-    line = max(1, round(LINE_SHARE * image.width))
-    draw, face = ImageDraw.Draw(image), Typeface(max(LABEL_SIZE, round(LABEL_SHARE * image.width)))
+    draw, line = ImageDraw.Draw(image), max(1, round(LINE_SHARE * image.width))
+    size = max(LABEL_SIZE, round(LABEL_SHARE * image.width))
+    font = ImageFont.truetype(font_file(), size)
     for sighting in posture.sightings:
         defect = found[id(sighting)]
-        colour = KIND_COLOURS[defect.best.kind]
         left, top, right, bottom = (enlarge * side for side in sighting.box_px)
         m = BOX_MARGIN_PX * enlarge
-        draw.rectangle([left - m, top - m, right + m - 1, bottom + m - 1], outline=colour, width=line)
-        x, baseline = _label_place(
-            image, face, str(defect.number), (left - m, top - m, right + m, bottom + m)
+        draw.rectangle(
+            [left - m, top - m, right + m - 1, bottom + m - 1],
+            outline=KIND_COLOURS[defect.best.kind],
+            width=line,
         )
-        fill = "#{:02x}{:02x}{:02x}".format(*LABEL_COLOURS[defect.best.kind])
-        face.paint(image, x, baseline, str(defect.number), fill=fill, halo="#000000")
+        number = str(defect.number)
+        draw.text(
+            _label_place(image, font, number, (left - m, top - m, right + m)),
+            number,
+            font=font,
+            anchor="ls",
+            fill=LABEL_COLOURS[defect.best.kind],
+            stroke_width=max(2, size // 7),
+            stroke_fill="#000000",
+        )
     return image, shown
 
 
@@ -87,18 +99,80 @@ def enlarged(image: Image.Image, times: int) -> Image.Image:
 
 
 def _label_place(
-    image: Image.Image, face: Typeface, text: str, box: tuple[int, int, int, int]
+    image: Image.Image, font: ImageFont.FreeTypeFont, text: str, box: tuple[int, int, int]
 ) -> tuple[float, float]:
     # left end and baseline: beside the box, on its other side where there is no room, and never beyond the picture
-    left, top, right, _ = box
-    width = face.width(text) + LABEL_GAP_PX
+    left, top, right = box
+    width, height = font.getlength(text) + LABEL_GAP_PX, CAP_HEIGHT * font.size
     x = right + LABEL_GAP_PX if right + LABEL_GAP_PX + width <= image.width else left - width
-    x = min(max(x, LABEL_GAP_PX), image.width - width)
-    baseline = min(max(top + face.cap_height, face.cap_height + LABEL_GAP_PX), image.height - LABEL_GAP_PX)
-    return float(x), float(baseline)
+    baseline = min(max(top + height, height + LABEL_GAP_PX), image.height - LABEL_GAP_PX)
+    return min(max(x, LABEL_GAP_PX), image.width - width), baseline
 
 
 def _rim(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     padded = np.pad(mask, 1)
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     return mask & ~inner
+
+
+def image_blocks(result: Inspection) -> list[Block]:
+    """A picture of each posture, and of those that have one the image without highlights and its uncertainty."""
+    blocks: list[Block] = []
+    for posture in result.postures:
+        where = posture.view.posture
+        times = _times(posture.view.part.shape[::-1], COLUMN_PX)
+        picture, shown = overlay_image(posture, result.defects, enlarge=times)
+        beneath = (
+            "the image without highlights, black off the part and at its edges, which are not judged"
+            if posture.synthetic is not None
+            else "the least level over the lights, black off the part"
+        )
+        caption = (
+            f"Posture {where}: red for a defect of shape, blue for a stain, orange for what could not be told; beneath "
+            f"is {beneath}"
+        )
+        blocks.append(
+            Picture(
+                png=_small(picture, OVERLAY_PX),
+                alt=f"Posture {where}: the part with its defects outlined and numbered",
+                caption=f"{caption}; {shown.told}.",
+            )
+        )
+    rows = [(f"posture {p.view.posture}", pictures) for p in result.postures if (pictures := _synthetic(p))]
+    if rows:
+        blocks.append(Gallery(header=["without highlights", "its uncertainty"], rows=rows))
+    return blocks
+
+
+def _synthetic(posture: InspectedPosture) -> list[Picture | None]:
+    image = posture.synthetic
+    if image is None:
+        return []
+    pictures: list[Picture | None] = []
+    for what, level in (
+        ("without highlights", image.level),
+        ("uncertainty", image.deviation),
+    ):
+        shown = grey_picture(level, image.mask)
+        pictures.append(
+            Picture(
+                png=_small(_whole(Image.fromarray(shown.grey).convert("RGB"), SMALL_PX), SMALL_PX),
+                alt=f"Posture {posture.view.posture}: {what}",
+                caption=shown.told,
+            )
+        )
+    return pictures
+
+
+def _times(size: tuple[int, ...], limit: int) -> int:
+    return max(1, limit // max(size))
+
+
+def _whole(image: Image.Image, limit: int) -> Image.Image:
+    return enlarged(image, _times(image.size, limit))
+
+
+def _small(image: Image.Image, limit: int) -> bytes:
+    if max(image.size) <= limit:
+        return png_bytes(image)
+    return png_bytes(Image.fromarray(shrunk(np.asarray(image, np.uint8), limit=limit)))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted, percent
 from lightopt.inspection import TOLD_DISC, Inspection, Verdict
-from lightopt.report._inspection_facts import inspection_facts
-from lightopt.report._inspection_images import image_blocks
+from lightopt.report._inspection_pictures import image_blocks
 from lightopt.report._inspection_surface import marked_part
-from lightopt.report._inspection_tables import dark_told, defect_table, surface_table
-from lightopt.report._page import Answer, Note, Page, Section, Warnings
+from lightopt.report._inspection_tables import dark_text, defect_table, placement_text, surface_table
+from lightopt.report._page import Answer, Facts, Note, Page, Section, Warnings
 from lightopt.report._page_html import page_html
 from lightopt.report._truth_blocks import truth_blocks
 
@@ -25,20 +25,7 @@ def inspection_report(
     provenance: Mapping[str, Any],
     truth: Mapping[str, Any] | None = None,
 ) -> str:
-    """The report of an inspection as HTML; takes what :func:`inspection_page` takes."""
-    return page_html(inspection_page(result, verdict, part=part, rig=rig, provenance=provenance, truth=truth))
-
-
-def inspection_page(
-    result: Inspection,
-    verdict: Verdict,
-    *,
-    part: str,
-    rig: str,
-    provenance: Mapping[str, Any],
-    truth: Mapping[str, Any] | None = None,
-) -> Page:
-    """The report of an inspection as plain values.
+    """The report of an inspection as HTML.
 
     Parameters
     ----------
@@ -60,13 +47,15 @@ def inspection_page(
         Section(heading="Images", blocks=image_blocks(result)),
         Section(heading="What was inspected", blocks=[surface_table(result)]),
         Section(heading="Against the truth", blocks=[] if truth is None else truth_blocks(truth)),
-        Section(heading="How it was inspected", blocks=[inspection_facts(result, verdict, provenance)]),
+        Section(heading="How it was inspected", blocks=[_facts(result, verdict, provenance)]),
     ]
-    return Page(
-        title=f"{verdict.word}: {part}",
-        subtitle=f"{part} on {rig}, lightopt {provenance['lightopt']}",
-        lead=[_answer(result, verdict), Warnings(texts=result.words)],
-        sections=[section for section in sections if section.blocks],
+    return page_html(
+        Page(
+            title=f"{verdict.word}: {part}",
+            subtitle=f"{part} on {rig}, lightopt {provenance['lightopt']}",
+            lead=[_answer(result, verdict), Warnings(texts=result.words)],
+            sections=[section for section in sections if section.blocks],
+        )
     )
 
 
@@ -77,5 +66,44 @@ def _answer(result: Inspection, verdict: Verdict) -> Answer:
     return Answer(
         figure=verdict.word,
         text=f"{verdict.told}. {found.capitalize()} on the {percent(verdict.inspected)} of the visible surface that "
-        f"was inspected; {TOLD_DISC} is found on {percent(verdict.finds)}{dark_told(verdict)}.{rest}",
+        f"was inspected; {TOLD_DISC} is found on {percent(verdict.finds)}{dark_text(verdict)}.{rest}",
     )
+
+
+def _facts(result: Inspection, verdict: Verdict, provenance: Mapping[str, Any]) -> Facts:
+    """Files, detector, limits, and what was found of the part's place and the brightness."""
+    inputs: Mapping[str, Any] = provenance["inputs"]
+    options: Mapping[str, Any] = provenance["options"]
+    seen_by: int = options["seen_by"]
+    fewer = any(len(p.view.lights) < seen_by for p in result.postures)
+    shows = f"a defect shows in {counted(seen_by, 'image')}"
+    rows = [
+        ("rig", f"{inputs['rig']['file']}, sha256 {inputs['rig']['sha256'][:16]}"),
+        ("part", f"{inputs['part']['file']}, sha256 {inputs['part']['sha256'][:16]}"),
+        ("detector", f"{options['detector']}, {shows}{', or in all where there are fewer' if fewer else ''}"),
+        ("image without highlights", options["fusion"] or "none"),
+        ("false alarms asked for", _rate(options["false_alarms"], calibrated="calibration" in inputs)),
+        ("limits", _limits(verdict.limits)),
+        ("calibration", inputs.get("calibration", {}).get("file", "none: by the noise of the sensor")),
+    ]
+    if result.placement is not None:
+        place = placement_text(result.placement) or "cannot be determined; assumed as in the part file"
+        rows.append(("the part lies off its place by", place))
+    for posture in result.postures:
+        view = posture.view
+        gains = ", ".join(f"{name} ×{view.photometry.gains[name]:.4f}" for name in view.lights)
+        told = f"threshold {posture.threshold:.2f}; brightness found: {gains}"
+        rows.append((f"posture {view.posture}", f"{told}; dark {view.photometry.dark:+.2f} levels"))
+    return Facts(rows=rows)
+
+
+def _limits(limits: InspectionConfig) -> str:
+    return (
+        f"{counted(limits.most_defects, 'defect')} allowed; one counts from {limits.least_size_mm:g} mm and a contrast "
+        f"of {percent(limits.least_contrast)} on; {percent(limits.least_inspected)} of the visible surface or more to "
+        "be inspected"
+    )
+
+
+def _rate(rate: float, *, calibrated: bool) -> str:
+    return f"in a posture, on a share of {rate:g} of good parts" if calibrated else f"{rate:g} per posture"

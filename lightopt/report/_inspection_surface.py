@@ -29,15 +29,7 @@ RINGS, SECTORS = 8, 12
 
 
 def marked_part(result: Inspection, name: str) -> SurfaceView:
-    """The part as its file has it on the stage, to turn.
-
-    Parameters
-    ----------
-    result
-        Of an inspection.
-    name
-        Of the part.
-    """
+    """The part as its file has it on the stage, to turn."""
     mesh, place = result.nominal.mesh, result.nominal.placement
     size = float(np.linalg.norm(mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)))
     vertices: list[Float64] = [np.asarray(mesh.vertices, np.float64)]

@@ -10,15 +10,7 @@ from lightopt.report._page import Table
 
 
 def defect_table(result: Inspection, verdict: Verdict) -> Table:
-    """A row for each defect, the highest score first.
-
-    Parameters
-    ----------
-    result
-        Of a set of images.
-    verdict
-        On it: which defects count.
-    """
+    """A row for each defect, the highest score first."""
     rows = [
         [
             str(defect.number),
@@ -49,11 +41,6 @@ def surface_table(result: Inspection) -> Table:
     """A row for each posture, and one for all: the surface by what each place can show, and by why it shows nothing.
 
     Columns from the fourth on are classes: each place is in one of them.
-
-    Parameters
-    ----------
-    result
-        Of a set of images.
     """
     every = result.surface
     gap = every.missing > 0.0
@@ -77,10 +64,10 @@ def surface_table(result: Inspection) -> Table:
         *(["no images"] if gap else []),
         "left out",
     ]
-    return Table(header=header, rows=rows, caption=" ".join(surface_told(result)))
+    return Table(header=header, rows=rows, caption=" ".join(surface_notes(result)))
 
 
-def surface_told(result: Inspection) -> list[str]:
+def surface_notes(result: Inspection) -> list[str]:
     """What the columns of :func:`surface_table` stand for, and what else there is to say of the surface; sentences."""
     every = result.surface
     seen = max(every.seen, 1e-9)
@@ -90,34 +77,34 @@ def surface_told(result: Inspection) -> list[str]:
         "of the time, from such a change of the light on; only stronger ones; where it is dark, only glints. The rest, "
         "by why not. The shares of all classes except what is left out add up to 100 %."
     )
-    told = [legend]
+    notes = [legend]
     if every.fewer > 0.0:
-        told.append(
+        notes.append(
             f"{percent(every.fewer / seen)} is lit in fewer images than a defect must show in: it has to show in these "
             "alone."
         )
     if len(result.postures) > 1 or every.missing > 0.0:
         never = percent(1.0 - (every.seen + every.grazing) / max(every.area, 1e-9))
-        told.append(
+        notes.append(
             "All postures: each place once, by the posture that shows it best; the verdict is of this. "
             f"{never} of the part's {every.area:.0f} mm² is never seen."
         )
     if every.missing > 0.0:
-        told.append("No images: what postures of the part's file show of which the set has none.")
-    return told
+        notes.append("No images: what postures of the part's file show of which the set has none.")
+    return notes
 
 
-def dark_told(verdict: Verdict) -> str:
+def dark_text(verdict: Verdict) -> str:
     """The share of the visible surface that shows only glints, as the end of a sentence; empty where none does."""
     return f"; {percent(verdict.glints)} is dark and shows only glints" if verdict.glints > 0.0 else ""
 
 
-def placement_told(placement: Placement) -> str:
+def placement_text(placement: Placement) -> str:
     """How far a part lies off its place, of what the images determine: in x, in y [mm] and turned [°], with signs."""
-    told = placement.as_dict()
+    found = placement.as_dict()
     words = [
         # adding 0 makes a nought of what is rounded to minus nought
-        form.format(f"{round(float(f'{told[key]}'), 3) + 0.0:+.3f}")
+        form.format(f"{round(float(f'{found[key]}'), 3) + 0.0:+.3f}")
         for key, form, seen in zip(
             ("x_mm", "y_mm", "turn_deg"),
             ("{} mm in x", "{} mm in y", "turned by {}°"),

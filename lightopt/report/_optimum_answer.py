@@ -27,8 +27,8 @@ from lightopt.design import (
 )
 from lightopt.design import Answer as Best
 from lightopt.rendering import GRAZING_DEG
+from lightopt.report._contact_sheet import degrees
 from lightopt.report._page import Answer, Block, Note, Table, Warnings
-from lightopt.report._sheet_layout import degrees
 
 
 def answer_blocks(draft: Draft) -> list[Block]:

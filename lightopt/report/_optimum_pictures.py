@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +11,13 @@ from PIL import Image
 
 from lightopt.design import Curve, Detectability, Draft, SetResult, share_of_whole
 from lightopt.images import ImageSet, read_image_set, read_png
-from lightopt.report._canvas import png_bytes
-from lightopt.report._chart import ChartLine, ChartPanel, chart_image
-from lightopt.report._contact_sheet import entry_thumbnail, saturation_text
+from lightopt.report._charts import COLOURS, chart, name_lines
+from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
+from lightopt.report._drawing import figure_image, fixed_style, printable
 from lightopt.report._optimum_answer import postures_text
 from lightopt.report._page import Block, Gallery, Note, Picture
+from lightopt.report._png import png_bytes
 from lightopt.report._rig_drawing import rig_image
-from lightopt.report._sheet_layout import degrees, light_position
 from lightopt.report._thumbnail import shrunk
 from lightopt.scene import PanelLight
 
@@ -25,9 +26,6 @@ SIDE = 300
 
 MOST_DRAWINGS = 4
 """Rigs that are drawn; of more sets only the first are, all angles are in the table."""
-
-# Okabe and Ito
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 def image_blocks(draft: Draft) -> list[Block]:
@@ -131,29 +129,22 @@ def curve_blocks(draft: Draft) -> list[Block]:
     return blocks
 
 
+@fixed_style()
 def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     best = result.answers[0]
-    lines = [
-        ChartLine(
-            label=curve.name,
-            x=np.array(curve.angles_deg),
-            values=np.array([_value(result, score) for score in curve.scores]),
-            colour=COLOURS[k % len(COLOURS)],
-        )
-        for k, curve in enumerate(curves)
-    ]
     where = postures_text(result)
     area = best.objective.share_of is not None
     surface = f"inspectable surface{' × defects' * isinstance(best.objective, Detectability)}"
     label = f"% of the {surface}" if area else best.objective.unit
-    image = chart_image(
-        title=f"{best.objective.name}, {where}",
-        x_label=f"{axis} [°]",
-        x=np.empty(0),
-        panels=[ChartPanel(label=f"score [{label}]", values=np.empty(0), lines=tuple(lines))],
+    figure, (panel,) = chart(
+        title=f"{best.objective.name}, {where}", x_label=f"{axis} [°]", labels=[f"score [{label}]"]
     )
+    for curve, colour in zip(curves, itertools.cycle(COLOURS)):
+        scores = [_value(result, score) for score in curve.scores]
+        panel.plot(curve.angles_deg, scores, ".-", color=colour, label=printable(curve.name))
+    name_lines(panel)
     names = ", ".join(curve.name for curve in curves)
-    return Picture(png=png_bytes(image), alt=f"Score against {axis} for {where}: {names}")
+    return Picture(png=png_bytes(figure_image(figure)), alt=f"Score against {axis} for {where}: {names}")
 
 
 def _value(result: SetResult, score: int) -> float:

@@ -1,4 +1,4 @@
-"""What a page of a report is made of: plain values, no markup. :func:`lightopt.report.page_html` makes it a file."""
+"""What a page of a report is made of: plain values, no markup. :func:`page_html` makes it a file."""
 
 from __future__ import annotations
 
@@ -39,21 +39,11 @@ class Facts:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table.
+    """A table of texts.
 
-    Attributes
-    ----------
-    header
-        One text per column.
-    rows
-        Texts.
-    numbers_from
-        Columns from this one on are numbers, aligned to the right.
-    caption
-        Below the table.
-    links
-        Per row where its first cell leads, a file's name relative to the page with ``/`` between folders, empty for
-        nowhere; none at all where there are none.
+    numbers_from : columns from this one on are numbers, aligned to the right
+    links : per row the file that its first cell leads to, relative to the page and with ``/`` between folders, empty
+        for none; no links at all where no row has one
     """
 
     header: Sequence[str]
@@ -65,17 +55,7 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A picture.
-
-    Attributes
-    ----------
-    png
-        The bytes of a PNG file.
-    alt
-        What it shows, for those who cannot see it.
-    caption
-        Below the picture.
-    """
+    """A picture: the bytes of a PNG file, and what it shows for those who cannot see it."""
 
     png: bytes
     alt: str
@@ -93,17 +73,7 @@ class Gallery:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceView:
-    """A surface to turn, with a legend.
-
-    Attributes
-    ----------
-    surface
-        In the colours of its layers.
-    alt
-        What it shows.
-    caption
-        Below it.
-    """
+    """A surface to turn, with a legend."""
 
     surface: ColouredSurface
     alt: str
@@ -123,17 +93,7 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """A page of a report.
-
-    Attributes
-    ----------
-    title, subtitle
-        At the top.
-    lead
-        Before the first heading: the answer.
-    sections
-        From top to bottom.
-    """
+    """A page of a report; `lead` is what stands before the first heading: the answer."""
 
     title: str
     subtitle: str

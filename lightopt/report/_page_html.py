@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 from PIL import Image
 
-from lightopt.report._canvas import png_bytes
 from lightopt.report._page import (
     Answer,
     Block,
@@ -26,6 +25,7 @@ from lightopt.report._page import (
     Table,
     Warnings,
 )
+from lightopt.report._png import png_bytes
 from lightopt.report._surface import SurfaceLayer, simplified
 from lightopt.report._surface_data import surface_data, surface_head
 from lightopt.report._surface_still import surface_still
@@ -45,15 +45,7 @@ FALLBACK = (
 
 
 def page_html(page: Page) -> str:
-    """The page as HTML; the same page gives the same text.
-
-    Every text is escaped: names may contain anything.
-
-    Parameters
-    ----------
-    page
-        What to show.
-    """
+    """The page as HTML; the same page gives the same text. Every text is escaped: names may contain anything."""
     parts = [
         "<!doctype html>",
         '<html lang="en">',

@@ -6,15 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
-from lightopt.report._canvas import FINE
+from lightopt.report._drawing import Drawing
 from lightopt.report._view import ParallelView
 from lightopt.scene import PinholeCamera, Scene
 
 Float64 = NDArray[np.float64]
+
+FINE = 3
+"""The part is cast at so many times the resolution of the drawing."""
 
 _BASE = (206.0, 212.0, 220.0)
 _EDGE = (58.0, 66.0, 78.0)
@@ -30,18 +34,11 @@ _CREASE_COS = 0.94
 
 @dataclass(frozen=True)
 class PartPicture:
-    """The part seen from one side.
+    """The part seen from one side, :data:`FINE` times as fine as the drawing.
 
-    Attributes
-    ----------
-    view
-        From where.
-    left, top
-        Corner of the arrays on the picture [px of :data:`FINE` times the resolution].
-    picture
-        RGBA, shape (rows, columns, 4).
-    nearness
-        Of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface.
+    left, top : upper left corner of the arrays [fine px]
+    picture : RGBA, shape (rows, columns, 4)
+    nearness : of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface
     """
 
     view: ParallelView
@@ -49,6 +46,12 @@ class PartPicture:
     top: int
     picture: NDArray[np.uint8]
     nearness: Float64
+
+    def draw(self, drawing: Drawing) -> None:
+        """Lay the picture over a drawing."""
+        (left, before), (top, above) = divmod(self.left, FINE), divmod(self.top, FINE)
+        whole = np.pad(self.picture, ((above, 0), (before, 0), (0, 0)))
+        drawing.picture(np.asarray(Image.fromarray(whole).reduce(FINE)), left, top)
 
     def hides(self, points: Float64) -> NDArray[np.bool_]:
         """Whether the part stands before world points [mm], shape (n, 3); shape (n,)."""
@@ -63,14 +66,8 @@ class PartPicture:
         return hidden
 
 
-def draw_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelView) -> PartPicture:
-    """The scene's part at a posture, as a view shows it.
-
-    Parameters
-    ----------
-    caster
-        Of the part, in its own frame.
-    """
+def cast_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelView) -> PartPicture:
+    """The scene's part at a posture, as a view shows it; `caster` is of the part in its own frame."""
     rotation = posture.matrix
     translation = scene.pivot - rotation @ scene.pivot
     centre = rotation @ caster.centre + translation
@@ -115,7 +112,7 @@ def _shade(view: ParallelView, nearness: Float64, normals: Float64) -> NDArray[n
 
 
 def _edges(hit: NDArray[np.bool_], nearness: Float64, normals: Float64, *, step: float) -> NDArray[np.bool_]:
-    """Outline, jumps in depth and creases, FINE pixels wide."""
+    # outline, jumps in depth and creases, FINE pixels wide
     edge = np.zeros(hit.shape, dtype=bool)
     depth = np.where(hit, nearness, 0.0)
     for axis in (0, 1):

@@ -14,9 +14,9 @@ from PIL import Image
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering import cast_rays_at
-from lightopt.report._canvas import Canvas, check_png_path, write_picture
-from lightopt.report._labels import ink_of, paint_labels, place_labels
-from lightopt.report._part_picture import draw_part
+from lightopt.report._drawing import Drawing, fixed_style
+from lightopt.report._part_picture import cast_part
+from lightopt.report._png import check_png_path, write_picture
 from lightopt.report._rig_elements import Pen, number
 from lightopt.report._rig_shapes import (
     CameraShape,
@@ -27,8 +27,7 @@ from lightopt.report._rig_shapes import (
     square,
     table_grid,
 )
-from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, paint_side, side_height
-from lightopt.report._typeface import Typeface
+from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, side_height, write_numbers
 from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene
 
@@ -51,19 +50,12 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwr
 
     Parameters
     ----------
-    scene
-        To draw.
     path
-        The PNG to make or to replace, in a folder that exists.
+        The PNG to make or to replace, in a folder that exists; it is returned.
     annotate
-        Draw angles and directions, too; without them things and their names only.
+        Whether angles and axes are drawn and named.
     overwrite
         Whether a file of other content may be replaced.
-
-    Returns
-    -------
-    pathlib.Path
-        The file written.
 
     Raises
     ------
@@ -74,30 +66,26 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwr
     return write_picture(path, rig_image(scene, annotate=annotate), overwrite=overwrite)
 
 
+@fixed_style()
 def rig_image(scene: Scene, *, annotate: bool = True) -> Image.Image:
     """The picture that :func:`rig_drawing` writes."""
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
     caster = cast_rays_at(scene)
     shape = camera_shape(scene.camera, 0.13 * rig_size(scene))
     height = max(LEAST_HEIGHT, side_height(scene))
-    canvas = Canvas(MAIN_WIDTH + SIDE_WIDTH, height)
-    view = _view(scene, shape, posture, height)
-    pen = _draw_rig(scene, caster, shape, posture, Pen(canvas, view, []), annotate=annotate)
-    stage = draw_stage(scene, caster, posture, canvas, MAIN_WIDTH, height, annotate=annotate)
-    image = canvas.finished()
-    paint_side(
-        image,
+    drawing = Drawing(MAIN_WIDTH + SIDE_WIDTH, height)
+    pen = Pen(drawing, _view(scene, shape, posture, height), [])
+    _draw_rig(scene, caster, shape, posture, pen, annotate=annotate)
+    draw_stage(scene, caster, posture, drawing, MAIN_WIDTH, annotate=annotate)
+    write_numbers(
+        drawing,
         scene,
         MAIN_WIDTH,
         grid=number(table_grid(scene, posture)[1]),
         arcs=_arcs(scene) if annotate else None,
     )
-    ink = ink_of(image)
-    typeface, small = Typeface(21), Typeface(18)
-    main_box = (8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0)
-    paint_labels(image, place_labels(pen.labels, typeface, ink=ink, bounds=main_box), typeface)
-    paint_labels(image, place_labels(stage.labels, small, ink=ink, bounds=stage.box), small)
-    return image
+    drawing.labels(pen.labels, size=19, bounds=(8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0))
+    return drawing.image()
 
 
 def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> ParallelView:
@@ -148,11 +136,11 @@ def _axis_lengths(scene: Scene, half: float) -> tuple[float, float, float]:
 
 def _draw_rig(
     scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen, *, annotate: bool
-) -> Pen:
+) -> None:
     half, step = table_grid(scene, posture)
     pen.grid(half, step)
     pen.footprint(shape)
-    part = draw_part(scene, caster, posture, pen.view)
+    part = cast_part(scene, caster, posture, pen.view)
     # what lies on the table is drawn around the part, what stands up may pass in front of it
     pen = replace(pen, part=part)
     pen.axes(_axis_lengths(scene, half))
@@ -160,22 +148,17 @@ def _draw_rig(
     reach = max(0.5 * half, *(float(np.hypot(*light.centre[:2])) for light in scene.lights), 0.0)
     for i, light in enumerate(arcs):
         pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)), spoke=_ARC * light.distance)
-    pen.canvas.paste(part.picture, part.left, part.top)
-    by_depth = sorted(scene.lights, key=lambda light: float(pen.view.nearness(light.centre)))
-    camera_depth = float(pen.view.nearness(scene.camera.position))
-    camera_drawn = False
-    for light in by_depth:
-        if not camera_drawn and float(pen.view.nearness(light.centre)) > camera_depth:
+    part.draw(pen.drawing)
+    devices = [*((light.centre, light) for light in scene.lights), (scene.camera.position, None)]
+    for _, light in sorted(devices, key=lambda device: float(pen.view.nearness(device[0]))):
+        if light is None:
             pen.camera(scene.camera, shape, annotate=annotate)
-            camera_drawn = True
+            continue
         pen.panel(light)
         if light in arcs:
             pen.elevation_arc(light, _ARC * light.distance)
-    if not camera_drawn:
-        pen.camera(scene.camera, shape, annotate=annotate)
     if annotate and scene.lights:
         pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * rig_size(scene))
-    return pen
 
 
 def _arcs(scene: Scene) -> int:

@@ -1,4 +1,4 @@
-"""The things of a rig, drawn on a canvas in a parallel view."""
+"""The things of a rig, drawn in a parallel view."""
 
 from __future__ import annotations
 
@@ -8,38 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.report._canvas import Canvas
-from lightopt.report._labels import Label
+from lightopt.report._drawing import INK, SOFT, Drawing, Label, sub
 from lightopt.report._part_picture import PartPicture
 from lightopt.report._rig_shapes import CameraShape, foot_direction, nice_step, panel_corners, square
-from lightopt.report._typeface import sub
 from lightopt.report._view import ORIGIN, ParallelView, X, Y, Z, arc
 from lightopt.scene import PanelLight, PinholeCamera, panel_grid
 
 Float64 = NDArray[np.float64]
 
-INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#dfe3e8"
+GRID = "#dfe3e8"
 CAMERA, LIGHT, THETA, PHI, STAGE = "#45535f", "#b07d04", "#7a2f9b", "#0a8580", "#a8324a"
 AXIS_COLOURS = ("#c8321f", "#2c8a3a", "#2458b8")
 
 
 @dataclass(frozen=True)
 class Pen:
-    """Draws world shapes [mm] onto a canvas; what stands behind the part is left out.
+    """Draws world shapes [mm]; what stands behind the part is left out.
 
-    Attributes
-    ----------
-    canvas
-        To draw on.
-    view
-        In which the world is seen.
-    labels
-        Collects what is to be written, the important first.
-    part
-        The part's picture, once it is there.
+    labels : what is to be written, the important first; collected while drawing
+    part : the part's picture, once it is known
     """
 
-    canvas: Canvas
+    drawing: Drawing
     view: ParallelView
     labels: list[Label]
     part: PartPicture | None = None
@@ -49,19 +39,19 @@ class Pen:
     ) -> None:
         """Draw a polyline of shape (n, 3), dash and gap in [px]."""
         for piece in self._visible(points):
-            self.canvas.line(self.view.place(piece), colour=colour, width=width, dash=dash)
+            self.drawing.line(self.view.place(piece), colour=colour, width=width, dash=dash)
 
     def arrow(self, points: Float64, colour: str, width: float = 2.2, head: float = 14.0) -> None:
         """Draw a polyline of shape (n, 3) that ends in an arrow head of fixed length [px]."""
         pieces = self._visible(points)
         for piece in pieces[:-1]:
-            self.canvas.line(self.view.place(piece), colour=colour, width=width)
+            self.drawing.line(self.view.place(piece), colour=colour, width=width)
         if pieces:
-            self.canvas.arrow(self.view.place(pieces[-1]), colour=colour, width=width, head=head)
+            self.drawing.arrow(self.view.place(pieces[-1]), colour=colour, width=width, head=head)
 
-    def polygon(self, points: Float64, *, fill: str, outline: str | None = None, width: float = 1.5) -> None:
+    def polygon(self, points: Float64, *, fill: str, outline: str = "none", width: float = 1.5) -> None:
         """Draw an area of shape (n, 3)."""
-        self.canvas.polygon(self.view.place(points), fill=fill, outline=outline, width=width)
+        self.drawing.polygon(self.view.place(points), fill=fill, outline=outline, width=width)
 
     def label(self, text: str, anchor: Float64, colour: str, *, away_from: Float64 | None = None) -> None:
         """Name a place [mm], shape (3,), on the side turned away from another one."""
@@ -81,7 +71,7 @@ class Pen:
         for i in range(-n, n + 1):
             for a, b in (((i * step, -side), (i * step, side)), ((-side, i * step), (side, i * step))):
                 ends = np.array([[cx + a[0], cy + a[1], 0.0], [cx + b[0], cy + b[1], 0.0]])
-                self.canvas.line(self.view.place(ends), colour=FAINT, width=1.0)
+                self.drawing.line(self.view.place(ends), colour=GRID, width=1.0)
 
     def axes(self, lengths: tuple[float, float, float]) -> None:
         """Draw the world's axes from the origin."""
@@ -102,7 +92,7 @@ class Pen:
         )
         if shines_here and light.points != "auto" and light.points <= 64:
             for point in panel_grid(light, light.points):
-                self.canvas.disc(self.view.place(point), 1.7, fill=LIGHT)
+                self.drawing.disc(self.view.place(point), 1.7, fill=LIGHT)
         outer = max(panel_corners(light), key=lambda corner: float(corner @ self.view.up))
         self.label(light.name, outer, INK, away_from=light.centre)
 
@@ -156,7 +146,7 @@ class Pen:
         length = nice_step(2.0 * span)
         end = left + length * self.view.scale
         bar = np.array([[left, baseline - 5], [left, baseline], [end, baseline], [end, baseline - 5]])
-        self.canvas.line(bar, colour=SOFT, width=1.5)
+        self.drawing.line(bar, colour=SOFT, width=1.5)
         return f"{length:g} mm"
 
     def _visible(self, points: Float64) -> list[Float64]:

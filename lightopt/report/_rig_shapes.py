@@ -22,20 +22,13 @@ _FARTHEST = 1.5
 
 @dataclass(frozen=True)
 class CameraShape:
-    """A camera to draw: shapes in the world frame [mm].
+    """A camera to draw, in the world frame [mm]; corners from the image's top left clockwise.
 
-    Attributes
-    ----------
-    aperture
-        Front of its frustum, corners from the image's top left clockwise, shape (4, 3); the pinhole is its apex.
-    body
-        Corners of the housing behind the pinhole: four at the front, four at the back, shape (8, 3).
-    footprint
-        Where the image's border meets the table, shape (n, 3), from the top left corner clockwise.
-    corners
-        Its four corners, shape (4, 3).
-    arrow
-        Length of the arrows for image right and up.
+    aperture : front of its frustum, whose apex is the pinhole, shape (4, 3)
+    body : corners of the housing behind the pinhole, four at the front, four at the back, shape (8, 3)
+    footprint : where the image's border meets the table, shape (n, 3)
+    corners : of the footprint, shape (4, 3)
+    arrow : length of the arrows for image right and up
     """
 
     aperture: Float64

@@ -2,42 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
-from PIL import Image, ImageDraw
 
 from lightopt.core.transforms import Posture, posture_rotation
 from lightopt.geometry import RayCaster
-from lightopt.report._canvas import Canvas
-from lightopt.report._labels import Box, Label
-from lightopt.report._part_picture import draw_part
-from lightopt.report._rig_elements import INK, SOFT, STAGE, Pen, degrees, number
+from lightopt.report._drawing import CAP_HEIGHT, FAINT, LINE_HEIGHT, SOFT, Box, Drawing, Label, fit_text, sub
+from lightopt.report._part_picture import cast_part
+from lightopt.report._rig_elements import STAGE, Pen, degrees, number
 from lightopt.report._rig_shapes import part_box, round_up, square
-from lightopt.report._typeface import Typeface, sub
 from lightopt.report._view import X, Y, Z, arc, fit_view
 from lightopt.scene import Scene, pixel_footprint
 
 SIDE_WIDTH, EDGE = 500, 30
+HEAD, TEXT, LABEL = 20, 16, 17
+"""Sizes of text [px]."""
+
+LINE = round(LINE_HEIGHT * TEXT)
+"""Distance of lines [px]."""
+
 STAGE_HEIGHT = 400
 """Least height of the picture of the stage [px]."""
 
 MOST_POSTURES = 12
 """More than that are only counted."""
 
-_RULE = "#d4d8de"
-_LIGHT_COLUMNS = (0, 190, 250, 315, 440)
-"""Where the columns of the table of lights start or, all but the first, end [px]."""
+_LIGHT_COLUMNS = (190, 250, 315, 440)
+"""Where the columns of numbers in the table of lights end [px]."""
 
 _VIEW = (np.radians(22.0), np.radians(292.0))
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Labels of the picture of the stage, and the box that they may stand in."""
-
-    labels: list[Label]
-    box: Box
 
 
 def side_height(scene: Scene) -> int:
@@ -48,41 +42,43 @@ def side_height(scene: Scene) -> int:
 def _stage_top(scene: Scene) -> int:
     """Where the numbers end and the picture of the stage begins [px]."""
     lines = len(_camera_lines(scene)) + len(scene.lights) + len(_part_lines(scene))
-    return EDGE + round((lines + 6.5) * Typeface(17).line_height)
+    return EDGE + round((lines + 6.5) * LINE)
 
 
-def paint_side(image: Image.Image, scene: Scene, left: int, *, grid: str, arcs: int | None) -> None:
+def write_numbers(drawing: Drawing, scene: Scene, left: int, *, grid: str, arcs: int | None) -> None:
     """Write the numbers of a rig into the column that starts at `left` [px]."""
-    draw = ImageDraw.Draw(image)
-    head, text = Typeface(21), Typeface(17)
-    draw.line([(left, EDGE), (left, image.height - EDGE)], fill=_RULE, width=1)
-    x, room = left + EDGE, SIDE_WIDTH - 2 * EDGE
-    y = EDGE + head.cap_height
-    head.paint(image, x, y, "Camera", fill=INK)
-    for line in _camera_lines(scene):
-        y += text.line_height
-        text.paint(image, x, y, text.fit(line, room), fill=SOFT)
-    y += 2 * text.line_height
-    head.paint(image, x, y, "Lights", fill=INK)
-    for column, name in zip(_LIGHT_COLUMNS[1:], ("θ", "φ", "mm", "panel, mm"), strict=True):
-        text.paint(image, x + column, y, name, fill=SOFT, align="right")
+    drawing.line(np.array([(left, EDGE), (left, drawing.height - EDGE)]), colour=FAINT, width=1.0)
+    x = left + EDGE
+    y = EDGE + CAP_HEIGHT * HEAD
+    drawing.text(x, y, "Camera", size=HEAD)
+    y = _write_lines(drawing, x, y, _camera_lines(scene)) + 2 * LINE
+    drawing.text(x, y, "Lights", size=HEAD)
+    _write_cells(drawing, x, y, ("θ", "φ", "mm", "panel, mm"))
     for light in scene.lights:
-        y += text.line_height
+        y += LINE
         size = f"{number(light.size[0])} × {number(light.size[1])}"
-        cells = (degrees(light.elevation), degrees(light.azimuth), number(light.distance), size)
-        text.paint(image, x, y, text.fit(light.name, _LIGHT_COLUMNS[1] - 70), fill=SOFT)
-        for column, cell in zip(_LIGHT_COLUMNS[1:], cells, strict=True):
-            text.paint(image, x + column, y, cell, fill=SOFT, align="right")
-    y += text.line_height
-    note = f"grid {grid} mm" + (
-        f"; arcs of the first {arcs} lights" if arcs is not None and arcs < len(scene.lights) else ""
-    )
-    text.paint(image, x, y + 4, note, fill=SOFT)
-    y += 2 * text.line_height
-    head.paint(image, x, y, "Part and stage", fill=INK)
-    for line in _part_lines(scene):
-        y += text.line_height
-        text.paint(image, x, y, text.fit(line, room), fill=SOFT)
+        drawing.text(x, y, fit_text(light.name, TEXT, _LIGHT_COLUMNS[0] - 70), size=TEXT, colour=SOFT)
+        _write_cells(
+            drawing, x, y, (degrees(light.elevation), degrees(light.azimuth), number(light.distance), size)
+        )
+    some = arcs is not None and arcs < len(scene.lights)
+    note = f"grid {grid} mm" + (f"; arcs of the first {arcs} lights" if some else "")
+    y = _write_lines(drawing, x, y + 4, [note]) - 4 + 2 * LINE
+    drawing.text(x, y, "Part and stage", size=HEAD)
+    _write_lines(drawing, x, y, _part_lines(scene))
+
+
+def _write_lines(drawing: Drawing, x: float, y: float, lines: Sequence[str]) -> float:
+    """Write lines below a baseline; the last one's baseline [px]."""
+    for line in lines:
+        y += LINE
+        drawing.text(x, y, fit_text(line, TEXT, SIDE_WIDTH - 2 * EDGE), size=TEXT, colour=SOFT)
+    return y
+
+
+def _write_cells(drawing: Drawing, x: float, y: float, cells: Sequence[str]) -> None:
+    for column, cell in zip(_LIGHT_COLUMNS, cells, strict=True):
+        drawing.text(x + column, y, cell, size=TEXT, colour=SOFT, align="right")
 
 
 def _camera_lines(scene: Scene) -> list[str]:
@@ -128,17 +124,10 @@ def _angle(degrees: float) -> str:
 
 
 def draw_stage(
-    scene: Scene,
-    caster: RayCaster,
-    posture: Posture,
-    canvas: Canvas,
-    left: int,
-    bottom: int,
-    *,
-    annotate: bool,
-) -> Stage:
-    """Draw the part at a posture with the stage's two axes, in the column that starts at `left` [px]."""
-    box = (left + EDGE, _stage_top(scene), left + SIDE_WIDTH - EDGE, bottom - EDGE)
+    scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawing, left: int, *, annotate: bool
+) -> Box:
+    """Draw the part at a posture with the stage's axes, in the column from `left` [px] on; the box that it fills."""
+    box = (left + EDGE, _stage_top(scene), left + SIDE_WIDTH - EDGE, drawing.height - EDGE)
     corners = part_box(scene, posture)
     radius = 0.5 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
@@ -150,16 +139,17 @@ def draw_stage(
     view = fit_view(
         np.concatenate([corners, ends, square(half, middle)]), elevation=_VIEW[0], azimuth=_VIEW[1], box=inner
     )
-    pen = Pen(canvas, view, [])
+    pen = Pen(drawing, view, [])
     pen.grid(half, step, centre=middle)
-    part = draw_part(scene, caster, posture, view)
-    canvas.paste(part.picture, part.left, part.top)
-    pen = Pen(canvas, view, pen.labels, part)
+    part = cast_part(scene, caster, posture, view)
+    part.draw(drawing)
+    pen = Pen(drawing, view, pen.labels, part)
     if annotate:
         _draw_axes(pen, scene, posture, reach)
     length = pen.scale_bar(box[0], box[3] - 8, radius)
     pen.labels.append(Label(text=length, anchor=(box[0] + 4, box[3] - 14), colour=SOFT, away=(0.3, -1.0)))
-    return Stage(pen.labels, box)
+    drawing.labels(pen.labels, size=LABEL, bounds=box)
+    return box
 
 
 def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
@@ -179,5 +169,5 @@ def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
         pen.label(name, pivot + reach * axis, STAGE, away_from=pivot)
     flat = pen.view.place(pivot)
     hidden = pen.part is not None and bool(pen.part.hides(pivot[None])[0])
-    pen.canvas.disc(flat, 4.0, fill="#ffffffc0" if hidden else STAGE, outline=STAGE)
+    pen.drawing.disc(flat, 4.0, fill="#ffffffc0" if hidden else STAGE, outline=STAGE)
     pen.label("pivot", pivot, STAGE)

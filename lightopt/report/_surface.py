@@ -20,16 +20,10 @@ MOST_TRIANGLES = 500_000
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceClass:
-    """What some faces have in common.
+    """What some faces have in common, as the legend shows it.
 
-    Attributes
-    ----------
-    label
-        For the legend.
-    colour
-        ``#rrggbb``.
-    amount
-        How much of the surface it is, for the legend; empty where that is not said.
+    colour : ``#rrggbb``
+    amount : how much of the surface it is; may be empty
     """
 
     label: str
@@ -41,17 +35,8 @@ class SurfaceClass:
 class SurfaceLayer:
     """One way to colour a surface.
 
-    Attributes
-    ----------
-    name
-        What is shown.
-    classes
-        At most 256.
-    of_face
-        Class of each face, index into `classes`, shape (m,), uint8.
-    group
-        Heading of the layers that it is chosen among, neighbours of the same heading together; empty where all are of
-        one kind.
+    of_face : class of each face, index into `classes`, shape (m,), uint8
+    group : heading above neighbouring layers of one kind; may be empty
     """
 
     name: str
@@ -74,16 +59,10 @@ class SurfaceLayer:
 class ColouredSurface:
     """A triangle mesh and the ways to colour it.
 
-    Attributes
-    ----------
-    vertices
-        Any right-handed frame [mm], shape (n, 3).
-    triangles
-        Corners of the faces, indices into `vertices`, shape (m, 3), int32.
-    layers
-        At least one; the first is shown first.
-    up, toward
-        Unit vectors, shape (3,): what points up, and from where the surface is seen first.
+    vertices : in any right-handed frame [mm], shape (n, 3)
+    triangles : corners of the faces, indices into `vertices`, shape (m, 3), int32
+    layers : at least one; the first is shown first
+    up, toward : unit vectors, shape (3,): what points up, and from where the surface is seen first
     """
 
     vertices: Float64
@@ -120,24 +99,16 @@ def simplified(surface: ColouredSurface, *, most: int = MOST_TRIANGLES) -> tuple
         _, first, cluster = np.unique(keys, return_index=True, return_inverse=True)
         moved = cluster.reshape(-1).astype(np.int32)[surface.triangles]
         a, b, c = moved.T
-        kept = np.flatnonzero((a != b) & (b != c) & (c != a))
+        left = np.flatnonzero((a != b) & (b != c) & (c != a))
         # faces that fell onto each other: the first one stays
-        _, unique = np.unique(np.sort(moved[kept], axis=1), axis=0, return_index=True)
-        kept = kept[np.sort(unique)]
-        if len(kept) <= most:
+        _, unique = np.unique(np.sort(moved[left], axis=1), axis=0, return_index=True)
+        left = left[np.sort(unique)]
+        if len(left) <= most:
             break
-        cell *= max(1.05, math.sqrt(len(kept) / most))
-    layers = tuple(replace(layer, of_face=layer.of_face[kept]) for layer in surface.layers)
-    return (
-        ColouredSurface(
-            vertices=low + places[first] * cell,
-            triangles=moved[kept],
-            layers=layers,
-            up=surface.up,
-            toward=surface.toward,
-        ),
-        cell,
-    )
+        cell *= max(1.05, math.sqrt(len(left) / most))
+    layers = tuple(replace(layer, of_face=layer.of_face[left]) for layer in surface.layers)
+    vertices = low + places[first] * cell
+    return replace(surface, vertices=vertices, triangles=moved[left], layers=layers), cell
 
 
 def first_view(camera: PinholeCamera) -> Float64:

@@ -17,14 +17,9 @@ FAINTEST_MARK = 0.4
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """A small picture of an image.
+    """A small picture of an image: RGB, shape (rows, columns, 3), read-only.
 
-    Attributes
-    ----------
-    picture
-        RGB, row 0 at the top, shape (rows, columns, 3), read-only.
-    saturated, pixels
-        Number of saturated pixels and of all pixels in the image.
+    saturated, pixels : number of saturated pixels and of all pixels in the image
     """
 
     picture: NDArray[np.uint8]

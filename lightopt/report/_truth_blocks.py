@@ -1,25 +1,26 @@
-"""An inspection held against what is known to be on the part: recall, false alarms, curves of detection."""
+"""Evaluation of an inspection against ground truth: recall, false alarms, curves of detection."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from lightopt.report._canvas import png_bytes
-from lightopt.report._chart import ChartLine, ChartPanel, chart_image
+from lightopt.report._charts import COLOURS, chart, name_lines
+from lightopt.report._drawing import SOFT, figure_image, fixed_style
 from lightopt.report._page import Block, Facts, Note, Picture, Table
+from lightopt.report._png import png_bytes
 
-# Okabe and Ito (2008), as on the other charts
-LINE_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00", "#0072b2", "#56b4e9", "#5c636e")
+LINE_COLOURS = (*COLOURS[1:], COLOURS[0])
 POINTS = 60
-ROOM = 1.3
+MARGIN = 1.3
 """Curves are drawn from the smallest size over this to the largest times this."""
 
 
 def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
-    """What :func:`lightopt.inspection.summarise` says, for people."""
+    """The summary of :func:`lightopt.inspection.summarise`, for people."""
     area = summary["roc_auc"]
     facts = Facts(
         rows=[
@@ -51,42 +52,33 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
         caption="a90 is the size found 90 % of the time by logistic regression on ln size, a90/95 its upper bound of "
         "95 % confidence; - where hits and misses do not tell it.",
     )
-    return [facts, recall, curves, *_chart(summary)]
+    return [facts, recall, curves, _chart(summary)]
 
 
-def _chart(summary: Mapping[str, Any]) -> list[Block]:
+@fixed_style()
+def _chart(summary: Mapping[str, Any]) -> Block:
     each: Sequence[Mapping[str, Any]] = summary["each"]
-    told = {kind: c for kind, c in summary["detection"].items() if c["steepness"] is not None}
-    if not told or not each:
-        return [
-            Note(
-                text="No curve of detection: too few defects, or hits and misses that do not rise with size."
-            )
-        ]
+    curves = {kind: c for kind, c in summary["detection"].items() if c["steepness"] is not None}
+    if not curves or not each:
+        return Note(
+            text="No curve of detection: too few defects, or hits and misses that do not rise with size."
+        )
     sizes = np.array([one["size_mm"] for one in each], np.float64)
-    x = np.geomspace(sizes.min() / ROOM, sizes.max() * ROOM, POINTS)
-    lines = [
-        ChartLine(label=kind, x=x, values=_curve(curve, x), colour=LINE_COLOURS[i % len(LINE_COLOURS)])
-        for i, (kind, curve) in enumerate(told.items())
-    ]
-    dots = np.array([(one["size_mm"], float(one["found"])) for one in each])
-    image = chart_image(
+    x = np.geomspace(sizes.min() / MARGIN, sizes.max() * MARGIN, POINTS)
+    figure, (panel,) = chart(
         title="Probability of detection",
         x_label="size of the defect [mm]",
-        x=x,
-        panels=[
-            ChartPanel(
-                label="found: 1, missed: 0", values=lines[0].values, dots=dots, dot_px=4.5, lines=tuple(lines)
-            )
-        ],
+        labels=["found: 1, missed: 0"],
         log_x=True,
     )
-    kinds = ", ".join(told)
-    return [
-        Picture(
-            png=png_bytes(image), alt=f"Curves of detection against size: {kinds}; dots are single defects"
-        )
-    ]
+    panel.plot(sizes, [float(one["found"]) for one in each], "o", color=SOFT)
+    for (kind, curve), colour in zip(curves.items(), itertools.cycle(LINE_COLOURS)):
+        panel.plot(x, _curve(curve, x), color=colour, label=kind)
+    name_lines(panel)
+    return Picture(
+        png=png_bytes(figure_image(figure)),
+        alt=f"Curves of detection against size: {', '.join(curves)}; dots are single defects",
+    )
 
 
 def _curve(curve: Mapping[str, Any], x: np.ndarray) -> np.ndarray:

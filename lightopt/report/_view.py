@@ -24,16 +24,10 @@ ORIGIN, X, Y, Z = _fixed(0, 0, 0), _fixed(1, 0, 0), _fixed(0, 1, 0), _fixed(0, 0
 
 @dataclass(frozen=True, kw_only=True)
 class ParallelView:
-    """Orthographic view from (elevation, azimuth).
+    """Orthographic view from (elevation, azimuth) [rad]; vectors are in the world frame, shape (3,).
 
-    Attributes
-    ----------
-    elevation, azimuth
-        From where one looks, world frame [rad].
-    scale
-        [px/mm].
-    offset
-        Where the world's origin lies on the picture [px], shape (2,).
+    scale : [px/mm]
+    offset : where the world's origin lies on the picture [px], shape (2,)
     """
 
     elevation: float
@@ -43,17 +37,17 @@ class ParallelView:
 
     @property
     def right(self) -> Float64:
-        """Unit vector to the right on the picture, world frame, shape (3,)."""
+        """Unit vector to the right on the picture."""
         return azimuth_tangent(azimuth=self.azimuth)
 
     @property
     def up(self) -> Float64:
-        """Unit vector up on the picture, world frame, shape (3,)."""
+        """Unit vector up on the picture."""
         return elevation_tangent(elevation=self.elevation, azimuth=self.azimuth)
 
     @property
     def toward(self) -> Float64:
-        """Unit vector towards the viewer, world frame, shape (3,)."""
+        """Unit vector towards the viewer."""
         return direction(elevation=self.elevation, azimuth=self.azimuth)
 
     def place(self, points: Float64) -> Float64:
@@ -80,16 +74,9 @@ def fit_view(
 
 
 def arc(centre: Float64, start: Float64, towards: Float64, angle: float, radius: float) -> Float64:
-    """Points of a circular arc [mm], shape (n, 3): from `start` through `angle` [rad] in the direction of `towards`.
+    """Points of a circular arc [mm], shape (n, 3): from `start` through `angle` [rad] towards `towards`.
 
-    Parameters
-    ----------
-    centre
-        [mm], shape (3,).
-    start, towards
-        Orthonormal vectors, shape (3,).
-    radius
-        [mm].
+    `start` and `towards` are orthonormal vectors, shape (3,).
     """
-    turns = np.linspace(0.0, angle, max(2, int(abs(angle) * 24)))[:, None]
-    return centre + radius * (np.cos(turns) * start + np.sin(turns) * towards)
+    angles = np.linspace(0.0, angle, max(2, int(abs(angle) * 24)))[:, None]
+    return centre + radius * (np.cos(angles) * start + np.sin(angles) * towards)

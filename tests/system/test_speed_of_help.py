@@ -7,7 +7,9 @@ import sys
 
 import pytest
 
-HEAVY = {"numpy", "numba", "pydantic", "OpenImageIO", "trimesh", "PIL", "rich", "cascadio", "embreex", "yaml"}
+HEAVY = {
+    "numpy", "numba", "pydantic", "OpenImageIO", "trimesh", "PIL", "matplotlib", "rich", "cascadio", "embreex", "yaml",
+}  # fmt: skip
 
 
 def loaded(statement: str) -> set[str]:
@@ -31,6 +33,10 @@ def test_help_imports_nothing_heavy(arguments):
 def test_a_commands_help_imports_no_more_than_typer_does(arguments):
     # newer releases of typer look at a command's options through pydantic
     assert loaded(f"from lightopt.cli._main import run; run({arguments})") & HEAVY <= {"pydantic"}
+
+
+def test_matplotlib_is_imported_when_something_is_drawn_and_not_before():
+    assert "matplotlib" not in loaded("import lightopt.report")
 
 
 def test_the_test_would_notice():

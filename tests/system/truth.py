@@ -25,7 +25,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from truth_case import MEANS, SEED, SEEN_IN, Case, Point
 from truth_pits import pits_of
 from truth_walls import walls
@@ -35,7 +34,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import counted
 from lightopt.design import Contrast
 from lightopt.rendering import build_patches, cast_rays_at
-from lightopt.report._chart import ChartPanel, draw_chart
+from lightopt.report import chart, figure_image, fixed_style
 
 __all__ = ["FINISHES", "PARTS", "RIG", "SEED", "SEEN_IN", "Point", "compare", "main", "plot", "table"]
 
@@ -94,23 +93,24 @@ def table(points: list[Point]) -> str:
 
 def plot(points: list[Point], path: Path) -> None:
     """Predicted across, measured up, a panel for each finish and number of pixels; the line is where they are equal."""
-    line = np.array([0.0, 100.0])
-    panels = [
-        ChartPanel(
-            label=f"{finish}, {'each pixel' if pixels == 1 else f'mean of {pixels} pixels'}: measured [%]",
-            values=line,
-            dots=np.array(
-                [
-                    [100.0 * p.predicted, 100.0 * p.measured]
-                    for p in points
-                    if (p.finish, p.pixels) == (finish, pixels)
-                ]
-            ),
-        )
-        for finish, pixels in itertools.product(FINISHES, MEANS)
-    ]
     parts = ", ".join(dict.fromkeys(p.part for p in points))
-    draw_chart(path, title=f"Defects seen: {parts}", x_label="predicted [%]", x=line, panels=panels)
+    shown = list(itertools.product(FINISHES, MEANS))
+    with fixed_style():
+        figure, panels = chart(
+            title=f"Defects seen: {parts}",
+            x_label="predicted [%]",
+            labels=[
+                f"{finish}, {'each pixel' if pixels == 1 else f'mean of {pixels} pixels'}: measured [%]"
+                for finish, pixels in shown
+            ],
+        )
+        for panel, which in zip(panels, shown, strict=True):
+            own = [p for p in points if (p.finish, p.pixels) == which]
+            panel.plot(
+                [100.0 * p.predicted for p in own], [100.0 * p.measured for p in own], ".", color="#5c636e"
+            )
+            panel.plot([0.0, 100.0], [0.0, 100.0])
+        figure_image(figure).save(path)
 
 
 def write(points: list[Point], folder: Path) -> None:

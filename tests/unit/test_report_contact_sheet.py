@@ -20,7 +20,7 @@ from lightopt.images import (
     read_png,
 )
 from lightopt.report import contact_sheet
-from lightopt.report._sheet_layout import MARGIN
+from lightopt.report._contact_sheet import MARGIN
 
 
 def make_set(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +15,28 @@ from lightopt.geometry import TriangleMesh
 from lightopt.images import read_png
 from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import cast_rays_at
-from lightopt.report import frames_drawing, rig_drawing
-from lightopt.report._canvas import FINE, Canvas
-from lightopt.report._frames_panels import frame_panels
-from lightopt.report._labels import ink_of, place_labels
-from lightopt.report._part_picture import draw_part
+from lightopt.report import rig_drawing
+from lightopt.report._drawing import Drawing, fixed_style, text_width
+from lightopt.report._part_picture import FINE, cast_part
 from lightopt.report._rig_shapes import camera_shape, nice_step, panel_corners, part_box, round_up
 from lightopt.report._rig_side import draw_stage
-from lightopt.report._typeface import Typeface
 from lightopt.report._view import fit_view
 from lightopt.scene import PanelLight, Scene, place_camera, place_light, project
 from lightopt.scene._camera import Distortion
+
+
+def _frames():
+    path = Path(__file__).resolve().parents[2] / "scripts" / "frames_drawing.py"
+    spec = importlib.util.spec_from_file_location("frames_drawing", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # its dataclasses ask for it
+    spec.loader.exec_module(module)
+    return module
+
+
+FRAMES = _frames()
 
 BOX_FACES = np.array(
     [
@@ -129,7 +142,7 @@ def test_any_rig_can_be_drawn_within_its_borders(scene: Scene, tmp_path: Path) -
 
 
 def test_bad_paths(tmp_path: Path) -> None:
-    for draw in (lambda path: rig_drawing(scene_of(FOUR), path), frames_drawing):
+    for draw in (lambda path: rig_drawing(scene_of(FOUR), path), FRAMES.frames_drawing):
         with pytest.raises(InputError, match=r"ends in \.png"):
             draw(tmp_path / "a.svg")
         with pytest.raises(InputError, match="cannot be written"):
@@ -138,24 +151,23 @@ def test_bad_paths(tmp_path: Path) -> None:
 
 
 def test_frames_drawing_is_deterministic(tmp_path: Path) -> None:
-    first = frames_drawing(tmp_path / "1.png").read_bytes()
-    assert frames_drawing(tmp_path / "2.png").read_bytes() == first
+    first = FRAMES.frames_drawing(tmp_path / "1.png").read_bytes()
+    assert FRAMES.frames_drawing(tmp_path / "2.png").read_bytes() == first
 
 
-@pytest.mark.parametrize("panel", frame_panels(), ids=lambda panel: panel.title.split()[0])
+@pytest.mark.parametrize("panel", FRAMES.frame_panels(), ids=lambda panel: panel.title.split()[0])
+@fixed_style()
 def test_every_label_of_the_conventions_finds_room(panel) -> None:
-    canvas = Canvas(590, 560)
-    labels = panel.draw(canvas, (26.0, 56.0, 564.0, 468.0))
-    image = canvas.finished()
-    placed = place_labels(labels, Typeface(20), ink=ink_of(image), bounds=(12.0, 48.0, 578.0, 476.0))
-    assert len(placed) == len(labels) > 2
-    drawn = np.asarray(image).min(axis=2) < 250
+    drawing = Drawing(590, 560)
+    box = (26.0, 56.0, 564.0, 468.0)
+    labels = panel.draw(drawing, box)
+    drawn = np.asarray(drawing.image()).min(axis=2) < 250
+    assert len(FRAMES.write_labels(drawing, labels, box)) == len(labels) > 2
     assert not drawn[:40].any()
     assert not drawn[480:].any()
     assert not drawn[:, :8].any()
     assert not drawn[:, -8:].any()
-    width = max(Typeface(17).width(line) for line in panel.text)
-    assert width <= 564 - 26
+    assert max(text_width(line, FRAMES.TEXT_SIZE) for line in panel.text) <= 564 - 26
 
 
 def test_footprint_is_what_the_camera_sees_of_the_table() -> None:
@@ -188,7 +200,7 @@ def test_part_picture_is_where_the_view_places_the_part() -> None:
     scene = scene_of(FOUR, postures=(posture,))
     corners = part_box(scene, posture)
     view = fit_view(corners, elevation=0.4, azimuth=-1.2, box=(50, 50, 250, 200))
-    part = draw_part(scene, cast_rays_at(scene), posture, view)
+    part = cast_part(scene, cast_rays_at(scene), posture, view)
     seen = np.argwhere(np.isfinite(part.nearness)) + 0.5
     flat = (seen[:, ::-1] + [part.left, part.top]) / FINE
     expected = view.place(corners)
@@ -201,7 +213,7 @@ def test_part_picture_is_where_the_view_places_the_part() -> None:
 def test_part_hides_what_is_behind_it_only() -> None:
     scene = scene_of(FOUR)
     view = fit_view(part_box(scene, Posture(0, 0)), elevation=0.4, azimuth=-1.2, box=(50, 50, 250, 200))
-    part = draw_part(scene, cast_rays_at(scene), Posture(0, 0), view)
+    part = cast_part(scene, cast_rays_at(scene), Posture(0, 0), view)
     centre = np.array([0.0, 0.0, 10.0])
     points = np.stack(
         [centre, centre - 80 * view.toward, centre + 80 * view.toward, centre + 500 * view.right]
@@ -209,17 +221,18 @@ def test_part_hides_what_is_behind_it_only() -> None:
     assert part.hides(points).tolist() == [True, True, False, False]
 
 
+@fixed_style()
 def test_stage_axes_stay_in_their_box() -> None:
     for posture in (Posture(0, 0), Posture(-45, 300), Posture(40, 10)):
         scene = scene_of(FOUR, postures=(posture,))
-        canvas = Canvas(560, 1080)
-        stage = draw_stage(scene, cast_rays_at(scene), posture, canvas, 40, 1080, annotate=True)
-        drawn = np.argwhere(np.asarray(canvas.finished()).min(axis=2) < 250)
+        drawing = Drawing(560, 1080)
+        box = draw_stage(scene, cast_rays_at(scene), posture, drawing, 40, annotate=True)
+        drawn = np.argwhere(np.asarray(drawing.image()).min(axis=2) < 250)
         (top, left), (bottom, right) = drawn.min(axis=0), drawn.max(axis=0)
-        assert left >= stage.box[0] - 1
-        assert right <= stage.box[2] + 1
-        assert top >= stage.box[1] - 1
-        assert bottom <= stage.box[3] + 1
+        assert left >= box[0] - 1
+        assert right <= box[2] + 1
+        assert top >= box[1] - 1
+        assert bottom <= box[3] + 1
 
 
 @pytest.mark.parametrize(

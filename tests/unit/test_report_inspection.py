@@ -15,7 +15,6 @@ from lightopt.inspection import KIND_COLOURS, FoundDefect, TrueSet, Verdict, gre
 from lightopt.inspection._defect_merging import Sighting
 from lightopt.inspection._evaluation import KnownDefect
 from lightopt.report import BatchRow, batch_report
-from lightopt.report._chart import _Axis
 from lightopt.report._inspection_pictures import LABEL_COLOURS, overlay_image
 from lightopt.report._inspection_surface import _ball
 from lightopt.report._page import Facts, Note, Picture, Table
@@ -161,13 +160,6 @@ def test_the_synthetic_png_of_a_dark_part_shows_it_and_says_how(tmp_path):
     assert 255.0 * share ** told["power"] == pytest.approx(shown.grey[20, 20], abs=0.51)
     even = grey_picture(100.0 * level, level < 1.0).as_dict()
     assert even == {"black_level": 0.0, "white_level": 40.0, "power": 1.0}
-
-
-def test_a_logarithmic_axis_has_ticks_within_a_decade():
-    ticks = _Axis.over([np.array([0.2, 3.0])], True).ticks()
-    assert ticks == [0.2, 0.5, 1.0, 2.0]
-    assert _Axis.over([np.array([1e-3, 10.0])], True).ticks() == [1e-3, 1e-2, 0.1, 1.0, 10.0]
-    assert len(_Axis.over([np.array([1.0, 1.5])], True).ticks()) > 3
 
 
 def test_rows_of_a_batch_lead_to_reports_whatever_their_names():

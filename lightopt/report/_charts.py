@@ -1,0 +1,87 @@
+"""Charts of lines over a common axis, one panel below the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from lightopt.report._drawing import DPI, FAINT, INK, POINT, SOFT, fit_text, printable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+LINE, MARK, SHADE = "#1f5fbf", "#c2410c", "#c2410c33"
+
+# Okabe and Ito (2008)
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+
+WIDTH, PANEL_HEIGHT, TITLE_HEIGHT = 900, 350, 90
+"""Of a chart and of one panel with its ticks [px]."""
+
+TITLE_SIZE, TEXT_SIZE = 19, 14
+"""[px]."""
+
+
+def chart(
+    *, title: str, x_label: str, labels: Sequence[str], log_x: bool = False, log_y: Sequence[bool] = ()
+) -> tuple[Figure, list[Axes]]:
+    """Panels to draw into, from top to bottom, each with a label that says what its values are.
+
+    Call it within :func:`lightopt.report.fixed_style`.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    height = TITLE_HEIGHT + len(labels) * PANEL_HEIGHT
+    layout = ConstrainedLayoutEngine(w_pad=0.2, h_pad=0.15)
+    figure = Figure(figsize=(WIDTH / DPI, height / DPI), dpi=DPI, layout=layout)
+    figure.suptitle(
+        printable(fit_text(title, TITLE_SIZE, WIDTH - 60)), x=0.03, ha="left", color=INK, fontsize=TITLE_SIZE * POINT
+    )  # fmt: skip
+    panels: list[Axes] = list(figure.subplots(len(labels), 1, sharex=True, squeeze=False)[:, 0])
+    for i, (panel, label) in enumerate(zip(panels, labels, strict=True)):
+        panel.set_title(
+            printable(fit_text(label, TEXT_SIZE, WIDTH - 130)), loc="left", color=SOFT, fontsize=TEXT_SIZE * POINT
+        )  # fmt: skip
+        panel.grid(color=FAINT, linewidth=POINT)
+        panel.set_axisbelow(True)
+        panel.tick_params(which="both", length=0, labelsize=TEXT_SIZE * POINT, labelcolor=SOFT)
+        panel.spines[:].set_visible(False)
+        if log_x:
+            panel.set_xscale("log")
+            _label_decades(panel.xaxis)
+        if i < len(log_y) and log_y[i]:
+            panel.set_yscale("log")
+            _label_decades(panel.yaxis)
+    panels[-1].set_xlabel(x_label, color=INK, fontsize=TEXT_SIZE * POINT)
+    return figure, panels
+
+
+def name_lines(panel: Axes) -> None:
+    """Name the lines of a panel that have labels, to its right."""
+    panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=TEXT_SIZE * POINT)
+
+
+def label_whole_numbers(axis: Axis) -> None:
+    """Ticks at whole numbers only."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator("auto", integer=True))
+
+
+def _label_decades(axis: Axis) -> None:
+    """Ticks at the decades of a logarithmic axis, or at 1, 2 and 5 of each, or evenly spaced where it is short."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+    class Decades(LogLocator):
+        def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+            if vmax < 3.0 * vmin:
+                return MaxNLocator(nbins=8, steps=[1, 2, 5, 10]).tick_values(vmin, vmax)
+            self.set_params(subs=(1.0, 2.0, 5.0) if vmax < 30.0 * vmin else (1.0,))
+            return super().tick_values(vmin, vmax)
+
+    axis.set_major_locator(Decades())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,338 @@
+"""Drawing with matplotlib, in pixels and always in one style and font: the same drawing gives the same bytes.
+
+matplotlib takes long to import, so each function imports what it uses.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lightopt.core.errors import percent
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+    from lightopt.design import LegendRow
+
+INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
+
+DPI = 64
+"""Of all figures. A power of two: whole pixels remain whole when they are expressed in inches."""
+
+POINT = 72 / DPI
+"""Length of a pixel [pt]."""
+
+FONT = "DejaVu Sans"
+"""Comes with matplotlib."""
+
+CAP_HEIGHT, DESCENT, LINE_HEIGHT = 0.73, 0.24, 1.35
+"""Of the font, per em."""
+
+SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26
+"""Sizes of a legend's text [px]; in between a fiftieth of the picture's width."""
+
+_MATH = "$\\mathdefault{"
+
+Points = NDArray[np.float64]
+"""Places on the picture [px], x to the right and y down, shape (n, 2)."""
+
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom [px]."""
+
+
+@contextmanager
+def fixed_style() -> Generator[None, None, None]:
+    """Draw in matplotlib's default style with the fixed font, whatever the user has configured; also a decorator."""
+    import matplotlib.style
+
+    own: dict[str, Any] = {
+        "font.family": FONT,
+        "lines.linewidth": 2.0 * POINT,
+        "lines.markersize": 8.0 * POINT,
+        "lines.scale_dashes": False,
+        "text.parse_math": False,  # a name may have any letters
+    }
+    with matplotlib.style.context(["default", own]):
+        yield
+
+
+def sub(letter: str, index: str) -> str:
+    """A letter with a subscript."""
+    return f"{_MATH}{letter}_{index}}}$"
+
+
+def font_file() -> str:
+    """Path of the font."""
+    import matplotlib
+
+    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+
+
+def printable(text: str) -> str:
+    """One line of text, with a replacement character for each that the font lacks."""
+    from matplotlib.font_manager import get_font
+
+    font = get_font(font_file())
+    return "".join(c if c.isprintable() and font.get_char_index(ord(c)) else "\ufffd" for c in text)
+
+
+def text_width(text: str, size: float) -> int:
+    """Width of a line of text of a size [px], rounded up [px]."""
+    from matplotlib.backends.backend_agg import RendererAgg
+    from matplotlib.font_manager import FontProperties
+
+    font = FontProperties(family=FONT, size=size * POINT)
+    width, _, _ = RendererAgg(1, 1, DPI).get_text_width_height_descent(printable(text), font, _MATH in text)
+    return math.ceil(width)
+
+
+def fit_text(text: str, size: float, width: float) -> str:
+    """The text, its end replaced by an ellipsis where it is wider than `width` [px]."""
+    if text_width(text, size) <= width:
+        return text
+    shortened = (text[:end].rstrip() + "…" for end in range(len(text) - 1, 0, -1))
+    return next((line for line in shortened if text_width(line, size) <= width), "…")
+
+
+def figure_image(figure: Figure) -> Image.Image:
+    """A figure as an RGB picture."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label:
+    """What to write, and where it belongs.
+
+    anchor : the place named [px]
+    away : preferred direction from the anchor to the label, of any length; None for any
+    """
+
+    text: str
+    anchor: tuple[float, float]
+    colour: str
+    away: tuple[float, float] | None = None
+
+
+class Drawing:
+    """A white picture of a size [px]. What is drawn later lies above what was drawn before."""
+
+    def __init__(self, width: int, height: int) -> None:
+        from matplotlib.figure import Figure
+        from matplotlib.transforms import Affine2D
+
+        self.width, self.height = width, height
+        self._figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+        self._pixels = Affine2D().scale(1.0, -1.0).translate(0.0, height)
+        self._depths = itertools.count(1)
+
+    def line(
+        self, points: Points, *, colour: str, width: float = 1.5, dash: tuple[float, float] | None = None
+    ) -> None:
+        """Draw a polyline; `width` and the lengths of dash and gap in [px]."""
+        from matplotlib.lines import Line2D
+
+        style: Any = "-" if dash is None else (0.0, [length * POINT for length in dash])
+        x, y = np.asarray(points, dtype=np.float64).T
+        self._add(
+            Line2D(
+                x, y, color=colour, linewidth=width * POINT, linestyle=style, solid_capstyle="butt",
+                solid_joinstyle="round",
+            )
+        )  # fmt: skip
+
+    def polygon(
+        self, points: Points, *, fill: str = "none", outline: str = "none", width: float = 1.5
+    ) -> None:
+        """Draw an area; a fill of the form ``#rrggbbaa`` is translucent."""
+        from matplotlib.patches import Polygon
+
+        self._add(Polygon(points, facecolor=fill, edgecolor=outline, linewidth=width * POINT))
+
+    def rectangle(self, box: Box, *, fill: str = "none", outline: str = "none", width: float = 1.5) -> None:
+        """Draw an upright rectangle."""
+        left, top, right, bottom = box
+        corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+        self.polygon(corners, fill=fill, outline=outline, width=width)
+
+    def disc(self, centre: Points, radius: float, *, fill: str, outline: str = "none") -> None:
+        """Draw a disc around a place of shape (2,); radius in [px]."""
+        from matplotlib.patches import Circle
+
+        x, y = centre
+        self._add(
+            Circle((float(x), float(y)), radius, facecolor=fill, edgecolor=outline, linewidth=1.5 * POINT)
+        )
+
+    def arrow(self, points: Points, *, colour: str, width: float = 2.0, head: float = 13.0) -> None:
+        """Draw a polyline that ends in an arrow head of the given length [px]; a short line gets a smaller one."""
+        from matplotlib.patches import FancyArrowPatch
+        from matplotlib.path import Path as Polyline
+
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        if length < 1.0:
+            return
+        self._add(
+            FancyArrowPatch(
+                path=Polyline(points), arrowstyle="-|>,head_length=0.9,head_width=0.27", color=colour,
+                mutation_scale=min(head, 0.6 * length) * POINT, linewidth=width * POINT, shrinkA=0.0, shrinkB=0.0,
+                capstyle="butt", joinstyle="miter",
+            )
+        )  # fmt: skip
+
+    def picture(self, picture: NDArray[np.uint8], left: int, top: int) -> None:
+        """Lay an RGB or RGBA picture over the drawing, pixel on pixel."""
+        below = self.height - top - len(picture)
+        self._figure.figimage(picture, left, below, zorder=next(self._depths), origin="upper")
+
+    def text(
+        self,
+        x: float,
+        baseline: float,
+        text: str,
+        *,
+        size: float,
+        colour: str = INK,
+        align: Literal["left", "center", "right"] = "left",
+        halo: str | None = None,
+    ) -> None:
+        """Write a line of text of a size [px]; `halo` is the colour of a border that sets the letters off."""
+        from matplotlib.patheffects import withStroke
+        from matplotlib.text import Text
+
+        effects = [] if halo is None else [withStroke(linewidth=0.3 * size * POINT, foreground=halo)]
+        written = Text(
+            x, baseline, printable(text), fontsize=size * POINT, color=colour, horizontalalignment=align,
+            verticalalignment="baseline", parse_math=_MATH in text, path_effects=effects,
+        )  # fmt: skip
+        self._add(written)
+
+    def labels(self, labels: Sequence[Label], *, size: float, bounds: Box) -> list[Box]:
+        """Write labels within bounds, none on another and as little as possible on what is drawn; where they stand.
+
+        The first ones have the choice. One for which there is no room at all is left out. A thin line leads to an
+        anchor that is far.
+        """
+        sums = np.zeros((self.height + 1, self.width + 1))
+        sums[1:, 1:] = _ink(self.image()).cumsum(axis=0).cumsum(axis=1)
+        placed: list[tuple[Label, Box]] = []
+        for label in labels:
+            box = _best_box(label, size, sums, bounds, [other for _, other in placed])
+            if box is not None:
+                placed.append((label, box))
+        for label, (left, top, right, bottom) in placed:
+            x, y = label.anchor
+            nearest = (min(max(x, left), right), min(max(y, top), bottom))
+            if math.dist((x, y), nearest) > _LEADER:
+                self.line(np.array([(x, y), nearest]), colour="#8a919b", width=1.0)
+        for label, (left, _, _, bottom) in placed:
+            self.text(
+                left, bottom - DESCENT * size, label.text, size=size, colour=label.colour, halo="#ffffff"
+            )
+        return [box for _, box in placed]
+
+    def image(self) -> Image.Image:
+        """The picture so far, RGB."""
+        return figure_image(self._figure)
+
+    def _add(self, artist: Artist) -> None:
+        artist.set_transform(self._pixels)
+        artist.set_zorder(next(self._depths))
+        self._figure.add_artist(artist)
+
+
+_RADII = (6, 12, 20, 30, 44, 62, 85, 115, 155, 210, 280, 370, 480, 620, 800)
+"""Distances from a label to its anchor that are tried [px], each in so many directions."""
+
+_DIRECTIONS = 24
+
+_SPACE = 4
+"""Least distance of two labels [px]."""
+
+_LEADER = 34
+"""From this distance on a thin line leads from the anchor to the label [px]."""
+
+_INK_COST, _SIDE_COST = 450.0, 16.0
+"""What a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance."""
+
+
+def _ink(image: Image.Image) -> NDArray[np.float64]:
+    # how much is drawn at each pixel, 0 to 1; pale areas are as good as paper
+    darkness = 255.0 - np.asarray(image).min(axis=2)
+    return np.clip((darkness - 24.0) / 100.0, 0.0, 1.0)
+
+
+def _best_box(
+    label: Label, size: float, sums: NDArray[np.float64], bounds: Box, taken: Sequence[Box]
+) -> Box | None:
+    """The best place for a label, given the integral image of the ink and the boxes of other labels."""
+    radius, angle = np.meshgrid(_RADII, 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS, indexing="ij")
+    ux, uy = np.cos(angle), np.sin(angle)
+    width, height = text_width(label.text, size), math.ceil((CAP_HEIGHT + 2.0 * DESCENT) * size)
+    # whole pixels, so that the box found is the box written
+    left = np.rint(label.anchor[0] + ux * radius + (ux - 1.0) * 0.5 * width).astype(int)
+    top = np.rint(label.anchor[1] + uy * radius + (uy - 1.0) * 0.5 * height).astype(int)
+    right, bottom = left + width, top + height
+    free = (left >= bounds[0]) & (top >= bounds[1]) & (right <= bounds[2]) & (bottom <= bounds[3])
+    for box in taken:
+        beside = (left >= box[2] + _SPACE) | (right + _SPACE <= box[0])
+        free &= beside | (top >= box[3] + _SPACE) | (bottom + _SPACE <= box[1])
+    if not free.any():
+        return None
+    x0, x1 = (np.clip(side, 0, sums.shape[1] - 1) for side in (left, right))
+    y0, y1 = (np.clip(side, 0, sums.shape[0] - 1) for side in (top, bottom))
+    ink = (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]) / (width * height)
+    cost = radius + _INK_COST * ink
+    if label.away is not None and (length := math.hypot(*label.away)) > 0.0:
+        cost += _SIDE_COST * (0.5 - 0.5 * (ux * label.away[0] + uy * label.away[1]) / length)
+    best = np.unravel_index(np.argmin(np.where(free, cost, np.inf)), free.shape)
+    return float(left[best]), float(top[best]), float(right[best]), float(bottom[best])
+
+
+@fixed_style()
+def with_legend(picture: NDArray[np.uint8], title: str, rows: Sequence[LegendRow]) -> NDArray[np.uint8]:
+    """A picture with a title and a legend below it, on white; it is made wider where they need more room.
+
+    Parameters
+    ----------
+    picture
+        Red, green and blue, shape (height, width, 3); its pixels stay where they are.
+    title
+        One line.
+    rows
+        Colours, what they stand for, and how much that is.
+    """
+    height, width = picture.shape[:2]
+    size = min(LARGEST_LEGEND, max(SMALLEST_LEGEND, width // 50))
+    gap, line, swatch = size, round(1.7 * size), size + size // 3
+    # in columns: swatches, label, amount
+    label = 1.5 * gap + max(len(row.colours) for row in rows) * swatch
+    amount = label + max(text_width(row.label, size) for row in rows) + gap + text_width(percent(1.0), size)
+    wide = max(width, math.ceil(amount) + gap, text_width(title, size) + 2 * gap)
+    drawing = Drawing(wide, height + 2 * gap + (len(rows) + 1) * line)
+    drawing.picture(picture, 0, 0)
+    baseline = height + gap + CAP_HEIGHT * size
+    drawing.text(gap, baseline, title, size=size)
+    for row in rows:
+        baseline += line
+        for k, (red, green, blue) in enumerate(row.colours):
+            left, top = gap + k * swatch, round(baseline - 0.9 * size)
+            colour = f"#{red:02x}{green:02x}{blue:02x}"
+            drawing.rectangle((left, top, left + size, top + size), fill=colour, outline=SOFT, width=1.0)
+        drawing.text(label, baseline, row.label, size=size)
+        drawing.text(amount, baseline, row.amount, size=size, align="right")
+    return np.array(drawing.image())
