@@ -16,14 +16,13 @@ from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.core.provenance import provenance
 from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet, ResultFolder, posture_folder, write_exr, write_png
-from lightopt.inspection._calibration import Calibration
-from lightopt.inspection._defect_merging import KIND_COLOURS
-from lightopt.inspection._grey import grey_picture
-from lightopt.inspection._measure import to_file
+from lightopt.inspection._grey_picture import grey_picture
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._regions import pixels_of
-from lightopt.inspection._results import InspectedPosture, Inspection
-from lightopt.inspection._verdict import Verdict
+from lightopt.inspection._results import InspectedPosture, Inspection, Verdict
+from lightopt.inspection.calibration._calibration import Calibration
+from lightopt.inspection.detection._defects import KIND_COLOURS
+from lightopt.inspection.detection._regions import pixels_of
+from lightopt.inspection.prediction._frames import to_file
 
 DEFECTS_NAME, BATCH_NAME = "defects.json", "batch.json"
 TRUTH_NAME, REPORT_NAME = "truth.json", "report.html"

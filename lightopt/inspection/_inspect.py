@@ -1,4 +1,4 @@
-"""From a rig, a part and its images to defects, places and shares of the surface."""
+"""Inspect the images of a part: from rig, part and image set to defects and inspected surface."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from functools import cache, partial
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.images import ImageSet
-from lightopt.inspection._aligned_set import LaidSet, lay_set
-from lightopt.inspection._calibration import CalibratedPosture, Calibration
-from lightopt.inspection._coverage_blocks import coverage_in_blocks
-from lightopt.inspection._defect_merging import gather
-from lightopt.inspection._detection_score import SCALES_PX, threshold
-from lightopt.inspection._deviation import deviations
-from lightopt.inspection._measure import measure_regions
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._part_registration import Progress
-from lightopt.inspection._posture_view import PostureView
-from lightopt.inspection._prediction_cache import Predictions
-from lightopt.inspection._region_splitting import separate_pieces
-from lightopt.inspection._regions import find_regions
 from lightopt.inspection._results import InspectedPosture, Inspection
-from lightopt.inspection._surface import surface_coverage
-from lightopt.inspection._systematic import nominal_pixels, without_systematic
-from lightopt.inspection._template_scores import score_posture, synthetic_image
-from lightopt.inspection._texts import inspection_words
+from lightopt.inspection._warnings import inspection_words
+from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
+from lightopt.inspection.calibration._systematic import without_systematic
+from lightopt.inspection.detection._coverage import coverage_in_blocks
+from lightopt.inspection.detection._defects import gather
+from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._measurement import measure_regions
+from lightopt.inspection.detection._regions import find_regions, separate_pieces
+from lightopt.inspection.detection._score import SCALES_PX, threshold
+from lightopt.inspection.detection._surface_coverage import surface_coverage
+from lightopt.inspection.detection._template import score_posture
+from lightopt.inspection.fusion._synthetic_image import synthetic_image
+from lightopt.inspection.prediction._frames import nominal_pixels
+from lightopt.inspection.prediction._posture_view import PostureView
+from lightopt.inspection.prediction._prediction_cache import Predictions
+from lightopt.inspection.prediction._registered_set import LaidSet, Progress, lay_set
 from lightopt.scene import part_postures
 
 MOST_REGIONS = 1000

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
-from lightopt.inspection._fusion import FUSIONS, Fusion
+from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
 
 Detector = Literal["residual", "template"]
 DETECTORS: Final = ("residual", "template")

@@ -1,4 +1,4 @@
-"""The part file that names scattered defects: the part's own text, and a list at its end."""
+"""The part file that lists random defects: the part's own text with a list at its end."""
 
 from __future__ import annotations
 

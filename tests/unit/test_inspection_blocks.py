@@ -13,9 +13,8 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
 from lightopt.images import read_image_set
 from lightopt.inspection import deviations, posture_view, predict, score_deviations
-from lightopt.inspection._coverage import measure_coverage
-from lightopt.inspection._coverage_blocks import coverage_in_blocks
-from lightopt.inspection._filter import filter_tile, gaussian_taps
+from lightopt.inspection._row_blocks import filter_tile, gaussian_taps
+from lightopt.inspection.detection._coverage import coverage_in_blocks, measure_coverage
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 
 FLAT = Posture(0.0, 0.0)

@@ -13,8 +13,8 @@ import pytest
 from lightopt.cli._main import run
 from lightopt.images import read_image_set
 from lightopt.inspection import Deviations, least_rate, score_deviations, sets_needed
-from lightopt.inspection._false_alarm_rates import held_threshold
-from lightopt.inspection._systematic import Residuals, SystematicSums, without_systematic
+from lightopt.inspection.calibration._false_alarm_rates import held_threshold
+from lightopt.inspection.calibration._systematic import Residuals, SystematicSums, without_systematic
 
 # --- rates
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from lightopt.inspection import CONTRASTS, Deviations, SurfaceCoverage, score_deviations
-from lightopt.inspection._coverage import least_contrast, measure_coverage
-from lightopt.inspection._deviation import DARK
-from lightopt.inspection._surface_classes import Reached
+from lightopt.inspection.detection._coverage import Reached, least_contrast, measure_coverage
+from lightopt.inspection.detection._deviation import DARK
 
 SIDE, STEP = 360, 24
 LEVEL, SCALE, HIGH = 100.0, 2.0, 6.5

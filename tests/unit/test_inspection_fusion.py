@@ -104,7 +104,7 @@ def test_one_image_alone_is_given_back():
 
 def plain_paper(levels, deviations, weights, axis):
     """The paper's rule as it reads, pixel by pixel: kept where another image has a gradient of half the size nearby."""
-    from lightopt.inspection._fusion import Edges
+    from lightopt.inspection.fusion._gradient_fusion import Edges
 
     edges = Edges.of(weights, deviations, axis)
     noise = edges.noise.astype(np.float64)
@@ -126,7 +126,7 @@ def plain_paper(levels, deviations, weights, axis):
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("images", [1, 2, 4])
 def test_the_papers_rule_is_what_it_reads(axis, images):
-    from lightopt.inspection._fusion import fuse_gradients
+    from lightopt.inspection.fusion._gradient_fusion import fuse_gradients
 
     rng = np.random.default_rng(images)
     shape = (images, 70, 23)
@@ -143,7 +143,7 @@ def test_the_papers_rule_is_what_it_reads(axis, images):
 
 def plain_choice(levels, deviations, weights, axis, fusion):
     """The other rules as they read, pixel by pixel."""
-    from lightopt.inspection._fusion import Edges
+    from lightopt.inspection.fusion._gradient_fusion import Edges
 
     edges = Edges.of(weights, deviations, axis)
     gradient = np.diff(levels, axis=2 if axis == 1 else 1).astype(np.float64)
@@ -164,7 +164,7 @@ def plain_choice(levels, deviations, weights, axis, fusion):
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("fusion", ["median", "minimum", "second-largest"])
 def test_rules_that_choose_are_what_they_read(axis, fusion):
-    from lightopt.inspection._fusion import fuse_gradients
+    from lightopt.inspection.fusion._gradient_fusion import fuse_gradients
 
     rng = np.random.default_rng(8)
     shape = (4, 70, 23)
@@ -205,7 +205,7 @@ def test_what_noise_makes_of_a_rule_that_chooses_is_taken_off(fusion, monkeypatc
     plain = fuse_images(predicted, deviations, np.ones_like(weights), MASK, fusion=fusion, probes=0).level
 
     def off(draws):
-        monkeypatch.setattr("lightopt.inspection._synthetic.PROBES", draws)
+        monkeypatch.setattr("lightopt.inspection.fusion._synthetic_image.PROBES", draws)
         images = []
         for seed in range(6):
             noise = np.random.default_rng(seed).standard_normal(predicted.shape, dtype=np.float32)

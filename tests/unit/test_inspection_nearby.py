@@ -13,7 +13,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import read_image_set
 from lightopt.inspection import Predictions, good_part, predict
-from lightopt.inspection._slopes import move, node_steps, prediction_slopes, shifted
+from lightopt.inspection.prediction._derivatives import move, node_steps, prediction_slopes, shifted
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
 
 TILTED = Posture(-10.0, 170.0)
@@ -135,7 +135,7 @@ def test_what_the_first_part_did_not_determine_stays(first, shared_bench, tmp_pa
 def test_slopes_too_large_to_keep_are_not_rendered(first, shared_bench, tmp_path, monkeypatch):
     rig, part, images = images_of(shared_bench, tmp_path / "second", (0.46, -0.34, 0.55), seed=2)
     nominal, observations = good_part(rig, part, images, known=first.nominal)
-    monkeypatch.setattr("lightopt.inspection._prediction_cache.MOST_BYTES", 1000)
+    monkeypatch.setattr("lightopt.inspection.prediction._prediction_cache.MOST_BYTES", 1000)
     assert first.nearby(nominal, observations) is None
     assert not first.slopes
 

@@ -23,15 +23,15 @@ from lightopt.inspection import (
     separate_pieces,
     threshold,
 )
-from lightopt.inspection._defect_merging import Sighting, gather
-from lightopt.inspection._detection_score import (
+from lightopt.inspection.detection._defects import Sighting, gather
+from lightopt.inspection.detection._regions import core_pixels, sums_in
+from lightopt.inspection.detection._score import (
     STRONGEST_Z,
     noise_gain,
     rank_probability,
     smoothed_deviations,
 )
-from lightopt.inspection._region_splitting import core_pixels, sums_in
-from lightopt.inspection._template import templates
+from lightopt.inspection.detection._template import templates
 
 
 def noise(lights, rows=200, columns=240, *, seed=0, holes=False):
@@ -240,7 +240,7 @@ def test_templates_answer_to_no_even_image_and_are_of_one_size():
 def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_bench):
     from lightopt import build_scene
     from lightopt.estimate.registration import place_part
-    from lightopt.inspection._measure import to_file
+    from lightopt.inspection.prediction._frames import to_file
     from lightopt.scene import view_from_part
 
     bench = shared_bench.part.with_name("turned.yaml")
@@ -261,7 +261,7 @@ def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_
 
 
 def test_the_pixels_of_regions_are_those_of_their_numbers():
-    from lightopt.inspection._regions import pixels_of
+    from lightopt.inspection.detection._regions import pixels_of
 
     labels = np.array([[0, 2, 2], [3, 0, 2], [1, 3, 0]], np.int32)
     for number, (row, column) in enumerate(pixels_of(labels, 3), start=1):

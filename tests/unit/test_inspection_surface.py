@@ -11,8 +11,9 @@ from lightopt import build_scene
 from lightopt.core.transforms import Posture
 from lightopt.geometry import face_areas
 from lightopt.inspection import Coverage
-from lightopt.inspection._surface import map_surface, surface_coverage
-from lightopt.inspection._surface_classes import Reached
+from lightopt.inspection.detection._coverage import Reached
+from lightopt.inspection.detection._surface_coverage import surface_coverage
+from lightopt.inspection.prediction._predict import map_surface
 from lightopt.rendering import GRAZING_COSINE, cast_rays_at, trace_pixels
 
 FLAT, TURN, TILTED = Posture(0.0, 0.0), Posture(0.0, 360.0), Posture(-40.0, 170.0)

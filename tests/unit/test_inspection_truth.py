@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightopt.inspection import area_under_roc, fit_detection
-from lightopt.inspection._evaluation import region_hits
+from lightopt.inspection.evaluation._evaluation import region_hits
 
 
 def test_the_area_counts_pairs_and_ties_by_half():

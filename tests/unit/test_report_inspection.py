@@ -12,8 +12,8 @@ from PIL import Image
 from lightopt.config import InspectionConfig
 from lightopt.core.transforms import Posture
 from lightopt.inspection import KIND_COLOURS, FoundDefect, TrueSet, Verdict, grey_picture, summarise
-from lightopt.inspection._defect_merging import Sighting
-from lightopt.inspection._evaluation import KnownDefect
+from lightopt.inspection.detection._defects import Sighting
+from lightopt.inspection.evaluation._evaluation import KnownDefect
 from lightopt.report import BatchRow, batch_report
 from lightopt.report._chart import _Axis
 from lightopt.report._inspection_pictures import LABEL_COLOURS, overlay_image

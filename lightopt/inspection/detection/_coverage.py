@@ -1,0 +1,279 @@
+"""Which share of the surface that a posture shows was inspected, how sensitively, and why the rest was not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from lightopt.core.threads import in_threads
+from lightopt.inspection._row_blocks import BLOCK_ROWS, row_blocks
+from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._score import disc_gain
+from lightopt.inspection.prediction._posture_view import PostureView
+
+CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
+"""Shares of the light that a defect takes away, for which the sensitivity is told."""
+
+TOLD_SIZE_PX = 5.0
+"""Diameter of the even disc that it is told for."""
+
+
+class Reached(IntEnum):
+    """How far the inspection of a place got, the least first; with several postures the furthest counts.
+
+    What is seen at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`) is left out of all shares.
+
+    What is lit in fewer images than must show a defect, or is only reached by light and stays dark, is judged by these,
+    as :func:`lightopt.inspection.score_deviations` does it. No pixel is missing, only patches of the surface:
+    images show them at an edge at most, and a posture without images would show them better.
+    """
+
+    NO_PART = 0
+    GRAZING = 1
+    EDGE = 2
+    MISSING = 3
+    SHADOW = 4
+    SATURATED = 5
+    GLINTS = 6
+    FEWER = 7
+    INSPECTED = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shares:
+    """A surface by what each place of it can show, and why nothing where it can show nothing.
+
+    Attributes
+    ----------
+    seen
+        By the camera, not at a grazing angle [mm²].
+    inspected
+        Of it, judged [mm²]: the areas of :attr:`classes`.
+    glints
+        Of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes it
+        darker does not.
+    fewer
+        Of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
+        show in these alone.
+    saturated, shadow, edge
+        Of what is seen, not judged: image and prediction are saturated under each light that reaches it; no light
+        does; next to silhouettes and creases [mm²].
+    grazing
+        Seen at a grazing angle only, which is left out [mm²].
+    sensitivity
+        By contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that share is found
+        half of the time [mm²]. The rest is dark, or shows stronger ones.
+    """
+
+    seen: float
+    inspected: float
+    glints: float = 0.0
+    fewer: float = 0.0
+    saturated: float
+    shadow: float
+    edge: float
+    grazing: float = 0.0
+    sensitivity: dict[float, float]
+
+    @property
+    def share(self) -> float:
+        """Of what the camera sees, the share that was inspected."""
+        return self.inspected / self.seen if self.seen > 0.0 else 0.0
+
+    @property
+    def left_out(self) -> float:
+        """Of all that the camera sees, the share that it sees at a grazing angle only."""
+        return self.grazing / max(self.seen + self.grazing, 1e-9)
+
+    @property
+    def classes(self) -> tuple[float, ...]:
+        """Areas [mm²], of what was inspected.
+
+        Where a disc is found from each of :data:`CONTRASTS` on, the least first; where only stronger ones are; where
+        only glints show.
+        """
+        found = [self.sensitivity.get(contrast, 0.0) for contrast in CONTRASTS]
+        each = [more - less for less, more in zip([0.0, *found], found, strict=False)]
+        return (*each, self.inspected - self.glints - found[-1], self.glints)
+
+    def shares(self) -> dict[str, Any]:
+        """JSON form: shares of what the camera sees without what is left out; that as a share of all that it sees."""
+
+        def share(area: float) -> float:
+            return round(area / max(self.seen, 1e-9), 5)
+
+        return {
+            "inspected": share(self.inspected),
+            "finds_contrast": {f"{c:g}": share(a) for c, a in self.sensitivity.items()},
+            "only_stronger": share(self.classes[-2]),
+            "only_glints": share(self.glints),
+            "fewer_lights": share(self.fewer),
+            "saturated": share(self.saturated),
+            "shadow": share(self.shadow),
+            "edge": share(self.edge),
+            "left_out": round(self.left_out, 5),
+        }
+
+
+def class_areas(
+    areas: NDArray[np.floating[Any]], reached: NDArray[np.uint8], least_contrast: NDArray[np.floating[Any]]
+) -> dict[str, Any]:
+    """The attributes of :class:`Shares`, added up over places.
+
+    Parameters
+    ----------
+    areas
+        Of each place [mm²].
+    reached
+        :class:`Reached` of each, same shape.
+    least_contrast
+        Share of the light that a disc of 5 pixels must change to be found there, same shape; infinite where none is.
+    """
+
+    def of(which: NDArray[np.bool_]) -> float:
+        return float(areas[which].sum())
+
+    return {
+        "seen": of(reached > Reached.GRAZING),
+        "inspected": of(reached >= Reached.GLINTS),
+        "glints": of(reached == Reached.GLINTS),
+        "fewer": of(reached == Reached.FEWER),
+        "saturated": of(reached == Reached.SATURATED),
+        "shadow": of(reached == Reached.SHADOW),
+        "edge": of(reached == Reached.EDGE),
+        "grazing": of(reached == Reached.GRAZING),
+        "sensitivity": {contrast: of(least_contrast <= contrast) for contrast in CONTRASTS},
+    }
+
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage(Shares):
+    """The surface that the camera sees in a posture.
+
+    Attributes
+    ----------
+    reached
+        :class:`Reached` of each pixel, shape (H, W).
+    least_contrast
+        Share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W); infinite where it
+        is dark, or nothing was inspected.
+    """
+
+    reached: NDArray[np.uint8] = field(compare=False, repr=False)
+    least_contrast: Float32 = field(compare=False, repr=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {"seen_mm2": round(self.seen, 3), **self.shares()}
+
+
+def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high: float) -> Coverage:
+    """The surface of a posture that was inspected.
+
+    Parameters
+    ----------
+    view, found
+        Of the posture.
+    seen_by
+        In how many images a defect must show.
+    high
+        Threshold of the score.
+    """
+    area = view.prediction.area.astype(np.float64)
+    part = view.part & (area > 0.0)
+    lit = found.lit.sum(axis=0)
+    full = (view.saturated & (view.predicted >= view.limit)).any(axis=0)
+    reached = np.zeros(part.shape, np.uint8)
+    reached[part] = Reached.EDGE
+    reached[part & view.prediction.grazing] = Reached.GRAZING
+    reached[part & view.clean] = Reached.SHADOW
+    reached[part & view.clean & full] = Reached.SATURATED
+    reached[part & found.usable.any(axis=0)] = Reached.GLINTS
+    reached[part & (lit > 0)] = Reached.FEWER
+    reached[part & (lit >= seen_by)] = Reached.INSPECTED
+    least = least_contrast(found, view.predicted, seen_by=seen_by, high=high)
+    least[reached < Reached.FEWER] = np.inf
+    return Coverage(
+        **class_areas(area, reached, least), reached=reached, least_contrast=least.astype(np.float32)
+    )
+
+
+def least_contrast(
+    found: Deviations, predicted: Float32, *, seen_by: int, high: float
+) -> NDArray[np.float64]:
+    """Share of the light that an even disc of 5 pixels must take away to be found half of the time, shape (H, W).
+
+    Infinite where no image is lit.
+
+    Parameters
+    ----------
+    found
+        Of a posture.
+    predicted
+        Of the good part [grey level], shape (lights, H, W).
+    seen_by
+        In how many images it must show, or in all that are lit where these are fewer.
+    high
+        Threshold of the score.
+    """
+    images = len(predicted)
+    k = np.clip(found.lit.sum(axis=0), 1, min(seen_by, images))
+    needed = _needed(images, min(seen_by, images), high)[found.usable.sum(axis=0), k]
+    share = np.where(found.lit, found.scale / np.maximum(predicted, 1e-6), np.inf)
+    weakest = np.take_along_axis(np.sort(share, axis=0), k[None] - 1, axis=0)[0]
+    return needed / disc_gain(TOLD_SIZE_PX) * weakest
+
+
+def _needed(images: int, seen_by: int, high: float) -> NDArray[np.float64]:
+    # deviation that k of n images must show for the threshold, whatever the others do, all of them half of the time;
+    # by n and k
+    z = np.full((images + 1, seen_by + 1), np.inf)
+    for n in range(1, images + 1):
+        for k in range(1, min(n, seen_by) + 1):
+            each = (10.0**-high / float(special.binom(n, k))) ** (1.0 / k)
+            z[n, k] = float(special.ndtri(0.5 ** (1.0 / k)) - special.ndtri(0.5 * each))
+    return z
+
+
+def coverage_in_blocks(
+    view: PostureView, found: Deviations, *, seen_by: int, high: float, threads: int | None = None
+) -> Coverage:
+    """The surface of a posture that was inspected, as :func:`measure_coverage` tells it.
+
+    Parameters
+    ----------
+    view, found, seen_by, high
+        As that takes them.
+    threads
+        Number of threads; the result does not depend on it.
+    """
+
+    def block(top: int) -> Coverage:
+        rows = slice(top, top + BLOCK_ROWS)
+        z, scale = found.z[:, rows], found.scale[:, rows]
+        mine = Deviations(z, scale, found.usable[:, rows], found.lit[:, rows])
+        return measure_coverage(view.in_rows(rows), mine, seen_by=seen_by, high=high)
+
+    return _joined(in_threads(block, row_blocks(len(view.clean)), threads))
+
+
+def _joined(parts: Sequence[Coverage]) -> Coverage:
+    # areas add up, images stand one below the other
+    def joined(own: Sequence[Any]) -> Any:
+        if isinstance(own[0], np.ndarray):
+            return np.concatenate(own)
+        if isinstance(own[0], dict):
+            return {key: sum(each[key] for each in own) for key in own[0]}
+        return sum(own)
+
+    names = [field.name for field in fields(Coverage)]
+    return Coverage(**{name: joined([getattr(part, name) for part in parts]) for name in names})

@@ -1,0 +1,1 @@
+"""What the images of a good part would look like where the part lies, beside those that were taken."""
