@@ -39,16 +39,21 @@ def defects(
 
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """
-    from lightopt.inspection import defects_text, scatter_defects, scatter_provenance, write_defects
+    from lightopt.inspection import (
+        place_random_defects,
+        random_defect_provenance,
+        random_defects_text,
+        write_random_defects,
+    )
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
     comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
-    scattered = scatter_defects(loaded_rig, loaded_part, count=count, seed=seed, threads=threads)
-    made_from = scatter_provenance(loaded_rig, loaded_part, count=count, seed=seed)
-    text = defects_text(loaded_part, scattered, folder=out.parent, comment=comment, made_from=made_from)
+    scattered = place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, threads=threads)
+    made_from = random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)
+    text = random_defects_text(loaded_part, scattered, folder=out.parent, comment=comment, made_from=made_from)
     make_folder(out.parent)
-    write_defects(out, text, force=force)
+    write_random_defects(out, text, force=force)
     if not quiet:
         kinds = Counter(defect.entry.name for defect in scattered)
         say(f"{counted(len(scattered), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")

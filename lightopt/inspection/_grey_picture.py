@@ -20,8 +20,6 @@ class GreyPicture:
 
     Attributes
     ----------
-    grey
-        Shape (H, W).
     black, white
         The levels that are shown black and white [grey level].
     power
@@ -34,7 +32,7 @@ class GreyPicture:
     power: float
 
     @property
-    def told(self) -> str:
+    def legend(self) -> str:
         """What grey stands for."""
         black = f"black: {self.black:.3g}, " if self.black < 0.0 else ""
         stretched = (

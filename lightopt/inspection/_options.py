@@ -27,8 +27,6 @@ class InspectOptions:
         In how many images of a posture a defect must show.
     shift
         Whether the part is looked for around where its file has it.
-    threads
-        Number of threads; all the machine's by default. The result does not depend on it.
     """
 
     detector: Detector = "residual"

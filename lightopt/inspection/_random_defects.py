@@ -40,19 +40,12 @@ _ANGLE_DIGITS = 1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ScatteredDefect:
+class RandomDefect:
     """A defect as a part file is to name it.
 
-    Attributes
-    ----------
-    name
-        That no other has.
-    entry
-        The kind of the catalogue.
-    at_mm
-        Centre in the mesh file's coordinates [mm].
-    direction_deg
-        Of its length, as part files count it [°].
+    entry: The kind of the catalogue.
+    at_mm: Centre in the mesh file's coordinates [mm].
+    direction_deg: Of its length, as part files count it [°].
     """
 
     name: str
@@ -70,9 +63,9 @@ class _Try:
     defect: PlacedDefect
 
 
-def scatter_defects(
+def place_random_defects(
     rig: RigConfig, part: PartConfig, *, count: int, seed: int, threads: int | None = None
-) -> tuple[ScatteredDefect, ...]:
+) -> tuple[RandomDefect, ...]:
     """Strew defects over the surface that the camera sees in at least one of the part's postures.
 
     The entries of the part's catalogue, or of the built-in one, take turns. Places are drawn evenly by area and
@@ -87,8 +80,6 @@ def scatter_defects(
         Number of defects, 1 to 500.
     seed
         Of the random numbers, 0 or more.
-    threads
-        Number of threads; all the machine's by default. The defects do not depend on it.
 
     Raises
     ------
@@ -121,12 +112,12 @@ def scatter_defects(
             f"{', '.join(dict.fromkeys(lost))}; ask for fewer, or give the part a defect_catalogue with smaller ones"
         )
     taken: dict[str, int] = {}
-    result: list[ScatteredDefect] = []
+    result: list[RandomDefect] = []
     for entry, choice in zip(kinds, chosen, strict=True):
         assert choice is not None
         taken[entry.name] = taken.get(entry.name, 0) + 1
         result.append(
-            ScatteredDefect(
+            RandomDefect(
                 name=f"{entry.name[:190]}-{taken[entry.name]}",
                 entry=entry,
                 at_mm=choice.at_mm,
@@ -238,13 +229,7 @@ NEAR_PX = 4.0
 
 
 class PixelMap:
-    """The pixels of a posture's image, and which of them see what.
-
-    Parameters
-    ----------
-    pixels
-        From :func:`lightopt.rendering.trace_pixels`.
-    """
+    """The pixels of a posture's image, and which of them see what."""
 
     def __init__(self, pixels: PosturePixels) -> None:
         self.pixels = pixels
@@ -253,15 +238,7 @@ class PixelMap:
 
 
 def lies_in_the_open(defect: PlacedDefect, seen: PixelMap) -> bool:
-    """Whether an image shows all of a defect and a margin around it, off silhouettes, creases and grazing views.
-
-    Parameters
-    ----------
-    defect
-        Part frame.
-    seen
-        The image's pixels.
-    """
+    """Whether an image shows all of a defect and a margin around it, off silhouettes, creases and grazing views."""
     pixels, camera = seen.pixels, seen.pixels.view.camera
     surface = pixels.surface
     columns, rows, depth = project(camera, defect.position[None])

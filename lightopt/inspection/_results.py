@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted
 from lightopt.estimate.registration import Placement, Registration
-from lightopt.inspection.detection._coverage import Coverage
-from lightopt.inspection.detection._defects import FoundDefect, Sighting
-from lightopt.inspection.detection._surface_coverage import TOLD_CONTRAST, SurfaceCoverage
+from lightopt.inspection.detection._coverage import PostureCoverage
+from lightopt.inspection.detection._defects import Detection, FoundDefect
+from lightopt.inspection.detection._surface_coverage import REFERENCE_CONTRAST, SurfaceCoverage
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene
@@ -29,20 +29,14 @@ class InspectedPosture:
 
     Attributes
     ----------
-    view
-        Images and prediction.
     make_synthetic
-        Makes the image without highlights; None where none was asked for.
+        Makes the image without highlights; None where none is wanted.
     score
         −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
     labels
         Number of the region that each pixel belongs to, 0 for none, shape (H, W).
     threshold
         Score from which a region counts.
-    sightings
-        One per region.
-    coverage
-        Of the surface.
     """
 
     view: PostureView
@@ -50,14 +44,14 @@ class InspectedPosture:
     score: Float32
     labels: NDArray[np.int32]
     threshold: float
-    sightings: tuple[Sighting, ...]
-    coverage: Coverage
+    detections: tuple[Detection, ...]
+    coverage: PostureCoverage
 
     @cached_property
     def synthetic(self) -> SyntheticImage | None:
-        """The image without highlights; None where none was asked for.
+        """The image without highlights; None where none is wanted.
 
-        It is made when it is first asked for: it takes several times as long as the verdict, which the residual
+        It is made on first use: it takes several times as long as the verdict, which the residual
         detector reaches without it.
         """
         return None if self.make_synthetic is None else self.make_synthetic()
@@ -77,21 +71,19 @@ class InspectedPosture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspection:
+class InspectionResult:
     """What an inspection of one set of images found.
 
     Attributes
     ----------
     defects
         The highest score first.
-    postures
-        In the set's order.
     placement
-        Where the part lies from where its file has it; None where it was not looked for.
+        Where the part lies from where its file has it; None where it was not searched for.
     registration
         The search that found it, or the part of the batch that it lies near; None where there was none.
-    words
-        What a person should know: missing lights and postures, and so on.
+    warnings
+        Missing lights and postures, and so on.
     nominal
         The scene with the part where its file has it.
     surface
@@ -102,7 +94,7 @@ class Inspection:
     postures: tuple[InspectedPosture, ...]
     placement: Placement | None
     registration: Registration | None = None
-    words: tuple[str, ...]
+    warnings: tuple[str, ...]
     nominal: Scene = field(repr=False, compare=False)
     surface: SurfaceCoverage
 
@@ -114,7 +106,7 @@ class Inspection:
             "surface": self.surface.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
             "registration": None if self.registration is None else self.registration.as_dict(),
-            "warnings": list(self.words),
+            "warnings": list(self.warnings),
         }
 
 
@@ -124,18 +116,14 @@ class Verdict:
 
     Attributes
     ----------
-    good
-        Whether it is.
     counting
         Numbers of the defects that count.
     inspected
         Share of the visible surface that was inspected in one posture or several; where it is dark, for glints.
     reasons
         Why it is not; empty for a good part.
-    limits
-        That it was judged by.
     finds
-        Share of the visible surface where :data:`lightopt.inspection.TOLD_DISC` is found half of the time.
+        Share of the visible surface where :data:`lightopt.inspection.REFERENCE_DEFECT` is found half of the time.
     glints
         Share of the visible surface that is dark, so that only glints show.
     """
@@ -154,15 +142,13 @@ class Verdict:
         return "OK" if self.good else "NG"
 
     @property
-    def told(self) -> str:
+    def explanation(self) -> str:
         """The reasons, or what speaks for the part."""
         if self.reasons:
             return "; ".join(self.reasons)
-        return (
-            _told(len(self.counting), self.limits.most_defects)
-            if self.counting
-            else "nothing found that counts"
-        )
+        if self.counting:
+            return _count_text(len(self.counting), self.limits.most_defects)
+        return "nothing found that counts"
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -170,20 +156,18 @@ class Verdict:
             "verdict": self.word,
             "counting": list(self.counting),
             "inspected": round(self.inspected, 5),
-            "finds_contrast": {f"{TOLD_CONTRAST:g}": round(self.finds, 5)},
+            "finds_contrast": {f"{REFERENCE_CONTRAST:g}": round(self.finds, 5)},
             "only_glints": round(self.glints, 5),
             "reasons": list(self.reasons),
             "limits": self.limits.model_dump(),
         }
 
 
-def judge(result: Inspection, limits: InspectionConfig) -> Verdict:
+def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
     """Hold an inspection against the part's limits.
 
     Parameters
     ----------
-    result
-        Of a set of images.
     limits
         From the part's file.
     """
@@ -195,7 +179,7 @@ def judge(result: Inspection, limits: InspectionConfig) -> Verdict:
     inspected = result.surface.share
     reasons: list[str] = []
     if len(counting) > limits.most_defects:
-        reasons.append(_told(len(counting), limits.most_defects))
+        reasons.append(_count_text(len(counting), limits.most_defects))
     if inspected == 0.0:
         reasons.append("nothing of the surface was inspected")
     elif inspected < limits.least_inspected:
@@ -214,5 +198,5 @@ def judge(result: Inspection, limits: InspectionConfig) -> Verdict:
     )
 
 
-def _told(count: int, allowed: int) -> str:
+def _count_text(count: int, allowed: int) -> str:
     return f"{counted(count, 'defect')} that count{'s' if count == 1 else ''}, {allowed} allowed"

@@ -7,12 +7,12 @@ from typing import Any
 
 from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted, percent
-from lightopt.inspection import Inspection, Verdict
+from lightopt.inspection import InspectionResult, Verdict
 from lightopt.report._inspection_tables import placement_told
 from lightopt.report._page import Facts
 
 
-def inspection_facts(result: Inspection, verdict: Verdict, provenance: Mapping[str, Any]) -> Facts:
+def inspection_facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, Any]) -> Facts:
     """What the figures of an inspection depend on.
 
     Parameters

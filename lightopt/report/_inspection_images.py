@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image
 
-from lightopt.inspection import InspectedPosture, Inspection, grey_picture
+from lightopt.inspection import InspectedPosture, InspectionResult, grey_picture
 from lightopt.report._canvas import png_bytes
 from lightopt.report._inspection_pictures import enlarged, overlay_image
 from lightopt.report._page import Block, Gallery, Picture
@@ -18,7 +18,7 @@ COLUMN_PX = 896
 """A picture of smaller images is made larger by whole factors up to the width that the page gives it."""
 
 
-def image_blocks(result: Inspection) -> list[Block]:
+def image_blocks(result: InspectionResult) -> list[Block]:
     """A picture of each posture, and of those that have one the image without highlights and its uncertainty."""
     blocks: list[Block] = []
     for posture in result.postures:
@@ -38,7 +38,7 @@ def image_blocks(result: Inspection) -> list[Block]:
             Picture(
                 png=_small(picture, OVERLAY_PX),
                 alt=f"Posture {where}: the part with its defects outlined and numbered",
-                caption=f"{caption}; {shown.told}.",
+                caption=f"{caption}; {shown.legend}.",
             )
         )
     rows = [(f"posture {p.view.posture}", pictures) for p in result.postures if (pictures := _synthetic(p))]
@@ -61,7 +61,7 @@ def _synthetic(posture: InspectedPosture) -> list[Picture | None]:
             Picture(
                 png=_small(_whole(Image.fromarray(shown.grey).convert("RGB"), SMALL_PX), SMALL_PX),
                 alt=f"Posture {posture.view.posture}: {what}",
-                caption=shown.told,
+                caption=shown.legend,
             )
         )
     return pictures

@@ -61,16 +61,16 @@ def overlay_image(
         level, mask = np.minimum(posture.view.level, posture.view.limit).min(axis=0), posture.view.part
     shown = grey_picture(level, mask)
     rgb = np.repeat(shown.grey[..., None], 3, axis=2)
-    found = {id(sighting): defect for defect in defects for sighting in defect.sightings}
-    for index, sighting in enumerate(posture.sightings):
-        rgb[_rim(posture.labels == index + 1)] = KIND_COLOURS[found[id(sighting)].best.kind]
+    found = {id(detection): defect for defect in defects for detection in defect.detections}
+    for index, detection in enumerate(posture.detections):
+        rgb[_rim(posture.labels == index + 1)] = KIND_COLOURS[found[id(detection)].best.kind]
     image = enlarged(Image.fromarray(rgb), enlarge)
     line = max(1, round(LINE_SHARE * image.width))
     draw, face = ImageDraw.Draw(image), Typeface(max(LABEL_SIZE, round(LABEL_SHARE * image.width)))
-    for sighting in posture.sightings:
-        defect = found[id(sighting)]
+    for detection in posture.detections:
+        defect = found[id(detection)]
         colour = KIND_COLOURS[defect.best.kind]
-        left, top, right, bottom = (enlarge * side for side in sighting.box_px)
+        left, top, right, bottom = (enlarge * side for side in detection.box_px)
         m = BOX_MARGIN_PX * enlarge
         draw.rectangle([left - m, top - m, right + m - 1, bottom + m - 1], outline=colour, width=line)
         x, baseline = _label_place(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from lightopt.inspection import FUSIONS, fuse_images, trust_weights
+from lightopt.inspection import FUSIONS, fuse_images, pixel_weights
 
 ROWS, COLUMNS = 70, 90
 Y, X = np.mgrid[:ROWS, :COLUMNS].astype(np.float32)
@@ -36,7 +36,7 @@ def scene(*, noise=0.0, stain=0.0, seed=0, same_place=False):
 def fused(level, specular, fusion, *, deviation=0.5, probes=0):
     deviations = np.full_like(level, deviation)
     predicted = np.array([shading(np.pi * (0.25 + 0.5 * i)) for i in range(4)], np.float32) + specular
-    weights = trust_weights(level >= TOP, predicted, specular, deviations, np.full_like(level, TOP))
+    weights = pixel_weights(level >= TOP, predicted, specular, deviations, np.full_like(level, TOP))
     return fuse_images(level, deviations, weights, MASK, fusion=fusion, probes=probes)
 
 
@@ -88,7 +88,7 @@ def test_shadow_and_neighbours_of_saturation_are_not_trusted():
     saturated = np.zeros((1, 9, 9), bool)
     saturated[0, 4, 5] = True
     flat = np.zeros_like(predicted)
-    weights = trust_weights(saturated, predicted, flat, deviations, np.full_like(predicted, TOP))[0]
+    weights = pixel_weights(saturated, predicted, flat, deviations, np.full_like(predicted, TOP))[0]
     assert (weights[:, 0] == 0).all()
     assert (weights[2:7, 3:8] == 0).all()
     assert (weights == 1).sum() == 81 - 9 - 25
@@ -184,7 +184,7 @@ def test_the_number_of_threads_changes_neither_image_nor_uncertainty(fusion):
     limit = np.full_like(level, TOP)
 
     def made(threads):
-        weights = trust_weights(level >= TOP, predicted, specular, deviations, limit, threads=threads)
+        weights = pixel_weights(level >= TOP, predicted, specular, deviations, limit, threads=threads)
         good = {"predicted": predicted, "specular": specular}
         return fuse_images(level, deviations, weights, MASK, fusion=fusion, threads=threads, **good)
 
@@ -199,7 +199,7 @@ def test_what_noise_makes_of_a_rule_that_chooses_is_taken_off(fusion, monkeypatc
     predicted = np.array([shading(np.pi * (0.25 + 0.5 * i)) for i in range(4)], np.float32)
     none = np.zeros_like(predicted)
     deviations, limit = np.full_like(predicted, 2.0), np.full_like(predicted, 1e9)
-    weights = trust_weights(none > 0, predicted, none, deviations, limit)
+    weights = pixel_weights(none > 0, predicted, none, deviations, limit)
     # half of one image has no say, as in a former highlight
     weights[0, :, :45] = 0
     plain = fuse_images(predicted, deviations, np.ones_like(weights), MASK, fusion=fusion, probes=0).level

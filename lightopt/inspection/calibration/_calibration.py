@@ -15,9 +15,14 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import computed_by, differences, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection.calibration._false_alarm_rates import CONFIDENCE, held_threshold, least_rate, too_few
-from lightopt.inspection.calibration._systematic import Systematic
-from lightopt.inspection.prediction._registered_set import Shots, shots_text
+from lightopt.inspection.calibration._false_alarm_rates import (
+    CONFIDENCE,
+    least_rate,
+    tolerance_limit,
+    too_few_good_sets,
+)
+from lightopt.inspection.calibration._systematic import SystematicDeviations
+from lightopt.inspection.prediction._registered_set import ExposuresByLight, exposures_text
 
 CALIBRATION_NAME: Final = "calibration.json"
 LEAST: Final = 3.0
@@ -26,14 +31,12 @@ LEAST: Final = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class CalibratedPosture:
-    """What good parts taught of one posture.
+    """What was learned from good parts of one posture.
 
     Attributes
     ----------
-    posture
-        Of the part.
-    shots
-        Images that each light has.
+    exposures
+        Of the images that each light has.
     peaks
         Greatest score of each good set, judged by what the others have in common.
     systematic
@@ -41,9 +44,9 @@ class CalibratedPosture:
     """
 
     posture: Posture
-    shots: Shots
+    exposures: ExposuresByLight
     peaks: tuple[float, ...]
-    systematic: Systematic | None = field(repr=False)
+    systematic: SystematicDeviations | None = field(repr=False)
 
     def threshold(self, rate: float) -> float:
         """Score that holds a rate of false alarms.
@@ -51,17 +54,17 @@ class CalibratedPosture:
         Raises
         ------
         InputError
-            So few good sets do not bear it.
+            There are too few good sets for the rate.
         """
-        peak = held_threshold(self.peaks, rate)
+        peak = tolerance_limit(self.peaks, rate)
         if peak is None:
-            raise InputError(too_few(len(self.peaks), rate, f"posture {self.posture}"))
+            raise InputError(too_few_good_sets(len(self.peaks), rate, f"posture {self.posture}"))
         return float(np.nextafter(np.float32(max(peak, LEAST)), np.float32(np.inf)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """What good parts taught.
+    """What was learned from good parts.
 
     Attributes
     ----------
@@ -69,51 +72,45 @@ class Calibration:
         False alarms that it was made for: share of the good sets of a posture.
     sets
         Names of the good sets' folders.
-    postures
-        In the sets' order.
-    made_for
-        From :func:`made_for`.
     computed_by
         From :func:`lightopt.core.provenance.computed_by`: scores of other code are other scores.
-    name
-        File name, and its hash: for the provenance of what is inspected with it.
-    sha256
-        Empty for one that no file has.
+    name, sha256
+        Of its file: for the provenance of what is inspected with it; the hash is empty where there is no file.
     """
 
     rate: float
     sets: tuple[str, ...]
     postures: tuple[CalibratedPosture, ...]
-    made_for: Mapping[str, Any]
+    fingerprint: Mapping[str, Any]
     computed_by: Mapping[str, Any] = field(default_factory=computed_by)
     name: str = CALIBRATION_NAME
     sha256: str = ""
 
-    def refuse_others(self, rig: RigConfig, part: PartConfig, options: InspectOptions) -> None:
-        """Refuse another rig, part, way to inspect or program, and a rate that the good sets do not bear.
+    def require_match(self, rig: RigConfig, part: PartConfig, options: InspectOptions) -> None:
+        """Refuse another rig, part, way to inspect or program, and a rate that needs more good sets.
 
         Raises
         ------
         InputError
             Names all that differs.
         """
-        now = made_for(rig, part, options)
-        words = {
+        now = calibration_fingerprint(rig, part, options)
+        parts = {
             "rig": f"{rig.source.path}: camera, sensor, lights or stage",
             "part": f"{part.source.path}: placement, reflectance or how the mesh is read",
             "mesh_sha256": f"{part.source.resolve(part.mesh.file)}: the mesh",
         }
         problems = [
             f"{text} differ from those that {self.name} was made for; make it anew (--calibrate)"
-            for key, text in words.items()
-            if now[key] != self.made_for.get(key)
+            for key, text in parts.items()
+            if now[key] != self.fingerprint.get(key)
         ]
-        if told := differences(self.computed_by, computed_by()):
+        if changed := differences(self.computed_by, computed_by()):
             problems.append(
-                f"{self.name} was made by another lightopt, whose scores may be others ({told}); make it anew "
+                f"{self.name} was made by another lightopt, whose scores may be others ({changed}); make it anew "
                 "(--calibrate)"
             )
-        before = self.made_for.get("options")
+        before = self.fingerprint.get("options")
         before = before if isinstance(before, Mapping) else {}
         problems += [
             f"--{key.replace('_', '-')}: {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; "
@@ -122,11 +119,11 @@ class Calibration:
             if value != before.get(key)
         ]
         if options.false_alarms < least_rate(len(self.sets)):
-            problems.append(too_few(len(self.sets), options.false_alarms, self.name))
+            problems.append(too_few_good_sets(len(self.sets), options.false_alarms, self.name))
         if problems:
             raise InputError(*problems)
 
-    def of(self, posture: Posture, shots: Shots, *, where: str) -> CalibratedPosture:
+    def of(self, posture: Posture, exposures: ExposuresByLight, *, where: str) -> CalibratedPosture:
         """What was learned of a posture that was taken in this way.
 
         Raises
@@ -141,11 +138,11 @@ class Calibration:
                 f"{where}: posture {posture} is none of those that {self.name} was made for ({there}); make it anew "
                 "with good sets of this posture (--calibrate)"
             )
-        if found.shots != shots:
+        if found.exposures != exposures:
             raise InputError(
                 f"{where}, posture {posture}: expected the images that {self.name} was made for, "
-                f"{shots_text(found.shots)}, found {shots_text(shots)}; take them as the good sets were taken, "
-                "or make the calibration anew"
+                f"{exposures_text(found.exposures)}, found {exposures_text(exposures)}; take them as the good sets "
+                "were taken, or make the calibration anew"
             )
         return found
 
@@ -156,7 +153,7 @@ class Calibration:
             "confidence": CONFIDENCE,
             "least_false_alarms": round(least_rate(len(self.sets)), 5),
             "good_sets": list(self.sets),
-            "made_for": dict(self.made_for),
+            "made_for": dict(self.fingerprint),
         }
 
 
@@ -164,7 +161,7 @@ def _shown(value: object) -> str:
     return "none" if value is None else str(value)
 
 
-def made_for(rig: RigConfig, part: PartConfig, options: InspectOptions) -> dict[str, Any]:
+def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOptions) -> dict[str, Any]:
     """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
     of_part = {
         "name": True,

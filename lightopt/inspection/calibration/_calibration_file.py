@@ -15,7 +15,7 @@ from lightopt.core.provenance import computed_by, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images import ResultFolder, posture_folder, read_exr, write_exr
 from lightopt.inspection.calibration._calibration import CALIBRATION_NAME, CalibratedPosture, Calibration
-from lightopt.inspection.calibration._systematic import Systematic
+from lightopt.inspection.calibration._systematic import SystematicDeviations
 
 FORMAT: Final = "lightopt-calibration/1"
 
@@ -33,7 +33,7 @@ class CalibrationFolder(ResultFolder):
         postures = [
             {
                 "posture": one.posture.as_dict(),
-                "shots": {light: [list(shot) for shot in shots] for light, shots in one.shots.items()},
+                "shots": {light: [list(shot) for shot in shots] for light, shots in one.exposures.items()},
                 "threshold": round(one.threshold(calibration.rate), 4),
                 "peaks": list(one.peaks),
                 **self._maps(one),
@@ -49,7 +49,7 @@ class CalibrationFolder(ResultFolder):
         channels = {
             f"{kind}.{light}": image
             for kind, images in (("mean", one.systematic.mean), ("spread", one.systematic.spread))
-            for light, image in zip(one.shots, images, strict=True)
+            for light, image in zip(one.exposures, images, strict=True)
         }
         path = self.place(name)
         sha256 = write_exr(path, channels, metadata={"posture": one.posture.as_dict()})
@@ -91,7 +91,7 @@ def read_calibration(path: Path) -> Calibration:
             rate=float(content["false_alarms"]),
             sets=sets,
             postures=tuple(_posture(path, one, len(sets)) for one in content["postures"]),
-            made_for=dict(content["made_for"]),
+            fingerprint=dict(content["made_for"]),
             computed_by={key: content["provenance"][key] for key in computed_by()},
             name=path.name,
             sha256=hashlib.sha256(data).hexdigest(),
@@ -104,7 +104,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture:
-    shots = {
+    exposures = {
         str(light): tuple((float(exposure), int(frames)) for exposure, frames in own)
         for light, own in one["shots"].items()
     }
@@ -121,9 +121,9 @@ def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture
             raise InputError(f"{maps}: not the maps that {path} was written with; make the calibration anew")
         channels = read_exr(maps)
         mean, spread = (
-            np.stack([channels[f"{kind}.{light}"] for light in shots]) for kind in ("mean", "spread")
+            np.stack([channels[f"{kind}.{light}"] for light in exposures]) for kind in ("mean", "spread")
         )
-        systematic = Systematic(mean=mean, spread=spread)
+        systematic = SystematicDeviations(mean=mean, spread=spread)
     peaks = tuple(float(peak) for peak in one["peaks"])
     if len(peaks) != sets:
         raise ValueError(f"peaks: {len(peaks)} of {sets} good sets")
@@ -132,7 +132,7 @@ def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture
             elevation_deg=float(one["posture"]["elevation_deg"]),
             rotation_deg=float(one["posture"]["rotation_deg"]),
         ),
-        shots=shots,
+        exposures=exposures,
         peaks=peaks,
         systematic=systematic,
     )

@@ -25,31 +25,23 @@ def sets_needed(rate: float) -> int:
 
 
 def least_rate(sets: int) -> float:
-    """The least rate that so many good sets bear."""
+    """The least rate that so many good sets can hold."""
     return 1.0 - (1.0 - CONFIDENCE) ** (1.0 / sets)
 
 
-def held_threshold(peaks: Sequence[float], rate: float) -> float | None:
-    """The lowest threshold that at most this share of good sets exceeds, with 95 % confidence; None if none is borne.
-
-    Parameters
-    ----------
-    peaks
-        Greatest score of each of the good sets.
-    rate
-        Share of good sets.
-    """
+def tolerance_limit(peaks: Sequence[float], rate: float) -> float | None:
+    """Lowest threshold that at most this share of good sets exceeds, with 95 % confidence; None if there is none."""
     ordered = sorted(peaks, reverse=True)
-    kept = None
+    limit = None
     for k, peak in enumerate(ordered, start=1):
         if float(special.betainc(k, len(ordered) - k + 1, min(rate, 1.0))) < CONFIDENCE - 1e-9:
             break
-        kept = peak
-    return kept
+        limit = peak
+    return limit
 
 
-def too_few(sets: int, rate: float, where: str) -> str:
-    """What to say of a rate that so many good sets do not bear; `where` names the sets."""
+def too_few_good_sets(sets: int, rate: float, where: str) -> str:
+    """Message: so many good sets cannot hold a rate; `where` names the sets."""
     least = least_rate(sets)
     return (
         f"{where}: {counted(sets, 'good set')} bear a rate of false alarms of {least:.3g} per posture or "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,25 +16,21 @@ Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
 LEAST_SHARE = 0.5
-"""Of the good sets so many must tell of a pixel, else nothing is learned of it."""
+"""At least this share of the good sets must show a pixel, else nothing is learned of it."""
 
 POOLED_PX = 3.0
-"""The spread of a pixel is that of its surroundings, Gaussian of this width: few sets tell little of one pixel."""
+"""The spread of a pixel is that of its surroundings, Gaussian of this width: few sets say little of one pixel."""
 
 GREATEST_Z = 100.0
 """Deviations beyond this say no more; a single wild pixel does not drown what the other sets say."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Systematic:
+class SystematicDeviations:
     """What good parts have in common, in the image of the part where its file has it.
 
-    Attributes
-    ----------
-    mean
-        Of the deviations of good parts, in standard deviations of the noise model, shape (lights, H, W).
-    spread
-        By how much sums of deviations scatter around that more than noise makes them, at least 1, same shape.
+    mean: of the deviations of good parts, in standard deviations of the noise model, shape (lights, H, W).
+    spread: by how much sums of deviations scatter around that more than noise makes them, at least 1, same shape.
     """
 
     mean: Float32
@@ -41,20 +38,13 @@ class Systematic:
 
 
 @dataclass(frozen=True)
-class Residuals:
-    """Deviations of one set in one posture, at the pixels that can be judged: small enough to keep those of all sets.
+class PackedDeviations:
+    """Deviations of one set in one posture, at the pixels that can be judged: small enough to store those of all sets.
 
-    Attributes
-    ----------
-    shape
-        Of the images.
-    own, nominal
-        Flat index of each pixel in the set's images, and in those of the part where its file has it (−1 outside of
-        them), shape (n,).
-    z
-        float16, shape (lights, n).
-    usable, lit
-        Same shape.
+    own, nominal: flat index of each pixel in the set's images, and in those of the part where its file has it (−1
+        outside of them), shape (n,).
+    z: float16, shape (lights, n).
+    usable, lit: same shape.
     """
 
     shape: tuple[int, int]
@@ -65,29 +55,29 @@ class Residuals:
     lit: Bool
 
     @staticmethod
-    def of(found: Deviations, nominal: NDArray[np.int32]) -> Residuals:
+    def of(found: Deviations, nominal: NDArray[np.int32]) -> PackedDeviations:
         """Those of a posture, `nominal` from :func:`nominal_pixels`."""
         own = np.flatnonzero(found.usable.any(axis=0)).astype(np.int32)
         lights, rows, columns = found.z.shape
         z = np.clip(found.z.reshape(lights, -1)[:, own], -GREATEST_Z, GREATEST_Z)
         usable, lit = (flags.reshape(lights, -1)[:, own] for flags in (found.usable, found.lit))
-        return Residuals((rows, columns), own, nominal.ravel()[own], z.astype(np.float16), usable, lit)
+        return PackedDeviations((rows, columns), own, nominal.ravel()[own], z.astype(np.float16), usable, lit)
 
     def in_own_image(self) -> Deviations:
         """As they were, scales apart."""
-        return self._spread_out(self.own, np.ones(len(self.own), np.bool_))
+        return self._scattered(self.own, np.ones(len(self.own), np.bool_))
 
     def in_nominal_image(self) -> Deviations:
         """Each at the pixel that shows its place where the part's file has it."""
-        return self._spread_out(self.nominal, self.nominal >= 0)
+        return self._scattered(self.nominal, self.nominal >= 0)
 
-    def _spread_out(self, to: NDArray[np.int32], kept: Bool) -> Deviations:
+    def _scattered(self, to: NDArray[np.int32], which: Bool) -> Deviations:
         flat = (len(self.z), self.shape[0] * self.shape[1])
         z = np.zeros(flat, np.float32)
         usable, lit = np.zeros(flat, np.bool_), np.zeros(flat, np.bool_)
-        z[:, to[kept]] = np.where(self.usable, self.z, 0.0)[:, kept]
-        usable[:, to[kept]] = self.usable[:, kept]
-        lit[:, to[kept]] = self.lit[:, kept]
+        z[:, to[which]] = np.where(self.usable, self.z, 0.0)[:, which]
+        usable[:, to[which]] = self.usable[:, which]
+        lit[:, to[which]] = self.lit[:, which]
         whole = (len(self.z), *self.shape)
         return Deviations(
             z.reshape(whole), np.ones(whole, np.float32), usable.reshape(whole), lit.reshape(whole)
@@ -100,18 +90,33 @@ class Residuals:
         index[self.own] = self.nominal
         return index.reshape(height, width)
 
+    def save(self, path: Path) -> None:
+        """Write to a file."""
+        flags = {name: np.packbits(getattr(self, name), axis=1) for name in ("usable", "lit")}
+        np.savez(path, shape=np.array(self.shape), own=self.own, nominal=self.nominal, z=self.z, **flags)
 
-def without_systematic(found: Deviations, systematic: Systematic, nominal: NDArray[np.int32]) -> Deviations:
-    """Deviations of which what good parts have in common is taken out.
+    @staticmethod
+    def load(path: Path) -> PackedDeviations:
+        """Read what :meth:`save` wrote."""
+        with np.load(path) as arrays:
+            own = arrays["own"]
+            rows, columns = (int(side) for side in arrays["shape"])
+            usable, lit = (
+                np.unpackbits(arrays[name], axis=1, count=len(own)).astype(np.bool_)
+                for name in ("usable", "lit")
+            )
+            return PackedDeviations((rows, columns), own, arrays["nominal"], arrays["z"], usable, lit)
+
+
+def subtract_systematic(
+    found: Deviations, systematic: SystematicDeviations, nominal: NDArray[np.int32]
+) -> Deviations:
+    """Deviations without what good parts have in common.
 
     Parameters
     ----------
-    found
-        Of a posture.
     systematic
         Of good parts in that posture, under the same lights.
-    nominal
-        From :func:`nominal_pixels`.
     """
     known = nominal >= 0
     at = np.where(known, nominal, 0)
@@ -127,28 +132,20 @@ class SystematicSums:
 
     def __init__(self) -> None:
         self.sets = 0
-        self._count: Float32 | None = None
-        self._total: Float32 | None = None
-        self._sums: list[Float32] = []
-        self._squares: list[Float32] = []
+        self._sums: list[
+            Float32
+        ] = []  # of counts, of deviations, and by scale of their sums and these squared
 
-    def add(self, one: Residuals) -> None:
+    def add(self, one: PackedDeviations) -> None:
         """Count a set in."""
-        self._count, self._total, self._sums, self._squares = self._with(one, 1.0)
+        self._sums = self._with(one, 1.0)
         self.sets += 1
 
-    def systematic(self, *, but: Residuals | None = None) -> Systematic:
-        """What the sets have in common.
-
-        Parameters
-        ----------
-        but
-            A set that was added and does not count.
-        """
-        if but is None:
-            sets, (count, total, sums, squares) = self.sets, self._state()
-        else:
-            sets, (count, total, sums, squares) = self.sets - 1, self._with(but, -1.0)
+    def systematic(self, *, but: PackedDeviations | None = None) -> SystematicDeviations:
+        """What the sets have in common, without `but`, a set that was added."""
+        sets = self.sets if but is None else self.sets - 1
+        count, total, *by_scale = self._sums if but is None else self._with(but, -1.0)
+        sums, squares = by_scale[: len(SCALES_PX)], by_scale[len(SCALES_PX) :]
         known = count >= max(2.0, LEAST_SHARE * sets)
         n = np.where(known, count, 2.0)
         variance = np.zeros_like(total)
@@ -157,35 +154,16 @@ class SystematicSums:
             np.maximum(variance, _around(scatter, known), out=variance)
         # of the mean of so many sets, too
         spread = np.sqrt(np.maximum(variance, 1.0) * (1.0 + 1.0 / n))
-        return Systematic(
+        return SystematicDeviations(
             mean=np.where(known, total / n, 0.0).astype(np.float32),
             spread=np.where(known, spread, 1.0).astype(np.float32),
         )
 
-    def _state(self) -> tuple[Float32, Float32, list[Float32], list[Float32]]:
-        assert self._count is not None
-        assert self._total is not None
-        return self._count, self._total, self._sums, self._squares
-
-    def _with(self, one: Residuals, sign: float) -> tuple[Float32, Float32, list[Float32], list[Float32]]:
+    def _with(self, one: PackedDeviations, sign: float) -> list[Float32]:
         found = one.in_nominal_image()
         smooth = [smoothed_deviations(found, scale)[0] for scale in SCALES_PX]
-        new = (
-            found.usable.astype(np.float32),
-            found.z,
-            smooth,
-            [np.square(s) for s in smooth],
-        )
-        if self._count is None:
-            return new
-        count, total, sums, squares = self._state()
-        factor = np.float32(sign)
-        return (
-            count + factor * new[0],
-            total + factor * new[1],
-            [a + factor * b for a, b in zip(sums, new[2], strict=True)],
-            [a + factor * b for a, b in zip(squares, new[3], strict=True)],
-        )
+        new = [found.usable.astype(np.float32), found.z, *smooth, *(np.square(s) for s in smooth)]
+        return [a + np.float32(sign) * b for a, b in zip(self._sums, new, strict=True)] if self._sums else new
 
 
 def _around(values: Float32, mask: Bool) -> Float32:

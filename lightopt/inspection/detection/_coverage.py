@@ -11,21 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from lightopt.core.threads import in_threads
-from lightopt.inspection._row_blocks import BLOCK_ROWS, row_blocks
+from lightopt.inspection._image_blocks import in_row_blocks
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import disc_gain
 from lightopt.inspection.prediction._posture_view import PostureView
 
+Float32 = NDArray[np.float32]
+
 CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
-"""Shares of the light that a defect takes away, for which the sensitivity is told."""
+"""Shares of the light that a defect takes away, for which the sensitivity is reported."""
 
-TOLD_SIZE_PX = 5.0
-"""Diameter of the even disc that it is told for."""
+REFERENCE_DISC_PX = 5.0
+"""Diameter of the even disc that it is reported for."""
 
 
-class Reached(IntEnum):
-    """How far the inspection of a place got, the least first; with several postures the furthest counts.
+class SurfaceState(IntEnum):
+    """What the inspection achieved at a place, the least first; over several postures the best counts.
 
     What is seen at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`) is left out of all shares.
 
@@ -49,26 +50,17 @@ class Reached(IntEnum):
 class Shares:
     """A surface by what each place of it can show, and why nothing where it can show nothing.
 
-    Attributes
-    ----------
-    seen
-        By the camera, not at a grazing angle [mm²].
-    inspected
-        Of it, judged [mm²]: the areas of :attr:`classes`.
-    glints
-        Of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes it
-        darker does not.
-    fewer
-        Of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
+    seen: By the camera, not at a grazing angle [mm²].
+    inspected: Of it, judged [mm²]: the areas of :attr:`classes`.
+    glints: Of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes
+        it darker does not.
+    fewer: Of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
         show in these alone.
-    saturated, shadow, edge
-        Of what is seen, not judged: image and prediction are saturated under each light that reaches it; no light
-        does; next to silhouettes and creases [mm²].
-    grazing
-        Seen at a grazing angle only, which is left out [mm²].
-    sensitivity
-        By contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that share is found
-        half of the time [mm²]. The rest is dark, or shows stronger ones.
+    saturated, shadow, edge: Of what is seen, not judged: image and prediction are saturated under each light that
+        reaches it; no light does; next to silhouettes and creases [mm²].
+    grazing: Seen at a grazing angle only, which is left out [mm²].
+    sensitivity: By contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that
+        share is found half of the time [mm²]. The rest is dark, or shows stronger ones.
     """
 
     seen: float
@@ -122,53 +114,46 @@ class Shares:
 
 
 def class_areas(
-    areas: NDArray[np.floating[Any]], reached: NDArray[np.uint8], least_contrast: NDArray[np.floating[Any]]
+    areas: NDArray[np.floating[Any]], state: NDArray[np.uint8], least_contrast: NDArray[np.floating[Any]]
 ) -> dict[str, Any]:
-    """The attributes of :class:`Shares`, added up over places.
+    """The fields of :class:`Shares`, added up over places.
 
-    Parameters
-    ----------
-    areas
-        Of each place [mm²].
-    reached
-        :class:`Reached` of each, same shape.
-    least_contrast
-        Share of the light that a disc of 5 pixels must change to be found there, same shape; infinite where none is.
+    areas: of each place [mm²].
+    state: :class:`SurfaceState` of each, same shape.
+    least_contrast: share of the light that a disc of 5 pixels must change to be found there, same shape; infinite
+        where none is.
     """
 
     def of(which: NDArray[np.bool_]) -> float:
         return float(areas[which].sum())
 
     return {
-        "seen": of(reached > Reached.GRAZING),
-        "inspected": of(reached >= Reached.GLINTS),
-        "glints": of(reached == Reached.GLINTS),
-        "fewer": of(reached == Reached.FEWER),
-        "saturated": of(reached == Reached.SATURATED),
-        "shadow": of(reached == Reached.SHADOW),
-        "edge": of(reached == Reached.EDGE),
-        "grazing": of(reached == Reached.GRAZING),
+        "seen": of(state > SurfaceState.GRAZING),
+        "inspected": of(state >= SurfaceState.GLINTS),
+        "glints": of(state == SurfaceState.GLINTS),
+        "fewer": of(state == SurfaceState.FEWER),
+        "saturated": of(state == SurfaceState.SATURATED),
+        "shadow": of(state == SurfaceState.SHADOW),
+        "edge": of(state == SurfaceState.EDGE),
+        "grazing": of(state == SurfaceState.GRAZING),
         "sensitivity": {contrast: of(least_contrast <= contrast) for contrast in CONTRASTS},
     }
 
 
-Float32 = NDArray[np.float32]
-
-
 @dataclass(frozen=True, kw_only=True)
-class Coverage(Shares):
+class PostureCoverage(Shares):
     """The surface that the camera sees in a posture.
 
     Attributes
     ----------
-    reached
-        :class:`Reached` of each pixel, shape (H, W).
+    state
+        :class:`SurfaceState` of each pixel, shape (H, W).
     least_contrast
         Share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W); infinite where it
         is dark, or nothing was inspected.
     """
 
-    reached: NDArray[np.uint8] = field(compare=False, repr=False)
+    state: NDArray[np.uint8] = field(compare=False, repr=False)
     least_contrast: Float32 = field(compare=False, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
@@ -176,34 +161,49 @@ class Coverage(Shares):
         return {"seen_mm2": round(self.seen, 3), **self.shares()}
 
 
-def measure_coverage(view: PostureView, found: Deviations, *, seen_by: int, high: float) -> Coverage:
-    """The surface of a posture that was inspected.
+def measure_coverage(
+    view: PostureView, found: Deviations, *, seen_by: int, high: float, threads: int | None = None
+) -> PostureCoverage:
+    """The surface of a posture that was inspected, given the threshold of the score.
 
-    Parameters
-    ----------
-    view, found
-        Of the posture.
-    seen_by
-        In how many images a defect must show.
-    high
-        Threshold of the score.
+    Worked out block by block of rows, since small arrays stay in a processor's cache.
     """
+    blocks = in_row_blocks(
+        lambda rows: coverage_of_rows(view.in_rows(rows), found.in_box(rows), seen_by=seen_by, high=high),
+        len(view.clean),
+        threads,
+    )
+
+    def joined(values: Sequence[Any]) -> Any:
+        # areas add up, images stand one below the other
+        if isinstance(values[0], np.ndarray):
+            return np.concatenate(values)
+        if isinstance(values[0], dict):
+            return {key: sum(each[key] for each in values) for key in values[0]}
+        return sum(values)
+
+    names = [field.name for field in fields(PostureCoverage)]
+    return PostureCoverage(**{name: joined([getattr(block, name) for block in blocks]) for name in names})
+
+
+def coverage_of_rows(view: PostureView, found: Deviations, *, seen_by: int, high: float) -> PostureCoverage:
+    """As :func:`measure_coverage`, of all rows at once."""
     area = view.prediction.area.astype(np.float64)
     part = view.part & (area > 0.0)
     lit = found.lit.sum(axis=0)
     full = (view.saturated & (view.predicted >= view.limit)).any(axis=0)
-    reached = np.zeros(part.shape, np.uint8)
-    reached[part] = Reached.EDGE
-    reached[part & view.prediction.grazing] = Reached.GRAZING
-    reached[part & view.clean] = Reached.SHADOW
-    reached[part & view.clean & full] = Reached.SATURATED
-    reached[part & found.usable.any(axis=0)] = Reached.GLINTS
-    reached[part & (lit > 0)] = Reached.FEWER
-    reached[part & (lit >= seen_by)] = Reached.INSPECTED
+    state = np.zeros(part.shape, np.uint8)
+    state[part] = SurfaceState.EDGE
+    state[part & view.prediction.grazing] = SurfaceState.GRAZING
+    state[part & view.clean] = SurfaceState.SHADOW
+    state[part & view.clean & full] = SurfaceState.SATURATED
+    state[part & found.usable.any(axis=0)] = SurfaceState.GLINTS
+    state[part & (lit > 0)] = SurfaceState.FEWER
+    state[part & (lit >= seen_by)] = SurfaceState.INSPECTED
     least = least_contrast(found, view.predicted, seen_by=seen_by, high=high)
-    least[reached < Reached.FEWER] = np.inf
-    return Coverage(
-        **class_areas(area, reached, least), reached=reached, least_contrast=least.astype(np.float32)
+    least[state < SurfaceState.FEWER] = np.inf
+    return PostureCoverage(
+        **class_areas(area, state, least), state=state, least_contrast=least.astype(np.float32)
     )
 
 
@@ -214,23 +214,14 @@ def least_contrast(
 
     Infinite where no image is lit.
 
-    Parameters
-    ----------
-    found
-        Of a posture.
-    predicted
-        Of the good part [grey level], shape (lights, H, W).
-    seen_by
-        In how many images it must show, or in all that are lit where these are fewer.
-    high
-        Threshold of the score.
+    predicted: of the good part [grey level], shape (lights, H, W).
     """
     images = len(predicted)
     k = np.clip(found.lit.sum(axis=0), 1, min(seen_by, images))
     needed = _needed(images, min(seen_by, images), high)[found.usable.sum(axis=0), k]
     share = np.where(found.lit, found.scale / np.maximum(predicted, 1e-6), np.inf)
     weakest = np.take_along_axis(np.sort(share, axis=0), k[None] - 1, axis=0)[0]
-    return needed / disc_gain(TOLD_SIZE_PX) * weakest
+    return needed / disc_gain(REFERENCE_DISC_PX) * weakest
 
 
 def _needed(images: int, seen_by: int, high: float) -> NDArray[np.float64]:
@@ -242,38 +233,3 @@ def _needed(images: int, seen_by: int, high: float) -> NDArray[np.float64]:
             each = (10.0**-high / float(special.binom(n, k))) ** (1.0 / k)
             z[n, k] = float(special.ndtri(0.5 ** (1.0 / k)) - special.ndtri(0.5 * each))
     return z
-
-
-def coverage_in_blocks(
-    view: PostureView, found: Deviations, *, seen_by: int, high: float, threads: int | None = None
-) -> Coverage:
-    """The surface of a posture that was inspected, as :func:`measure_coverage` tells it.
-
-    Parameters
-    ----------
-    view, found, seen_by, high
-        As that takes them.
-    threads
-        Number of threads; the result does not depend on it.
-    """
-
-    def block(top: int) -> Coverage:
-        rows = slice(top, top + BLOCK_ROWS)
-        z, scale = found.z[:, rows], found.scale[:, rows]
-        mine = Deviations(z, scale, found.usable[:, rows], found.lit[:, rows])
-        return measure_coverage(view.in_rows(rows), mine, seen_by=seen_by, high=high)
-
-    return _joined(in_threads(block, row_blocks(len(view.clean)), threads))
-
-
-def _joined(parts: Sequence[Coverage]) -> Coverage:
-    # areas add up, images stand one below the other
-    def joined(own: Sequence[Any]) -> Any:
-        if isinstance(own[0], np.ndarray):
-            return np.concatenate(own)
-        if isinstance(own[0], dict):
-            return {key: sum(each[key] for each in own) for key in own[0]}
-        return sum(own)
-
-    names = [field.name for field in fields(Coverage)]
-    return Coverage(**{name: joined([getattr(part, name) for part in parts]) for name in names})

@@ -26,40 +26,25 @@ KIND_COLOURS: Final[Mapping[Kind, tuple[int, int, int]]] = {
 
 NEAR_MM = 1.0
 FACING = 0.5
-"""Sightings in several postures are of one defect where points of both are within this distance, on surfaces whose
+"""Detections in several postures are of one defect where points of both are within this distance, on surfaces whose
 normals differ by less than 60°."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sighting:
+class Detection:
     """A defect in the images of one posture.
 
-    Attributes
-    ----------
-    posture
-        Of the part.
-    pixels
-        Number of them.
-    centre_px
-        Column and row of the middle; pixel centres at +0.5.
-    box_px
-        First column and row, and those after the last.
-    position, normal
-        Middle of its surface and the normal there, in the coordinates of the mesh file [mm].
-    size
-        Extent along its longer and its shorter axis on the surface [mm].
-    area
-        Of its surface [mm²].
-    score
-        −log₁₀ of the probability that noise alone looks as much like a defect.
-    contrast
-        Per light that shows it, greatest deviation as a share of the predicted light, with its sign; where that is
-        darker than one standard deviation of the noise, as a multiple of this.
-    kind
-        ``shape`` where light and dark lie side by side or change with the light, ``stain`` where all lights lose (or
-        gain) the same share of diffuse light, ``unknown`` else.
-    points
-        Of its surface, one per pixel, in the coordinates of the mesh file [mm], shape (pixels, 3).
+    centre_px: Column and row of the middle; pixel centres at +0.5.
+    box_px: First column and row, and those after the last.
+    position, normal: Middle of its surface and the normal there, in the coordinates of the mesh file [mm].
+    size: Extent along its longer and its shorter axis on the surface [mm].
+    area: Of its surface [mm²].
+    score: −log₁₀ of the probability that noise alone looks as much like a defect.
+    contrast: Per light that shows it, greatest deviation as a share of the predicted light, with its sign; where that
+        is darker than one standard deviation of the noise, as a multiple of this.
+    kind: ``shape`` where light and dark lie side by side or change with the light, ``stain`` where all lights lose
+        (or gain) the same share of diffuse light, ``unknown`` else.
+    points: Of its surface, one per pixel, in the coordinates of the mesh file [mm], shape (pixels, 3).
     """
 
     posture: Posture
@@ -110,37 +95,37 @@ class FoundDefect:
     ----------
     number
         From 1, the highest score first.
-    sightings
+    detections
         The highest score first.
     """
 
     number: int
-    sightings: tuple[Sighting, ...]
+    detections: tuple[Detection, ...]
 
     @property
-    def best(self) -> Sighting:
-        """The sighting of the highest score, which place and kind are from."""
-        return self.sightings[0]
+    def best(self) -> Detection:
+        """The detection of the highest score, which gives place and kind."""
+        return self.detections[0]
 
     @property
     def size(self) -> tuple[float, float]:
-        """Of the longest sighting, along its longer and its shorter axis [mm]."""
-        return max(s.size for s in self.sightings)
+        """Of the longest detection, along its longer and its shorter axis [mm]."""
+        return max(s.size for s in self.detections)
 
     @property
     def lights(self) -> tuple[str, ...]:
-        """Those that show it by themselves in any posture, by name."""
-        return tuple(sorted({light for s in self.sightings for light in s.contrast}))
+        """Those that show it by themselves in any posture, sorted by name."""
+        return tuple(sorted({light for s in self.detections for light in s.contrast}))
 
     @property
     def area(self) -> float:
-        """Of the largest sighting [mm²]."""
-        return max(s.area for s in self.sightings)
+        """Of the largest detection [mm²]."""
+        return max(s.area for s in self.detections)
 
     @property
     def greatest_contrast(self) -> float:
-        """Of all sightings and lights, its magnitude."""
-        return max(s.greatest_contrast for s in self.sightings)
+        """Of all detections and lights, its magnitude."""
+        return max(s.greatest_contrast for s in self.detections)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -155,34 +140,34 @@ class FoundDefect:
             "score": round(best.score, 2),
             "greatest_contrast": round(self.greatest_contrast, 4),
             "lights": list(self.lights),
-            "sightings": [s.as_dict() for s in self.sightings],
+            "sightings": [s.as_dict() for s in self.detections],
         }
 
 
-def gather(sightings: Sequence[Sighting]) -> tuple[FoundDefect, ...]:
+def merge_detections(detections: Sequence[Detection]) -> tuple[FoundDefect, ...]:
     """Sightings of the same place in several postures are one defect; the highest score first.
 
-    Regions of one posture are apart in its images and stay so: a defect has one sighting of a posture at most. Of
-    several in reach of a sighting the nearest outline is the same defect.
+    Regions of one posture are apart in its images and stay so: a defect has one detection of a posture at most. Of
+    several in reach of a detection the nearest outline is the same defect.
     """
-    order = sorted(sightings, key=lambda s: (-s.score, s.position))
-    groups: list[list[Sighting]] = []
-    for sighting in order:
+    order = sorted(detections, key=lambda s: (-s.score, s.position))
+    groups: list[list[Detection]] = []
+    for detection in order:
         near = [
             (distance, i)
             for i, group in enumerate(groups)
-            if all(other.posture != sighting.posture for other in group)
-            for distance in [min(_apart(sighting, other) for other in group)]
+            if all(other.posture != detection.posture for other in group)
+            for distance in [min(_distance(detection, other) for other in group)]
             if distance <= NEAR_MM
         ]
         if near:
-            groups[min(near)[1]].append(sighting)
+            groups[min(near)[1]].append(detection)
         else:
-            groups.append([sighting])
-    return tuple(FoundDefect(number=i + 1, sightings=tuple(group)) for i, group in enumerate(groups))
+            groups.append([detection])
+    return tuple(FoundDefect(number=i + 1, detections=tuple(group)) for i, group in enumerate(groups))
 
 
-def _apart(a: Sighting, b: Sighting) -> float:
+def _distance(a: Detection, b: Detection) -> float:
     # least distance of two outlines [mm]; infinite on surfaces that face elsewhere
     if sum(x * y for x, y in zip(a.normal, b.normal, strict=True)) < FACING:
         return math.inf

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.inspection._row_blocks import BLOCK_ROWS, row_blocks
+from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._posture_view import PostureView
 
 Float32 = NDArray[np.float32]
@@ -23,7 +23,7 @@ REGISTRATION_PX = 0.1
 
 DARK = 3.0
 """What is predicted to be less than this many standard deviations above black is dark: rounding and clipping at black
-make as much of a deviation there as noise does, so that only more than this many tell of a defect."""
+make as much of a deviation there as noise does, so that only more than this many indicate a defect."""
 
 HARD = 4.0
 """A step between pixels of so many times the steps before and after it is the edge of the shadow of a point light: a
@@ -65,6 +65,11 @@ class Deviations:
     usable: Bool
     lit: Bool
 
+    def in_box(self, rows: slice, columns: slice = slice(None)) -> Deviations:
+        """Some rows and columns, as views of the arrays."""
+        box = (slice(None), rows, columns)
+        return Deviations(self.z[box], self.scale[box], self.usable[box], self.lit[box])
+
 
 def deviations(view: PostureView, *, threads: int | None = None) -> Deviations:
     """Compare the images of a posture with the good part.
@@ -72,36 +77,26 @@ def deviations(view: PostureView, *, threads: int | None = None) -> Deviations:
     Both are clipped where the camera clips, and what rounding alone may make of the mean where noise does not even it
     out is no deviation. A pixel's variance is that of the sensor's noise, of a part that lies a tenth of a pixel from
     where the model has it, and of what the model gets wrong around the pixel.
-
-    Parameters
-    ----------
-    view
-        Of the posture.
-    threads
-        Number of threads; the result does not depend on it.
     """
     z, scale = np.empty_like(view.level), np.empty_like(view.level)
     usable, lit = np.empty(z.shape, np.bool_), np.empty(z.shape, np.bool_)
     lights, height, width = view.level.shape
     blocks = (lights, -(-height // BLOCK_PX), -(-width // BLOCK_PX))
     sums, counts = np.zeros(blocks), np.zeros(blocks)
-    pieces = [(i, top) for i in range(lights) for top in row_blocks(height)]
 
-    def first(piece: int) -> None:
-        i, top = pieces[piece]
+    def compare(i: int, rows: slice) -> None:
         _compare(
             view.level[i], view.predicted[i], view.deviation[i], view.rounding[i], view.limit[i], view.saturated[i],
-            view.clean, top, min(top + BLOCK_ROWS, height), z[i], scale[i], usable[i], lit[i], sums[i], counts[i],
+            view.clean, rows.start, rows.stop, z[i], scale[i], usable[i], lit[i], sums[i], counts[i],
         )  # fmt: skip
 
-    in_threads(first, range(len(pieces)), threads)
-    wrong = in_threads(lambda i: _around(sums[i], counts[i]), range(lights), threads)
+    in_image_blocks(compare, lights, height, threads)
+    typical = in_threads(lambda i: _around(sums[i], counts[i]), range(lights), threads)
 
-    def second(piece: int) -> None:
-        i, top = pieces[piece]
-        _weigh(wrong[i], top, min(top + BLOCK_ROWS, height), z[i], scale[i])
+    def normalise(i: int, rows: slice) -> None:
+        _normalise(typical[i], rows.start, rows.stop, z[i], scale[i])
 
-    in_threads(second, range(len(pieces)), threads)
+    in_image_blocks(normalise, lights, height, threads)
     return Deviations(z, scale, usable, lit)
 
 
@@ -153,7 +148,7 @@ def _compare(
             lit[y, x] = usable[y, x] and predicted[y, x] >= DARK * noise
             z[y, x] = 0.0
             if usable[y, x]:
-                off = _off(min(level[y, x], limit[y, x]), predicted, limit, y, x)
+                off = _difference(min(level[y, x], limit[y, x]), predicted, limit, y, x)
                 off = math.copysign(max(abs(off) - rounding[y, x], 0.0), off) / own
                 if lit[y, x] or abs(off) > DARK:
                     z[y, x] = off
@@ -162,9 +157,9 @@ def _compare(
 
 
 @kernel
-def _off(level: float, predicted: Float32, limit: Float32, y: int, x: int) -> float:
-    # measured minus predicted; at the hard edge of a shadow a pixel may be on either side, or on both. Steps are told
-    # before the camera clips: the flank of a highlight climbs on beyond, its clipped levels do not
+def _difference(level: float, predicted: Float32, limit: Float32, y: int, x: int) -> float:
+    # measured minus predicted; at the hard edge of a shadow a pixel may be on either side, or on both. Steps are
+    # compared before the camera clips: the flank of a highlight climbs on beyond, its clipped levels do not
     here = float(predicted[y, x])
     low = high = _model(predicted, limit, y, x)
     for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
@@ -189,9 +184,9 @@ def _model(predicted: Float32, limit: Float32, y: int, x: int) -> float:
 
 
 @kernel
-def _weigh(wrong: Float32, top: int, bottom: int, z: Float32, scale: Float32) -> None:
+def _normalise(typical: Float32, top: int, bottom: int, z: Float32, scale: Float32) -> None:
     # blocks' values belong to their middles; between those, on straight lines
-    rows, columns = wrong.shape
+    rows, columns = typical.shape
     for y in range(top, bottom):
         v = min(max((y + 0.5) / BLOCK_PX - 0.5, 0.0), rows - 1.0)
         i = min(int(v), max(rows - 2, 0))
@@ -202,8 +197,8 @@ def _weigh(wrong: Float32, top: int, bottom: int, z: Float32, scale: Float32) ->
             k = min(int(u), max(columns - 2, 0))
             beside = min(k + 1, columns - 1)
             s = u - k
-            upper = wrong[i, k] + s * (wrong[i, beside] - wrong[i, k])
-            lower = wrong[under, k] + s * (wrong[under, beside] - wrong[under, k])
+            upper = typical[i, k] + s * (typical[i, beside] - typical[i, k])
+            lower = typical[under, k] + s * (typical[under, beside] - typical[under, k])
             factor = upper + t * (lower - upper)
             z[y, x] /= factor
             scale[y, x] *= factor

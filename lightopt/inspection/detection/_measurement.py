@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt.estimate.registration import Placement
-from lightopt.inspection.detection._defects import Kind, Sighting
+from lightopt.inspection.detection._defects import Detection, Kind
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._regions import SHOWN_Z, core_pixels, sums_in
-from lightopt.inspection.prediction._frames import to_file
+from lightopt.inspection.detection._regions import SHOWN_Z, box_sums, core_pixels
+from lightopt.inspection.prediction._frames import world_to_mesh_file
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene
 
@@ -41,34 +41,25 @@ def measure_regions(
     *,
     scene: Scene,
     placement: Placement,
-) -> tuple[Sighting, ...]:
+) -> tuple[Detection, ...]:
     """Measure the regions of a posture.
 
-    Parameters
-    ----------
-    labels, count
-        From :func:`separate_pieces`.
-    score
-        Shape (H, W).
-    view, found
-        Of the posture.
-    scene, placement
-        Where the part's file has it, and where it lies from there.
+    score: Shape (H, W).
     """
     if not count:
         return ()
-    sightings: list[Sighting] = []
+    detections: list[Detection] = []
     for number, box in enumerate(ndimage.find_objects(labels, count), start=1):
         assert box is not None  # each has its peak
-        sums = sums_in(found, box)
+        sums = box_sums(found, box)
         region = labels[box] == number
         row, column = np.nonzero(core_pixels(region, sums[0]))
         z = np.stack([level[:, row, column] for level in sums])
         row, column = row + box[0].start, column + box[1].start
         world = view.prediction.images.geometry.points[row, column].astype(np.float64)
-        points = to_file(world, scene, placement, view.posture)
+        points = world_to_mesh_file(world, scene, placement, view.posture)
         points.flags.writeable = False
-        normals = to_file(
+        normals = world_to_mesh_file(
             view.prediction.images.geometry.normals[row, column].astype(np.float64),
             scene,
             placement,
@@ -81,8 +72,8 @@ def measure_regions(
         middle = np.average(points, axis=0, weights=area)
         nearest = int(np.argmin(np.sum((points - middle) ** 2, axis=1)))
         contrast = _contrasts(z, row, column, view)
-        sightings.append(
-            Sighting(
+        detections.append(
+            Detection(
                 posture=view.posture,
                 pixels=len(row),
                 centre_px=(float(column.mean()) + 0.5, float(row.mean()) + 0.5),
@@ -97,7 +88,7 @@ def measure_regions(
                 points=points,
             )
         )
-    return tuple(sightings)
+    return tuple(detections)
 
 
 def _extents(points: Float64, normal: Float64, pixel: float) -> tuple[float, float]:

@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 from scipy import special
 
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import in_threads
-from lightopt.inspection._row_blocks import BLOCK_ROWS, TILE_COLUMNS, filter_tile, gaussian_taps, row_blocks
+from lightopt.inspection._image_blocks import (
+    TILE_COLUMNS,
+    filter_tile,
+    gaussian_taps,
+    in_image_blocks,
+    in_row_blocks,
+    mask_window,
+)
 from lightopt.inspection.detection._deviation import Deviations
 
 Float32 = NDArray[np.float32]
@@ -35,7 +41,6 @@ how strong a defect is decides how far its sums spread beyond it."""
 TABLE_STEPS = 256
 """Scores are tabulated in steps of 1/256 of a standard deviation."""
 
-
 _LN_10 = math.log(10.0)
 
 
@@ -58,26 +63,16 @@ def smoothed_deviations(
 ) -> tuple[Float32, Bool]:
     """Sums over Gaussians of deviations, in standard deviations of such a sum, and where they count; (lights, H, W).
 
-    Parameters
-    ----------
-    found
-        Of a posture.
-    scale
-        Width of the Gaussian [px].
-    threads
-        Number of threads; the result does not depend on it.
+    scale: Width of the Gaussian [px].
     """
     sums, counts = np.empty_like(found.z), np.empty(found.z.shape, np.bool_)
     lights, height, _ = found.z.shape
-    pieces = [(i, top) for i in range(lights) for top in row_blocks(height)]
     weights = _weights(scale)
 
-    def piece(number: int) -> None:
-        i, top = pieces[number]
-        rows = slice(top, top + BLOCK_ROWS)
-        _smooth(found.z[i], found.usable[i], *weights, top, sums[i, rows], counts[i, rows])
+    def smooth(i: int, rows: slice) -> None:
+        _smooth(found.z[i], found.usable[i], *weights, rows.start, sums[i, rows], counts[i, rows])
 
-    in_threads(piece, range(len(pieces)), threads)
+    in_image_blocks(smooth, lights, height, threads)
     return sums, counts
 
 
@@ -126,14 +121,9 @@ def rank_probability(z: Float64, count: NDArray[np.intp], rank: int) -> Float64:
     I_t(rank, count − rank + 1), the regularised incomplete beta function. Fewer than `rank` are judged
     by all there are.
 
-    Parameters
-    ----------
-    z
-        The `rank`-th largest magnitude, or the least of fewer.
-    count
-        Of how many, same shape.
-    rank
-        1 for the largest.
+    z: the `rank`-th largest magnitude, or the least of fewer.
+    count: of how many, same shape.
+    rank: 1 for the largest.
     """
     n = np.maximum(count, 1)
     k = np.minimum(rank, n)
@@ -141,47 +131,39 @@ def rank_probability(z: Float64, count: NDArray[np.intp], rank: int) -> Float64:
 
 
 def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = None) -> Float32:
-    """−log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W); 0 where nothing tells.
+    """−log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W); 0 where no image is usable.
 
     Parameters
     ----------
-    found
-        Of a posture.
     seen_by
         A defect is what shows in so many images: its score is that of the `seen_by`-th largest deviation. Where fewer
         are lit it has to show in these alone, or in one where none is, and may show in a dark one as well.
-    threads
-        Number of threads; the result does not depend on it.
     """
     whole = np.zeros(found.z.shape[1:], np.float32)
-    sides = [np.flatnonzero(found.usable.any(axis=axes)) for axes in ((0, 2), (0, 1))]
-    if not all(map(len, sides)):
+    window = mask_window(found.usable.any(axis=0))
+    if not window[0].stop:
         return whole
-    window = tuple(slice(int(side[0]), int(side[-1]) + 1) for side in sides)
-    box = (slice(None), *window)
-    inner = Deviations(found.z[box], found.scale[box], found.usable[box], found.lit[box])
+    inner = found.in_box(*window)
     lights, height, _ = inner.z.shape
     score = np.zeros(inner.z.shape[1:], np.float32)
     table = _table(lights, seen_by)
-    held = np.empty_like(inner.z)
+    clipped = np.empty_like(inner.z)
 
-    def hold(top: int) -> None:
-        rows = slice(top, top + BLOCK_ROWS)
-        np.clip(inner.z[:, rows], -STRONGEST_Z, STRONGEST_Z, out=held[:, rows])
+    def clip(rows: slice) -> None:
+        np.clip(inner.z[:, rows], -STRONGEST_Z, STRONGEST_Z, out=clipped[:, rows])
 
-    in_threads(hold, row_blocks(height), threads)
-    scales = [(inner.z if width == min(SCALES_PX) else held, _weights(width)) for width in SCALES_PX]
+    in_row_blocks(clip, height, threads)
+    scales = [(inner.z if width == min(SCALES_PX) else clipped, _weights(width)) for width in SCALES_PX]
 
-    def block(top: int) -> None:
-        rows = slice(top, min(top + BLOCK_ROWS, height))
+    def score_rows(rows: slice) -> None:
         sums = np.empty((lights, *score[rows].shape), np.float32)
         counts = np.empty(sums.shape, np.bool_)
         for z, weights in scales:
             for i in range(lights):
-                _smooth(z[i], inner.usable[i], *weights, top, sums[i], counts[i])
-            _raise(sums, counts, inner.lit[:, rows], table, score[rows])
+                _smooth(z[i], inner.usable[i], *weights, rows.start, sums[i], counts[i])
+            _raise_scores(sums, counts, inner.lit[:, rows], table, score[rows])
 
-    in_threads(block, row_blocks(height), threads)
+    in_row_blocks(score_rows, height, threads)
     whole[window] = score
     return whole
 
@@ -209,7 +191,7 @@ def _scores(z: Float64, count: int, k: int) -> Float64:
 
 
 @kernel
-def _raise(sums: Float32, counts: Bool, lit: Bool, table: Float32, score: Float32) -> None:
+def _raise_scores(sums: Float32, counts: Bool, lit: Bool, table: Float32, score: Float32) -> None:
     images, height, width = sums.shape
     size = np.empty(images, np.float32)
     for y in range(height):

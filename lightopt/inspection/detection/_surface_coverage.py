@@ -10,13 +10,21 @@ import numpy as np
 
 from lightopt.core.transforms import Posture
 from lightopt.geometry import face_areas
-from lightopt.inspection.detection._coverage import TOLD_SIZE_PX, Coverage, Reached, Shares, class_areas
+from lightopt.inspection.detection._coverage import (
+    REFERENCE_DISC_PX,
+    PostureCoverage,
+    Shares,
+    SurfaceState,
+    class_areas,
+)
 from lightopt.inspection.prediction._predict import SurfaceMap
 from lightopt.scene import Scene
 
-TOLD_CONTRAST: Final = 0.2
-TOLD_DISC: Final = f"a disc of {TOLD_SIZE_PX:g} px that changes the light by {100.0 * TOLD_CONTRAST:g} %"
-"""What is said beside the share that was inspected: which defect would have been found, and where."""
+REFERENCE_CONTRAST: Final = 0.2
+REFERENCE_DEFECT: Final = (
+    f"a disc of {REFERENCE_DISC_PX:g} px that changes the light by {100.0 * REFERENCE_CONTRAST:g} %"
+)
+"""A defect that is reported as found or not beside the share that was inspected."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +46,8 @@ class SurfaceCoverage(Shares):
 
     @property
     def finds(self) -> float:
-        """Of what the camera sees, the share on which :data:`TOLD_DISC` is found half of the time."""
-        return self.sensitivity.get(TOLD_CONTRAST, 0.0) / self.seen if self.seen > 0.0 else 0.0
+        """Of what the camera sees, the share on which :data:`REFERENCE_DEFECT` is found half of the time."""
+        return self.sensitivity.get(REFERENCE_CONTRAST, 0.0) / self.seen if self.seen > 0.0 else 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form: shares of what the camera sees, and that as a share of the whole."""
@@ -52,40 +60,33 @@ class SurfaceCoverage(Shares):
 
 
 def surface_coverage(
-    scene: Scene, coverages: Sequence[tuple[Posture, Coverage]], surface: SurfaceMap | None
+    scene: Scene, coverages: Sequence[tuple[Posture, PostureCoverage]], surface: SurfaceMap | None
 ) -> SurfaceCoverage:
     """What was inspected of the surface over all postures of a set.
 
-    Parameters
-    ----------
-    scene
-        With the part.
-    coverages
-        Of each posture that there are images of.
-    surface
-        From :func:`map_surface`, of these postures and those that images are missing of; None for a single posture of
-        which none is, whose own pixels tell.
+    surface: of these postures and those that images are missing of; None for a single posture of which none is, whose
+        own pixels are counted.
     """
     area = float(face_areas(scene.mesh).sum())
     if surface is None:
         ((_, only),) = coverages
         return SurfaceCoverage(area=area, **{each.name: getattr(only, each.name) for each in fields(Shares)})
-    reached = np.full(len(surface.areas), Reached.NO_PART, np.uint8)
+    state = np.full(len(surface.areas), SurfaceState.NO_PART, np.uint8)
     least = np.full(len(surface.areas), np.inf, np.float32)
     for posture, coverage in coverages:
         patch, pixel = surface.seen[posture]
         # a patch beside the last pixel that shows the part is at its edge
-        judged = np.maximum(coverage.reached.ravel()[pixel], Reached.EDGE)
-        here = np.where(pixel < 0, Reached.GRAZING, judged)
-        reached[patch] = np.maximum(reached[patch], here.astype(np.uint8))
+        judged = np.maximum(coverage.state.ravel()[pixel], SurfaceState.EDGE)
+        here = np.where(pixel < 0, SurfaceState.GRAZING, judged)
+        state[patch] = np.maximum(state[patch], here.astype(np.uint8))
         found = np.where(pixel < 0, np.inf, coverage.least_contrast.ravel()[pixel])
         least[patch] = np.minimum(least[patch], found.astype(np.float32))
     for posture in surface.seen.keys() - {posture for posture, _ in coverages}:
         patch, pixel = surface.seen[posture]
-        here = np.where(pixel < 0, Reached.GRAZING, Reached.MISSING)
-        reached[patch] = np.maximum(reached[patch], here.astype(np.uint8))
+        here = np.where(pixel < 0, SurfaceState.GRAZING, SurfaceState.MISSING)
+        state[patch] = np.maximum(state[patch], here.astype(np.uint8))
     return SurfaceCoverage(
         area=area,
-        missing=float(surface.areas[reached == Reached.MISSING].sum()),
-        **class_areas(surface.areas, reached, least),
+        missing=float(surface.areas[state == SurfaceState.MISSING].sum()),
+        **class_areas(surface.areas, state, least),
     )

@@ -114,8 +114,6 @@ def score_posture(
     ----------
     found
         Deviations from the good part, which the residual detector looks at.
-    options
-        How to inspect.
     synthetic
         Makes the image without highlights, which the template detector looks at; the other does not call it.
 

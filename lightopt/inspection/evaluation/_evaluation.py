@@ -13,9 +13,9 @@ from scipy import ndimage
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
 from lightopt.images import ImageSet
-from lightopt.inspection._results import Inspection
+from lightopt.inspection._results import InspectionResult
 from lightopt.inspection.evaluation._ground_truth import true_labels
-from lightopt.inspection.evaluation._probability_of_detection import fit_detection
+from lightopt.inspection.evaluation._probability_of_detection import fit_detection_curve
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -35,18 +35,10 @@ _DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) 
 class KnownDefect:
     """A defect that the images show, and whether it was found.
 
-    Attributes
-    ----------
-    name, kind
-        As the set's manifest has them.
-    size
-        Square root of length times width of its outline [mm].
-    pixels
-        Of it that can be judged, in the posture that shows most of them.
-    posture
-        That posture.
-    found
-        Whether a region that is not far larger than it touches it in any posture.
+    name, kind: As the set's manifest has them.
+    size: Square root of length times width of its outline [mm].
+    pixels: Of it that can be judged, in the posture that shows most of them.
+    found: Whether a region that is not far larger than it touches it in any posture.
     """
 
     name: str
@@ -69,25 +61,19 @@ class KnownDefect:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrueSet:
+class SetEvaluation:
     """A set of images held against what is known to be on the part.
 
     Attributes
     ----------
     defects
         Those with a pixel that can be judged in some posture.
-    hidden
-        Names of the others.
     false_alarms
         Regions that touch no defect, or are far larger than those they touch, over all postures.
-    postures
-        Number of them.
     areas
         Area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
     labels
         ``images`` or ``part file``: what said where the defects are; or ``no defects``.
-    name
-        Of the set.
     """
 
     defects: tuple[KnownDefect, ...]
@@ -99,15 +85,10 @@ class TrueSet:
     name: str = ""
 
 
-def compare_with_truth(
-    image_set: ImageSet, result: Inspection, *, known: Sequence[PlacedDefect] | None = None
-) -> TrueSet:
+def evaluate_set(
+    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect] | None = None
+) -> SetEvaluation:
     """Hold an inspection against the labels of its images, or against known defects, if any, where they have none.
-
-    Parameters
-    ----------
-    image_set, result, known
-        As :func:`true_labels` takes them.
 
     Raises
     ------
@@ -140,7 +121,7 @@ def compare_with_truth(
         )
         for i, one in enumerate(listed)
     ]
-    return TrueSet(
+    return SetEvaluation(
         defects=tuple(d for d in defects if d.pixels),
         hidden=tuple(d.name for d in defects if not d.pixels),
         false_alarms=false_alarms,
@@ -198,7 +179,7 @@ def area_under_roc(score: Float64, positive: Bool) -> float:
     return (float(ranks[positive].sum()) - 0.5 * p * (p + 1)) / (p * q)
 
 
-def summarise(sets: Sequence[TrueSet]) -> dict[str, Any]:
+def summarise(sets: Sequence[SetEvaluation]) -> dict[str, Any]:
     """Recall by kind and size, false alarms per posture, ROC and detection curves over all sets; JSON form."""
     defects = [defect for one in sets for defect in one.defects]
     kinds = sorted({d.kind for d in defects})
@@ -223,7 +204,7 @@ def summarise(sets: Sequence[TrueSet]) -> dict[str, Any]:
             for mine in [[d for d in defects if d.kind == kind and round(d.size, 3) == size]]
         ],
         "detection": {
-            kind: fit_detection([d.size for d in mine], [d.found for d in mine]).as_dict()
+            kind: fit_detection_curve([d.size for d in mine], [d.found for d in mine]).as_dict()
             for kind in ("all", *kinds)
             for mine in [[d for d in defects if kind in ("all", d.kind)]]
         },

@@ -15,8 +15,8 @@ from lightopt.core.provenance import file_sha256
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet
-from lightopt.inspection._results import InspectedPosture, Inspection
-from lightopt.inspection.prediction._frames import to_file
+from lightopt.inspection._results import InspectedPosture, InspectionResult
+from lightopt.inspection.prediction._frames import world_to_mesh_file
 from lightopt.scene import defect_facts
 
 
@@ -28,12 +28,10 @@ class TruthSource:
     ----------
     part
         Whose defects are on it; None where the set's labels say it, or it was rendered without defects.
-    words
-        What a person should know of it.
     """
 
     part: PartConfig | None = None
-    words: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
@@ -45,10 +43,8 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
 
     Parameters
     ----------
-    image_set
-        The images.
     part
-        That it is inspected by.
+        That the images are inspected by.
 
     Raises
     ------
@@ -57,8 +53,8 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     """
     manifest = image_set.manifest
     if isinstance(manifest.extra.get("defects"), list):
-        told = {entry.posture for entry in image_set.geometry}
-        lacking = {entry.posture: None for entry in image_set.images if entry.posture not in told}
+        labelled = {entry.posture for entry in image_set.geometry}
+        lacking = {entry.posture: None for entry in image_set.images if entry.posture not in labelled}
         if lacking:
             raise InputError(
                 f"{image_set.folder}: no labels of defects for {', '.join(f'posture {p}' for p in lacking)}, though "
@@ -76,9 +72,9 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
                 f"taken by {own.file}, which does not lie beside {part.source.path} as it was then; put it there, or "
                 "leave --truth out"
             )
-        return _by_own(load_part(beside), own.file)
+        return _part_file_source(load_part(beside), own.file)
     if own is not None and own.sha256 == part.source.sha256:
-        return _by_own(part, own.file)
+        return _part_file_source(part, own.file)
     if not part.defects:
         raise InputError(
             f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
@@ -88,11 +84,34 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     return TruthSource(part)
 
 
-def _by_own(part: PartConfig, name: str) -> TruthSource:
+def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSource]:
+    """What says which defects are on the parts of several sets, by :func:`truth_source`.
+
+    Raises
+    ------
+    InputError
+        The problems of all sets together.
+    """
+    problems: list[str] = []
+
+    def source(image_set: ImageSet) -> TruthSource:
+        try:
+            return truth_source(image_set, part)
+        except InputError as error:
+            problems.extend(error.messages)
+            return TruthSource()
+
+    sources = [source(image_set) for image_set in sets]
+    if problems:
+        raise InputError(*problems)
+    return sources
+
+
+def _part_file_source(part: PartConfig, name: str) -> TruthSource:
     if part.defects:
         return TruthSource(part)
     return TruthSource(
-        part, words=(f"--truth: {name}, by which it was taken, names no defects: held to be a good part",)
+        part, warnings=(f"--truth: {name}, by which it was taken, names no defects: held to be a good part",)
     )
 
 
@@ -103,15 +122,11 @@ Int32 = NDArray[np.int32]
 class TrueLabels:
     """What is known to be on the part that a set of images shows.
 
-    Attributes
-    ----------
-    listed
-        One entry per defect, as :func:`lightopt.scene.defect_facts` has it.
-    of_posture
-        Per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H, W).
-    source
-        ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was found;
-        ``no defects``: none is on the part.
+    listed: One entry per defect, as :func:`lightopt.scene.defect_facts` has it.
+    of_posture: Per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H,
+        W).
+    source: ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was
+        found; ``no defects``: none is on the part.
     """
 
     listed: tuple[Mapping[str, Any], ...]
@@ -120,24 +135,14 @@ class TrueLabels:
 
 
 def true_labels(
-    image_set: ImageSet, result: Inspection, *, known: Sequence[PlacedDefect] | None = None
+    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect] | None = None
 ) -> TrueLabels:
     """The labels of a set; of one without labels those of known defects where the inspection found the part.
 
-    Parameters
-    ----------
-    image_set
-        The images.
-    result
-        Of their inspection.
-    known
-        Defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`); an
-        empty sequence where it is known to have none, None where nothing is known.
+    known: Defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`);
+        an empty sequence where it is known to have none, None where nothing is known.
 
-    Raises
-    ------
-    InputError
-        The set has no labels and nothing is known, or its labels are those of images of another size.
+    InputError: The set has no labels and nothing is known, or its labels are those of images of another size.
     """
     listed = image_set.manifest.extra.get("defects")
     if isinstance(listed, list):
@@ -173,7 +178,7 @@ def _stored(image_set: ImageSet, posture: InspectedPosture) -> Int32:
     return labels.astype(np.int32)
 
 
-def _cast(posture: InspectedPosture, result: Inspection, known: Sequence[PlacedDefect]) -> Int32:
+def _cast(posture: InspectedPosture, result: InspectionResult, known: Sequence[PlacedDefect]) -> Int32:
     # what the prediction's rays met, taken back to where the part's file has it
     geometry, nominal = posture.view.prediction.images.geometry, result.nominal
     placement, file = result.placement or Placement(), nominal.placement
@@ -181,7 +186,7 @@ def _cast(posture: InspectedPosture, result: Inspection, known: Sequence[PlacedD
 
     def in_file(vectors: NDArray[np.float32], *, direction: bool) -> NDArray[np.float64]:
         own = vectors[row, column].astype(np.float64)
-        return to_file(own, nominal, placement, posture.view.posture, direction=direction)
+        return world_to_mesh_file(own, nominal, placement, posture.view.posture, direction=direction)
 
     points = in_file(geometry.points, direction=False) @ file.rotation.T + file.translation
     normals = in_file(geometry.normals, direction=True) @ file.rotation.T

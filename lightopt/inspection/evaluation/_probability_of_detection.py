@@ -31,16 +31,10 @@ FURTHEST, PLACES = 30.0, 120
 class DetectionCurve:
     """Probability of detection against size.
 
-    Attributes
-    ----------
-    defects, found
-        Number of them.
-    intercept, steepness
-        b₀ and b₁; None where hits and misses do not tell them: too few, all found, all missed, or no rise with size.
-    a90
-        Size that is found 90 % of the time [mm]; None likewise.
-    a90_95
-        Its upper bound of 95 % confidence [mm]; None likewise, or where there is none.
+    intercept, steepness: b₀ and b₁; None where hits and misses do not tell them: too few, all found, all missed, or
+        no rise with size.
+    a90: Size that is found 90 % of the time [mm]; None likewise.
+    a90_95: Its upper bound of 95 % confidence [mm]; None likewise, or where there is none.
     """
 
     defects: int
@@ -58,7 +52,7 @@ class DetectionCurve:
         }
 
 
-def fit_detection(sizes: Sequence[float], found: Sequence[bool]) -> DetectionCurve:
+def fit_detection_curve(sizes: Sequence[float], found: Sequence[bool]) -> DetectionCurve:
     """Fit the curve of detection.
 
     Parameters

@@ -56,7 +56,7 @@ def product(r: Grid, z: Grid) -> float:
 
 
 @kernel
-def turn(p: Grid, z: Grid, size: float, share: float) -> None:
+def next_direction(p: Grid, z: Grid, size: float, share: float) -> None:
     """The next direction of conjugate gradients, size·z + share·p, in place of `p`."""
     for r in range(p.shape[0]):
         for c in range(p.shape[1]):
@@ -65,17 +65,7 @@ def turn(p: Grid, z: Grid, size: float, share: float) -> None:
 
 @kernel
 def advance(u: Grid, r: Grid, p: Grid, q: Grid, step: float) -> tuple[float, float]:
-    """A step of conjugate gradients: u + step·p and r − step·q in place; the sum of the squares of r and its greatest.
-
-    Parameters
-    ----------
-    u, r
-        Solution and residual, written to.
-    p, q
-        Direction, and L·p.
-    step
-        How far.
-    """
+    """A step of conjugate gradients: u + step·p and r − step·q in place; the sum of squares of r, and its greatest."""
     square, most = 0.0, 0.0
     for i in range(u.shape[0]):
         for c in range(u.shape[1]):

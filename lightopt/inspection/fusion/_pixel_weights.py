@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from lightopt.core.kernels import kernel
-from lightopt.core.threads import in_threads
-from lightopt.inspection._row_blocks import BLOCK_ROWS, row_blocks
+from lightopt.inspection._image_blocks import in_image_blocks
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
 BLOOMING_PX = 2
-"""Pixels this near to a saturated one are not trusted: charge, glare and lens spread there."""
+"""Pixels this near to a saturated one do not count: charge, glare and lens spread there."""
 
 LIT = 3.0
 """A pixel that is predicted to be less than this many standard deviations of noise above black is in shadow."""
 
 
-def trust_weights(
+def pixel_weights(
     saturated: Bool,
     predicted: Float32,
     specular: Float32,
@@ -28,7 +27,7 @@ def trust_weights(
     *,
     threads: int | None = None,
 ) -> Float32:
-    """How far each pixel of each image tells of the surface and not of a highlight or a shadow, 0 to 1.
+    """How much each pixel of each image shows the surface and not a highlight or a shadow, 0 to 1.
 
     0 where it is saturated or predicted to be, and next to that; 0 in shadow; the less the steeper the flank of the
     highlight that is predicted there.
@@ -43,50 +42,23 @@ def trust_weights(
         Standard deviation of the noise [grey level], same shape.
     limit
         Level from which a pixel is saturated [grey level], same shape.
-    threads
-        Number of threads; the result does not depend on it.
     """
     weights = np.empty(predicted.shape, np.float32)
     images, height, _ = predicted.shape
-    pieces = [(i, top) for i in range(images) for top in row_blocks(height)]
 
-    def piece(number: int) -> None:
-        i, top = pieces[number]
-        mine = weights[i, top : top + BLOCK_ROWS]
-        _trust(saturated[i], predicted[i], specular[i], deviations[i], limit[i], top, mine)
+    def weigh(i: int, rows: slice) -> None:
+        # with the rows around that dilation and gradients look at
+        above = max(0, rows.start - BLOOMING_PX)
+        around = slice(above, rows.stop + BLOOMING_PX)
+        inner = slice(rows.start - above, rows.stop - above)
+        full = saturated[i, around] | (predicted[i, around] >= limit[i, around])
+        hidden = ndimage.maximum_filter(full, 2 * BLOOMING_PX + 1)[inner]
+        down, right = (np.asarray(g[inner], np.float64) for g in np.gradient(specular[i, around]))
+        noise = deviations[i, rows]
+        hidden |= predicted[i, rows] < LIT * noise.astype(np.float64)
+        weights[i, rows] = np.where(
+            hidden, 0.0, 1.0 / (1.0 + (down * down + right * right) / (noise * noise))
+        )
 
-    in_threads(piece, range(len(pieces)), threads)
+    in_image_blocks(weigh, images, height, threads)
     return weights
-
-
-@kernel
-def _trust(
-    saturated: Bool,
-    predicted: Float32,
-    specular: Float32,
-    deviations: Float32,
-    limit: Float32,
-    top: int,
-    weights: Float32,
-) -> None:
-    # rows of an image's weights from `top` on
-    height, width = predicted.shape
-    rows = len(weights)
-    full = np.zeros((rows, width), np.bool_)
-    for y in range(max(0, top - BLOOMING_PX), min(height, top + rows + BLOOMING_PX)):
-        first, last = max(0, y - BLOOMING_PX - top), min(rows, y + BLOOMING_PX + 1 - top)
-        for x in range(width):
-            if saturated[y, x] or predicted[y, x] >= limit[y, x]:
-                full[first:last, max(0, x - BLOOMING_PX) : x + BLOOMING_PX + 1] = True
-    for row in range(rows):
-        y = top + row
-        above, below = max(y - 1, 0), min(y + 1, height - 1)
-        for x in range(width):
-            weights[row, x] = 0.0
-            noise = deviations[y, x]
-            if full[row, x] or predicted[y, x] < LIT * noise:
-                continue
-            before, after = max(x - 1, 0), min(x + 1, width - 1)
-            down = (specular[below, x] - specular[above, x]) / max(below - above, 1)
-            right = (specular[y, after] - specular[y, before]) / max(after - before, 1)
-            weights[row, x] = 1.0 / (1.0 + (down * down + right * right) / (noise * noise))

@@ -17,17 +17,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt.core.errors import LightoptError
+from lightopt.inspection._image_blocks import mask_window
 from lightopt.inspection.fusion._multigrid import (
     add_coarse,
     advance,
     coarser,
     divergence,
     laplacian,
+    next_direction,
     product,
     reciprocal_sums,
     relax,
     residual,
-    turn,
 )
 
 Float64 = NDArray[np.float64]
@@ -59,16 +60,9 @@ class _Level:
 class PoissonGrid:
     """Edges of a mask with their weights, at every size of blocks; made by :func:`poisson_grid`, serves many gradients.
 
-    Attributes
-    ----------
-    mask
-        Pixels of the image, shape (H, W).
-    components
-        Number of each pixel's piece of the mask, 0 where there is none, shape (H, W).
-    count
-        Number of pieces.
-    window
-        Rows and columns that hold the mask.
+    mask: pixels of the image, shape (H, W).
+    components: number of each pixel's connected component of the mask, 0 outside of it, shape (H, W).
+    window: rows and columns that hold the mask.
     """
 
     mask: Bool
@@ -82,21 +76,12 @@ class PoissonGrid:
     def integrate(self, gx: Float64, gy: Float64, *, level: Float64, tolerance: float = TOLERANCE) -> Float64:
         """The image with the gradients given, float64 of shape (H, W); 0 outside of the mask.
 
-        Gradients say nothing of the level of a piece of the mask: each piece gets the mean that `level` has over it.
+        Gradients say nothing of the level of a component of the mask: each one gets the mean that `level` has over it.
 
-        Parameters
-        ----------
-        gx, gy
-            Differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
-        level
-            Shape (H, W).
-        tolerance
-            Residual that is left, as a share of the right side's.
+        gx, gy: Differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
+        level: Shape (H, W).
 
-        Raises
-        ------
-        LightoptError
-            Gradients that are not finite.
+        LightoptError: Gradients that are not finite.
         """
         b = divergence(_edges(gx, self.window, 1), _edges(gy, self.window, 0), self._wx, self._wy)
         u = np.zeros(self.mask.shape)
@@ -107,7 +92,7 @@ class PoissonGrid:
         return np.where(self.mask, u + shift[self.components], 0.0)
 
     def _solve(self, b: Float64, tolerance: float) -> Float64:
-        # preconditioned conjugate gradients; L is singular on each piece, but b has nothing there
+        # preconditioned conjugate gradients; L is singular on each component, but b has nothing there
         u, r = np.zeros_like(b), b.copy()
         goal = tolerance * math.sqrt(float(np.vdot(b, b)))
         if goal == 0.0:
@@ -122,7 +107,7 @@ class PoissonGrid:
             np.multiply(r, 1.0 / size, out=scaled, casting="unsafe")
             z = self._cycle(0, scaled)
             now = size * product(r, z)
-            turn(p, z, size, now / before)
+            next_direction(p, z, size, now / before)
             before = now
             square, size = advance(u, r, p, q, now / laplacian(p, self._wx, self._wy, q))
             if math.sqrt(square) <= goal:
@@ -155,8 +140,8 @@ def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
     mask
         Pixels of the image, shape (H, W).
     wx, wy
-        Weight of the differences to the pixel to the right, shape (H, W − 1), and below, (H − 1, W); above 0. Those of
-        edges that leave the mask do not matter.
+        Weight of the differences to the pixel to the right, shape (H, W − 1), and below, (H − 1, W); above 0. Those
+        of edges that leave the mask do not matter.
     """
     components = np.zeros(mask.shape, np.int32)
     count = ndimage.label(mask, output=components)
@@ -168,14 +153,6 @@ def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
         level.append(coarser(*level[-1]))
     levels = tuple(_Level(x, y, reciprocal_sums(x, y)) for x, y in level)
     return PoissonGrid(mask, components, cast(int, count), window, wx, wy, levels)
-
-
-def mask_window(mask: Bool) -> tuple[slice, slice]:
-    """Rows and columns that hold a mask, shape (H, W)."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return slice(0, 0), slice(0, 0)
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _edges(values: NDArray[Any], window: tuple[slice, slice], axis: int) -> Float64:

@@ -12,11 +12,16 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt.core.threads import in_threads
+from lightopt.inspection._image_blocks import filter_tile, gaussian_taps, in_row_blocks, mask_window
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._row_blocks import BLOCK_ROWS, filter_tile, gaussian_taps, row_blocks
-from lightopt.inspection.fusion._gradient_fusion import FusedGradients, Fusion, Rule, fuse_beside
-from lightopt.inspection.fusion._pixel_weights import trust_weights
-from lightopt.inspection.fusion._poisson import mask_window, poisson_grid
+from lightopt.inspection.fusion._gradient_fusion import (
+    FusedGradients,
+    Fusion,
+    FusionRule,
+    fuse_with_prediction,
+)
+from lightopt.inspection.fusion._pixel_weights import pixel_weights
+from lightopt.inspection.fusion._poisson import poisson_grid
 from lightopt.inspection.prediction._posture_view import PostureView
 
 Float32 = NDArray[np.float32]
@@ -27,7 +32,7 @@ AVERAGING: Final = ("paper",)
 """Rules that average the gradients of images; the others choose one of them, by noise as much as by shading."""
 
 FILL_WEIGHT = 1e-3
-"""Weight of an edge of which no image tells: its difference is that of the good part, or 0 where that is not known,
+"""Weight of an edge at which no image is used: its difference is that of the good part, or 0 where that is not known,
 unless the others want otherwise."""
 
 MARGIN_PX = 2
@@ -39,6 +44,11 @@ SPREAD_PX = 4.0
 """The uncertainty is the spread of so many images made from levels with noise added, smoothed over so many pixels; what
 noise makes of a rule is the mean of as many made from the prediction."""
 
+PRIOR_PX = 15.0
+BLOCK_PX = 4
+"""A gradient at which no image is used is taken to be about as large as those around, Gaussian of this width, which are
+added up in blocks of this side first."""
+
 
 @dataclass(frozen=True)
 class SyntheticImage:
@@ -49,10 +59,10 @@ class SyntheticImage:
     level
         [grey level at exposure 1], shape (H, W); 0 outside of the mask.
     deviation
-        Its standard deviation: the noise of the images, propagated, what was filled in where no image tells, and what
-        noise makes of edges by helping them through a rule or not, or what is not known of that where it is taken off.
+        Its standard deviation: the noise of the images, propagated; what was filled in where no image is used; what
+        noise makes of edges by helping them through a rule or not, or the uncertainty of that where it is taken off.
     filled
-        Pixels of the mask at which no image tells any gradient, shape (H, W).
+        Pixels of the mask around which no image is used, shape (H, W).
     mask
         Pixels that have a level, shape (H, W).
     """
@@ -61,6 +71,25 @@ class SyntheticImage:
     deviation: Float32
     filled: Bool
     mask: Bool
+
+
+def synthetic_image(view: PostureView, options: InspectOptions, *, probes: int = PROBES) -> SyntheticImage:
+    """The image of a posture without highlights, by the rule of `options`; `probes` as :func:`fuse_images` takes it."""
+    assert options.fusion is not None
+    weights = pixel_weights(
+        view.saturated, view.predicted, view.specular, view.deviation, view.limit, threads=options.threads
+    )
+    return fuse_images(
+        view.level,
+        view.deviation,
+        weights,
+        view.clean,
+        fusion=options.fusion,
+        predicted=view.predicted,
+        specular=view.specular,
+        probes=probes,
+        threads=options.threads,
+    )
 
 
 def fuse_images(
@@ -78,31 +107,25 @@ def fuse_images(
 ) -> SyntheticImage:
     """Fuse the images of a posture by their gradients and integrate those.
 
-    The predicted light of the highlights that is left where an image has a say is taken off. Where one has no say, its
+    The predicted light of the highlights that is left where an image is used is taken off. Where one is not used, its
     shading is missing from a mean of gradients: they change from one set of images to another, and a former highlight
     stands out by what that adds up to. On the good part that is known from the prediction, and is put back. Noise helps
     gradients through a rule or keeps them out, which is no scatter but a bias; rules that choose one gradient follow it
-    as much as shading. Of those it is taken off, as the prediction with noise drawn has it; where gradients are
+    as much as shading. Of those it is taken off, as estimated from the prediction with noise; where gradients are
     averaged it counts as uncertainty.
 
     Parameters
     ----------
     levels, deviations
-        Shape (images, H, W) [grey level].
+        Of the images and of their noise, shape (images, H, W) [grey level].
     weights
-        From :func:`trust_weights`.
+        From :func:`pixel_weights`, same shape.
     mask
         Pixels to make an image of, shape (H, W).
-    fusion
-        As :func:`fuse_gradients` takes it.
     predicted, specular
         Levels of the good part, and the highlights' share of them, shape of `levels`; nothing is taken off without.
-    seed
-        Of the noise that the uncertainty is found with.
     probes
-        How many times noise is added to find it; 0 for an uncertainty of 0.
-    threads
-        Number of threads; the result does not depend on it.
+        How many times noise is added to find the uncertainty; 0 for an uncertainty of 0.
     """
     rows, columns = (
         slice(max(0, side.start - MARGIN_PX), side.stop + MARGIN_PX) for side in mask_window(mask)
@@ -139,20 +162,21 @@ def _fuse(
     threads: int | None,
 ) -> SyntheticImage:
     # as fuse_images; `good` is what is predicted, and the highlights' share of it
-    rule = Rule.of(weights, deviations, fusion)
+    rule = FusionRule.of(weights, deviations, fusion)
     averaging = fusion in AVERAGING
     if good is None:
-        draws, gradients = 0, FusedGradients.alone(rule.fuse(levels))
+        draws, fused = 0, rule.fuse(levels)
+        gradients = FusedGradients(fused, *([np.zeros(g.shape) for g in fused] for _ in range(2)))
     else:
         predicted, specular = good
         levels, diffuse = levels - specular, predicted - specular
-        # what noise makes of a rule that chooses is taken off the image, whether or not its uncertainty is asked for
+        # the bias of a rule that chooses is taken off the image, whether or not its uncertainty is wanted
         draws = probes if averaging else PROBES
-        gradients = fuse_beside(rule, levels, diffuse, draws=draws, seed=seed, threads=threads)
+        gradients = fuse_with_prediction(rule, levels, diffuse, draws=draws, seed=seed, threads=threads)
     complete = [g + more for g, more in zip(gradients.fused, gradients.missing, strict=True)]
     unknown = rule.unknown
     grid = poisson_grid(mask, *(np.where(u, FILL_WEIGHT, 1.0) for u in unknown))
-    typical = [typical_size(g, u) for g, u in zip(complete, unknown, strict=True)] if probes else []
+    typical = [_typical_size(g, u) for g, u in zip(complete, unknown, strict=True)] if probes else []
     nothing = np.zeros(mask.shape)
 
     def image() -> Float64:
@@ -165,24 +189,24 @@ def _fuse(
 
     def scatter(number: int) -> Float64:
         rng = np.random.default_rng((seed, 1, number))
-        drawn = rule.fuse_with_noise(levels, rng)
-        off = [
+        noisy = rule.fuse_with_noise(levels, rng)
+        errors = [
             np.where(u, size * rng.standard_normal(u.shape, dtype=np.float32), other - g)
-            for u, size, other, g in zip(unknown, typical, drawn, gradients.fused, strict=True)
+            for u, size, other, g in zip(unknown, typical, noisy, gradients.fused, strict=True)
         ]
-        return grid.integrate(*off, level=nothing, tolerance=PROBE_TOLERANCE)
+        return grid.integrate(*errors, level=nothing, tolerance=PROBE_TOLERANCE)
 
-    works = [image, *([biased] if draws else []), *(partial(scatter, i) for i in range(probes))]
-    level, *offs = in_threads(lambda number: works[number](), range(len(works)), threads)
-    by_noise = offs.pop(0) if draws else nothing
-    square = sum((np.square(off) / probes for off in offs), nothing)
+    tasks = [image, *([biased] if draws else []), *(partial(scatter, i) for i in range(probes))]
+    level, *errors = in_threads(lambda number: tasks[number](), range(len(tasks)), threads)
+    by_noise = errors.pop(0) if draws else nothing
+    square = sum((np.square(error) / probes for error in errors), nothing)
     if averaging:
         square = square + np.square(by_noise)
     elif draws:
         # smooth, lest its own noise shows; as a mean of so many it has that share of one's variance
-        level = level - np.where(mask, smoothed(by_noise, mask, SPREAD_PX, threads), 0.0)
+        level = level - np.where(mask, _smoothed(by_noise, mask, threads), 0.0)
         square = square * (1.0 + 1.0 / draws)
-    deviation = np.where(mask, np.sqrt(smoothed(square, mask, SPREAD_PX, threads)), 0.0)
+    deviation = np.where(mask, np.sqrt(_smoothed(square, mask, threads)), 0.0)
     return SyntheticImage(
         level=level.astype(np.float32),
         deviation=deviation.astype(np.float32),
@@ -192,6 +216,7 @@ def _fuse(
 
 
 def _all_unknown(unknown_x: Bool, unknown_y: Bool) -> Bool:
+    # pixels of which no edge is known
     known = np.zeros((unknown_x.shape[0], unknown_y.shape[1]), np.bool_)
     known[:, 1:] |= ~unknown_x
     known[:, :-1] |= ~unknown_x
@@ -200,22 +225,8 @@ def _all_unknown(unknown_x: Bool, unknown_y: Bool) -> Bool:
     return ~known
 
 
-PRIOR_PX = 15.0
-BLOCK_PX = 4
-"""Where no image tells a gradient, it is taken to be about as large as those around, Gaussian of this width, which are
-added up in blocks of this side first."""
-
-
-def typical_size(gradient: Float64, unknown: Bool) -> Float32:
-    """How large gradients are around each edge: root mean square of the known ones, by blocks of edges.
-
-    Parameters
-    ----------
-    gradient
-        Difference at each edge, shape (h, w).
-    unknown
-        Edges whose difference is not known, same shape.
-    """
+def _typical_size(gradient: Float64, unknown: Bool) -> Float32:
+    # root mean square of the known differences around each edge, by blocks of edges
     known = ~unknown
     square = np.where(known, np.square(gradient), 0.0)
     typical = math.sqrt(float(square.sum()) / max(float(known.sum()), 1.0))
@@ -229,58 +240,21 @@ def typical_size(gradient: Float64, unknown: Bool) -> Float32:
 
 def _in_blocks(values: Float64 | Bool) -> Float64:
     # means of blocks; beyond the last row and column is nothing
-    rows, columns = (-(-side // BLOCK_PX) * BLOCK_PX for side in values.shape)
-    whole = np.zeros((rows, columns))
-    whole[: values.shape[0], : values.shape[1]] = values
-    return whole.reshape(rows // BLOCK_PX, BLOCK_PX, columns // BLOCK_PX, BLOCK_PX).mean(axis=(1, 3))
+    whole = np.pad(values, [(0, -side % BLOCK_PX) for side in values.shape])
+    rows, columns = whole.shape
+    blocks = whole.reshape(rows // BLOCK_PX, BLOCK_PX, columns // BLOCK_PX, BLOCK_PX)
+    return blocks.mean(axis=(1, 3), dtype=np.float64)
 
 
-def smoothed(values: Float64, mask: Bool, width: float, threads: int | None = None) -> Float64:
-    """Means over a Gaussian of a width [px], of the pixels of a mask alone; shape of `values`.
-
-    Parameters
-    ----------
-    values
-        Shape (H, W); none counts outside of the mask.
-    mask
-        Same shape.
-    width
-        Standard deviation [px].
-    threads
-        Number of threads; the result does not depend on it.
-    """
-    taps = gaussian_taps(width)
+def _smoothed(values: Float64, mask: Bool, threads: int | None) -> Float64:
+    # means over a Gaussian of SPREAD_PX, of the pixels of a mask alone
+    taps = gaussian_taps(SPREAD_PX)
     inside = np.where(mask, values, 0.0).astype(np.float32)
     share, total = np.empty_like(inside), np.empty_like(inside)
 
-    def block(top: int) -> None:
-        rows = slice(top, top + BLOCK_ROWS)
-        filter_tile(mask, taps, top, 0, share[rows])
-        filter_tile(inside, taps, top, 0, total[rows])
+    def filter_rows(rows: slice) -> None:
+        filter_tile(mask, taps, rows.start, 0, share[rows])
+        filter_tile(inside, taps, rows.start, 0, total[rows])
 
-    in_threads(block, row_blocks(len(mask)), threads)
+    in_row_blocks(filter_rows, len(mask), threads)
     return total.astype(np.float64) / np.maximum(share, 1e-3)
-
-
-def synthetic_image(view: PostureView, options: InspectOptions, *, probes: int = PROBES) -> SyntheticImage:
-    """The image of a posture without highlights, by the rule of `options`; `probes` as :func:`fuse_images` takes it."""
-    assert options.fusion is not None
-    weights = trust_weights(
-        view.saturated,
-        view.predicted,
-        view.specular,
-        view.deviation,
-        view.limit,
-        threads=options.threads,
-    )
-    return fuse_images(
-        view.level,
-        view.deviation,
-        weights,
-        view.clean,
-        fusion=options.fusion,
-        predicted=view.predicted,
-        specular=view.specular,
-        probes=probes,
-        threads=options.threads,
-    )

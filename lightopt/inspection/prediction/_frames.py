@@ -13,33 +13,20 @@ from lightopt.scene import Scene, project, view_from_part
 Float64 = NDArray[np.float64]
 
 
-def to_file(
+def world_to_mesh_file(
     points: Float64, scene: Scene, placement: Placement, posture: Posture, *, direction: bool = False
 ) -> Float64:
     """World points of a placed part in a posture, shape (k, 3), in the coordinates of the mesh file [mm].
 
-    Parameters
-    ----------
-    points
-        World frame [mm], or unit vectors with `direction`.
-    scene
-        Whose mesh lies where its file has it.
-    placement
-        From there to where the part lies.
-    posture
-        Of the part.
-    direction
-        Whether vectors are turned only.
+    scene, placement: where the part's file has the part, and where it lies from there.
+    direction: whether `points` are directions, which are rotated only.
     """
-    view = view_from_part(scene, posture)
-    turn = rotation_z(placement.turn)
     file = scene.placement
     if direction:
-        return points @ view.rotation @ turn @ file.rotation
-    on_stage = (points - view.translation) @ view.rotation
-    shift = np.array([placement.x, placement.y, 0.0])
-    own = (on_stage - scene.pivot - shift) @ turn + scene.pivot
-    return (own - file.translation) @ file.rotation
+        view = view_from_part(scene, posture)
+        return points @ view.rotation @ rotation_z(placement.turn) @ file.rotation
+    nominal = _world_to_nominal_part(points, scene, placement, posture)
+    return (nominal - file.translation) @ file.rotation
 
 
 def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> NDArray[np.int32]:
@@ -47,8 +34,6 @@ def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> NDA
 
     Parameters
     ----------
-    view
-        Of a posture of a part.
     scene
         With the part where its file has it.
     placement
@@ -56,14 +41,20 @@ def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> NDA
     """
     geometry = view.prediction.images.geometry
     index = np.full(geometry.hit.shape, -1, np.int32)
-    stage = view_from_part(scene, view.posture)
-    turn = rotation_z(placement.turn)
-    shift = np.array([placement.x, placement.y, 0.0])
-    on_stage = (geometry.points[geometry.hit].astype(np.float64) - stage.translation) @ stage.rotation
-    column, row, depth = project(stage.camera, (on_stage - scene.pivot - shift) @ turn + scene.pivot)
-    height, width = stage.camera.height, stage.camera.width
-    inside = (depth > 0.0) & (column >= 0.0) & (column < width) & (row >= 0.0) & (row < height)
-    found = np.full(len(column), -1, np.int32)
-    found[inside] = np.floor(row[inside]).astype(np.int32) * width + np.floor(column[inside]).astype(np.int32)
-    index[geometry.hit] = found
+    camera = view_from_part(scene, view.posture).camera
+    points = geometry.points[geometry.hit].astype(np.float64)
+    column, row, depth = project(camera, _world_to_nominal_part(points, scene, placement, view.posture))
+    inside = (depth > 0.0) & (column >= 0.0) & (column < camera.width) & (row >= 0.0) & (row < camera.height)
+    pixel = np.full(len(column), -1, np.int32)
+    pixel[inside] = np.floor(row[inside]).astype(np.int32) * camera.width
+    pixel[inside] += np.floor(column[inside]).astype(np.int32)
+    index[geometry.hit] = pixel
     return index
+
+
+def _world_to_nominal_part(points: Float64, scene: Scene, placement: Placement, posture: Posture) -> Float64:
+    # world points of the placed part in the part frame, with the part where its file has it
+    view = view_from_part(scene, posture)
+    on_stage = (points - view.translation) @ view.rotation
+    shift = np.array([placement.x, placement.y, 0.0])
+    return (on_stage - scene.pivot - shift) @ rotation_z(placement.turn) + scene.pivot

@@ -19,7 +19,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 PIXELS_PER_IMAGE = 40_000
-"""About so many pixels of an image are looked at: all of them would hardly tell more."""
+"""About so many pixels of an image are used: all of them would hardly improve the fit."""
 
 HUBER = 1.5
 ROUNDS = 12
@@ -30,19 +30,15 @@ LEVEL_CAP = 0.15
 """A pixel that is off by this share of the camera's range or more counts as one that is off by it."""
 
 MOST_GAIN = 4.0
-"""Lights that seem to be further from what the rig says, up or down, are not believed."""
+"""Gains further from what the rig says, up or down, are not accepted."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Photometry:
     """Brightness of the lights and of black, as the images have them.
 
-    Attributes
-    ----------
-    gains
-        By name of the light: measured over predicted brightness.
-    dark
-        Above the rig's black level [sensor level].
+    gains: by name of the light, measured over predicted brightness.
+    dark: above the rig's black level [sensor level].
     """
 
     gains: dict[str, float]
@@ -50,13 +46,7 @@ class Photometry:
 
 
 def some_pixels(mask: Bool) -> NDArray[np.intp]:
-    """Flat indices of pixels of a mask, evenly picked where there are more than it takes to tell of an image.
-
-    Parameters
-    ----------
-    mask
-        Of the pixels to pick from, shape (H, W).
-    """
+    """Flat indices of pixels of a mask, shape (H, W); every n-th where there are more than are needed."""
     index = np.flatnonzero(mask)
     return index[:: max(1, len(index) // PIXELS_PER_IMAGE)]
 
@@ -71,18 +61,8 @@ def fit_photometry(
 ) -> Photometry:
     """Gain of each light and a common dark level, by robust least squares over pixels that are neither black nor full.
 
-    Parameters
-    ----------
-    observations
-        The images, of one posture.
-    predicted
-        Of each, levels of the good part [grey level at exposure 1], shape (H, W).
-    clean
-        The pixels to look at, shape (H, W).
-    scene
-        For the sensor and the names of the lights.
-    threads
-        Number of threads; the result does not depend on it.
+    predicted: for each image, levels of the good part [grey level at exposure 1], shape (H, W).
+    clean: the pixels to use, shape (H, W).
     """
     names = [light.name for light in scene.lights]
     n = len(names)
@@ -95,11 +75,11 @@ def fit_photometry(
     everywhere = some_pixels(clean)
     darkest = min((_darkest(scene, o, everywhere) for o in observations), default=np.inf)
     x = np.append(np.ones(n), 0.0)
-    held = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
+    prior = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
     nominal = x.copy()
     # not with align.solve: each image has a spread of its own here, and sums in one pass need no matrix of all pixels
     for _ in range(ROUNDS):
-        normal, right = np.diag(held), held * nominal
+        normal, right = np.diag(prior), prior * nominal
         for light, model, level, noise in rows:
             if not len(model):
                 continue
@@ -116,13 +96,13 @@ def fit_photometry(
         if x[n] > darkest:
             x[n] = darkest
             x[:n] = (right[:n] - normal[:n, n] * darkest) / np.diag(normal)[:n]
-    believed = np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN))
+    accepted = np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN))
     sets = [
         (names.index(o.light), *_above_black(scene, o, light, everywhere))
         for o, light in zip(observations, predicted, strict=True)
     ]
-    if not believed or _missed(sets, x) > _missed(sets, nominal):
-        # not these lights, not this part or another lobe: what is told of the images must not hide that
+    if not accepted or _capped_residual(sets, x) > _capped_residual(sets, nominal):
+        # not these lights, not this part or another lobe: fitted gains must not hide that
         x = nominal
     return Photometry(gains={name: float(g) for name, g in zip(names, x[:n], strict=True)}, dark=float(x[n]))
 
@@ -135,8 +115,8 @@ def _above_black(
     scale = np.float32(o.exposure * sensor.max_level / scene.reflectance.full_scale)
     model = (predicted.ravel()[index] * scale).astype(np.float64)
     level = o.levels.ravel()[index].astype(np.float64) - sensor.black_level
-    taken = np.broadcast_to(np.float32(o.subtracted), predicted.shape).reshape(-1)[index]
-    bottom = -sensor.black_level - taken
+    subtracted = np.broadcast_to(np.float32(o.subtracted), predicted.shape).reshape(-1)[index]
+    bottom = -sensor.black_level - subtracted
     return model, level, bottom, bottom + sensor.saturated_from
 
 
@@ -150,9 +130,9 @@ def _sample(
     return model[usable], level[usable], noise[usable]
 
 
-def _missed(sets: Sequence[tuple[int, Float64, Float64, Float64, Float64]], x: Float64) -> float:
+def _capped_residual(sets: Sequence[tuple[int, Float64, Float64, Float64, Float64]], x: Float64) -> float:
     # sum of squared residuals over all pixels, black and full ones as the camera clips them; up to a cap, so that a
-    # defect tells nothing of the lights
+    # defect does not change the gains
     total = 0.0
     for light, model, level, bottom, top in sets:
         off = np.minimum(level, top) - np.clip(x[light] * model + x[-1], bottom, top)

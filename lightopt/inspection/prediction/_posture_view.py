@@ -6,22 +6,27 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError, counted
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, refuse_mismatch
-from lightopt.inspection._row_blocks import BLOCK_ROWS, row_blocks
+from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._photometry import Photometry, fit_photometry, some_pixels
 from lightopt.inspection.prediction._predict import Prediction
 from lightopt.scene import Scene
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
+
+_ARRAYS = ("level", "predicted", "deviation", "rounding", "limit", "saturated")
+
+EVEN_VARIANCE = 0.3
+"""Noise of this variance [sensor level²] before rounding makes the mean of rounded levels the light's, to 0.002."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +35,6 @@ class PostureView:
 
     Attributes
     ----------
-    posture
-        Of the part.
     lights
         Names, of those that the set has for this posture.
     level
@@ -50,8 +53,6 @@ class PostureView:
         Where `level` is only a lower bound, same shape.
     prediction
         The images that `predicted` is from, and the pixels that can be judged.
-    photometry
-        What was taken out.
     """
 
     posture: Posture
@@ -67,9 +68,9 @@ class PostureView:
 
     @cached_property
     def specular(self) -> Float32:
-        """The highlights' share of `predicted`, same shape; put together when it is asked for."""
+        """The highlights' share of `predicted`, same shape; stacked on first use."""
         images = {image.light: image.specular for image in self.prediction.images.lights}
-        return np.stack([_specular(images[light]) for light in self.lights])
+        return np.stack([cast("Float32", images[light]) for light in self.lights])
 
     @property
     def part(self) -> Bool:
@@ -82,17 +83,9 @@ class PostureView:
         return self.prediction.clean
 
     def in_rows(self, rows: slice) -> PostureView:
-        """Some rows of the images, and of what is known of their pixels; views of the arrays, which cost nothing."""
-        return replace(
-            self,
-            level=self.level[:, rows],
-            predicted=self.predicted[:, rows],
-            deviation=self.deviation[:, rows],
-            rounding=self.rounding[:, rows],
-            limit=self.limit[:, rows],
-            saturated=self.saturated[:, rows],
-            prediction=self.prediction.in_rows(rows),
-        )
+        """Some rows of the images, as views of the arrays."""
+        arrays = {name: getattr(self, name)[:, rows] for name in _ARRAYS}
+        return replace(self, prediction=self.prediction.in_rows(rows), **arrays)
 
 
 def posture_view(
@@ -103,20 +96,14 @@ def posture_view(
     where: str,
     threads: int | None = None,
 ) -> PostureView:
-    """Lay the images of one posture over its prediction.
+    """Compare the images of one posture with its prediction: fit gains and dark level, merge exposures.
 
     Parameters
     ----------
-    scene
-        For the sensor.
     observations
         Of one posture.
-    prediction
-        Of that posture, with the lights of the observations.
     where
         The set, for messages.
-    threads
-        Number of threads; the result does not depend on it.
 
     Raises
     ------
@@ -136,84 +123,36 @@ def posture_view(
     )
     lights = tuple(name for name in images if any(o.light == name for o in observations))
     shape = len(lights), *clean.shape
-    level, predicted, deviation, rounding, limit = (np.empty(shape, np.float32) for _ in range(5))
-    saturated = np.empty(shape, np.bool_)
-    pieces = [(number, top) for number in range(len(lights)) for top in row_blocks(len(clean))]
+    arrays = {name: np.empty(shape, np.bool_ if name == "saturated" else np.float32) for name in _ARRAYS}
 
-    def merge(piece: int) -> None:
-        number, top = pieces[piece]
-        light, rows = lights[number], slice(top, top + BLOCK_ROWS)
-        here = number, rows
-        predicted[here] = images[light][rows]
-        merge_exposures(
-            scene,
-            [o for o in observations if o.light == light],
-            predicted[here],
-            photometry,
-            rows,
-            level=level[here],
-            deviation=deviation[here],
-            rounding=rounding[here],
-            limit=limit[here],
-            saturated=saturated[here],
-        )
+    def merge(number: int, rows: slice) -> None:
+        light = lights[number]
+        here = {name: array[number, rows] for name, array in arrays.items()}
+        here["predicted"][:] = images[light][rows]
+        _merge_exposures(scene, [o for o in observations if o.light == light], photometry, rows, **here)
 
-    in_threads(merge, range(len(pieces)), threads)
+    in_image_blocks(merge, len(lights), len(clean), threads)
     posture = observations[0].posture
-    refuse_mismatch(level, predicted, limit, deviation, some_pixels(clean), f"{where}, posture {posture}")
-    return PostureView(
-        posture=posture,
-        lights=lights,
-        level=level,
-        predicted=predicted,
-        deviation=deviation,
-        rounding=rounding,
-        limit=limit,
-        saturated=saturated,
-        prediction=prediction,
-        photometry=photometry,
-    )
+    compared = (arrays[name] for name in ("level", "predicted", "limit", "deviation"))
+    refuse_mismatch(*compared, some_pixels(clean), f"{where}, posture {posture}")
+    return PostureView(posture=posture, lights=lights, prediction=prediction, photometry=photometry, **arrays)
 
 
-def _specular(image: Float32 | None) -> Float32:
-    assert image is not None
-    return image
-
-
-EVEN_VARIANCE = 0.3
-"""Noise of this variance [sensor level²] before rounding makes the mean of rounded levels the light's, to 0.002."""
-
-
-def merge_exposures(
+def _merge_exposures(
     scene: Scene,
     observations: Sequence[Observation],
-    predicted: Float32,
     photometry: Photometry,
     rows: slice,
     *,
     level: Float32,
+    predicted: Float32,
     deviation: Float32,
     rounding: Float32,
     limit: Float32,
     saturated: Bool,
 ) -> None:
-    """Write what the images of one light tell of some rows of pixels, as :class:`PostureView` has it.
-
-    Parameters
-    ----------
-    scene
-        For the sensor.
-    observations
-        The images of the light, in a posture.
-    predicted
-        Levels of the good part in these rows [grey level at exposure 1], shape (h, W).
-    photometry
-        To take out.
-    rows
-        Of the images.
-    level, deviation, rounding, limit, saturated
-        To write to, shape (h, W).
-    """
+    # write some rows of what PostureView has of a light, shape (h, W), but for `predicted`, which is given: of each
+    # pixel the longest exposure that is not saturated
     sensor = scene.sensor
     exposures = sorted(observations, key=lambda o: -o.exposure)
     gain = photometry.gains[exposures[0].light]
@@ -222,7 +161,7 @@ def merge_exposures(
         scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
         still = sensor.noise_variance(0.0, frames=o.frames)
         subtracted = np.broadcast_to(np.float32(o.subtracted), o.levels.shape)[rows]
-        _take(
+        _merge_exposure(
             np.ascontiguousarray(o.levels[rows]),
             o.saturated[rows],
             np.ascontiguousarray(subtracted),
@@ -244,7 +183,7 @@ def merge_exposures(
 
 
 @kernel
-def _take(
+def _merge_exposure(
     levels: Float32,
     full: Bool,
     subtracted: Float32,
@@ -263,7 +202,7 @@ def _take(
     limit: Float32,
     saturated: Bool,
 ) -> None:
-    # what one exposure says of the pixels that no longer one could tell of: where it is not full, or is the last
+    # one exposure, of the pixels that no longer one could measure: where it is not saturated, or is the last
     height, width = levels.shape
     for y in range(height):
         for x in range(width):

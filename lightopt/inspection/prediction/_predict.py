@@ -29,23 +29,20 @@ Bool = NDArray[np.bool_]
 Images = TypeVar("Images", LightImage, Geometry)
 
 TRACE = 1e-6
-"""Of R_d: far below anything that a camera tells."""
+"""Least R_d that is rendered: far below what a camera detects."""
+
+PATCHES = 50_000
+"""About so many patches that the camera sees stand for the surface, whatever the resolution of the images."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
     """The good part in a posture: its images, and which pixels can be judged.
 
-    Attributes
-    ----------
-    images
-        Under each light, with the specular component apart.
-    clean
-        Pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
-    grazing
-        Pixels that see the part at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (H, W).
-    area
-        Of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
+    images: under each light, with the specular component apart.
+    clean: pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
+    grazing: pixels that see the part at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (H, W).
+    area: of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
     """
 
     images: PostureImages
@@ -80,14 +77,8 @@ def predict(
     ----------
     scene
         With the part where it lies.
-    posture
-        Of the part.
     caster
         Of the scene's part.
-    lights
-        Names of those to render.
-    threads
-        Number of threads; the result does not depend on it.
     """
     chosen = tuple(light for light in scene.lights if light.name in lights)
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
@@ -118,21 +109,13 @@ def _solid_angle(camera: PinholeCamera, column: NDArray[np.int32], row: NDArray[
     return (camera.pixel_size / camera.image_distance) ** 2 * cosine**3
 
 
-PATCHES = 50_000
-"""About so many patches that the camera sees stand for the surface, whatever the resolution of the images."""
-
-
 @dataclass(frozen=True, eq=False)
 class SurfaceMap:
     """Patches of the surface, and the pixel that sees each in each posture.
 
-    Attributes
-    ----------
-    areas
-        Of the patches [mm²], shape (n,).
-    seen
-        By posture: indices of the patches that the camera sees, and raveled indices of the pixels that they lie in, −1
-        where it sees them at a grazing angle: these are left out.
+    areas: of the patches [mm²], shape (n,).
+    seen: by posture: indices of the patches that the camera sees, and raveled indices of the pixels that they lie in,
+        −1 where it sees them at a grazing angle: these are left out.
     """
 
     areas: NDArray[np.float64]
@@ -140,15 +123,7 @@ class SurfaceMap:
 
 
 def map_surface(scene: Scene, caster: RayCaster) -> SurfaceMap:
-    """Cut the surface into patches and look for them in the images of each posture.
-
-    Parameters
-    ----------
-    scene
-        With the part where it lies, in all postures that it is to be seen in.
-    caster
-        Of the scene's part.
-    """
+    """Divide the surface into patches and find the pixel that sees each in each posture of `scene`."""
     table = build_patches(scene, caster=caster, budget=PATCHES)
     seen: dict[Posture, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
     for posture, visible, grazing in zip(table.postures, table.visible, table.grazing, strict=True):
