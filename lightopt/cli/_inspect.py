@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._inspect_output import Output, show_calibration, write_batch, write_set
+from lightopt.cli._inspect_output import Output, show_batch, show_calibration, write_batch, write_set
 from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, Threads, make_folder
 from lightopt.cli._terminal import say, say_error, say_warning, show_share
 from lightopt.core.errors import CheckFailed, InputError, counted
@@ -56,7 +56,7 @@ def inspect(
         int, typer.Option(metavar="K", help="A defect shows in so many images of a posture. [2]")
     ] = 2,
     no_shift: Annotated[
-        bool, typer.Option("--no-shift", help="The part lies exactly where its file has it.")
+        bool, typer.Option("--no-shift", help="Skip registration; assume nominal placement.")
     ] = False,
     calibrate: Annotated[
         bool,
@@ -85,7 +85,7 @@ def inspect(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find defects in IMAGES of PART, and say where they are.
+    """Find defects in IMAGES of PART and report where they are.
 
     Writes report.html, defects.json, .csv and .ply, the synthetic image without highlights with its uncertainty, scores
     and an overlay for each posture. Several sets, as of several parts, get a folder each. OK or NG is by the limits
@@ -126,8 +126,7 @@ def inspect(
     if learned is not None:
         learned.require_match(loaded_rig, loaded_part, options)
     output = Output(rig=loaded_rig, part=loaded_part, report=not no_report, quiet=quiet)
-    run = _inspect_one if len(sets) == 1 else _inspect_several
-    rows = run(output, sets, out, options, learned, truth=truth, force=force)
+    rows = _inspect(output, sets, out, options, learned, truth=truth, force=force)
     refused = [row.name for row in rows if row.verdict is None]
     bad = [
         f"{image_set.folder}: NG, {'; '.join(row.verdict.reasons)}"
@@ -141,7 +140,7 @@ def inspect(
         raise CheckFailed(*bad)
 
 
-def _inspect_one(
+def _inspect(
     output: Output,
     sets: list[ImageSet],
     out: Path,
@@ -151,38 +150,7 @@ def _inspect_one(
     truth: bool,
     force: bool,
 ) -> list[BatchRow]:
-    from lightopt.inspection import InspectionFolder, inspect_batch, inspection_provenance, truth_sources
-
-    sources = truth_sources(sets, output.part) if truth else None
-    made_from = inspection_provenance(output.rig, output.part, sets, options, calibration=calibration)
-    folder = InspectionFolder(out, made_from, force=force)
-    (inspected,) = inspect_batch(
-        output.rig,
-        output.part,
-        sets,
-        options=options,
-        calibration=calibration,
-        truth=sources,
-        folders=[folder],
-        progress=partial(show_share, quiet=output.quiet),
-    )
-    if inspected.error is not None:
-        raise inspected.error
-    for text in inspected.warnings:
-        say_warning(text)
-    return [write_set(output, folder, inspected, summarised=True)]
-
-
-def _inspect_several(
-    output: Output,
-    sets: list[ImageSet],
-    out: Path,
-    options: InspectOptions,
-    calibration: Calibration | None,
-    *,
-    truth: bool,
-    force: bool,
-) -> list[BatchRow]:
+    # one set goes to `out`; several go to folders below it, and what is said of all of them to `out`
     from lightopt.inspection import (
         BatchFolder,
         InspectionFolder,
@@ -194,21 +162,24 @@ def _inspect_several(
     )
     from lightopt.report import BatchRow
 
+    rig, part, several = output.rig, output.part, len(sets) > 1
     names = set_names(sets, out)
-    sources = truth_sources(sets, output.part) if truth else None
-    describe = partial(
-        inspection_provenance, output.rig, output.part, options=options, calibration=calibration
-    )
-    made_from = describe(sets)
-    made_from["options"]["truth"] = truth
-    batch = BatchFolder(out, made_from, force=force)
+    sources = truth_sources(sets, part) if truth else None
+    describe = partial(inspection_provenance, rig, part, options=options, calibration=calibration)
+    batch = None
+    if several:
+        made_from = describe(sets)
+        made_from["options"]["truth"] = truth
+        batch = BatchFolder(out, made_from, force=force)
     folders = [
-        InspectionFolder(out / name, describe([image_set], before=sets[:number]), force=force)
+        InspectionFolder(
+            out / name if several else out, describe([image_set], before=sets[:number]), force=force
+        )
         for number, (image_set, name) in enumerate(zip(sets, names, strict=True))
     ]
     results = inspect_batch(
-        output.rig,
-        output.part,
+        rig,
+        part,
         sets,
         options=options,
         calibration=calibration,
@@ -220,10 +191,12 @@ def _inspect_several(
     evaluations: list[SetEvaluation] = []
     begun = monotonic()
     for name, image_set, folder in zip(names, sets, folders, strict=True):
-        if not output.quiet:
+        if several and not output.quiet:
             say(f"{name}:")
         inspected = next(results)
         if inspected.error is not None:
+            if not several:
+                raise inspected.error
             folder.clear()
             own = f"{image_set.folder}"
             bare = (message.removeprefix(own).lstrip(",: ") for message in inspected.error.messages)
@@ -233,17 +206,14 @@ def _inspect_several(
             rows.append(BatchRow(name=name, refused=tuple(reasons)))
             continue
         for text in inspected.warnings:
-            say_warning(f"{name}: {text}")
-        rows.append(write_set(output, folder, inspected, summarised=False))
+            say_warning(f"{name}: {text}" if several else text)
+        rows.append(write_set(output, folder, inspected, summarised=not several))
         if inspected.evaluation is not None:
             evaluations.append(inspected.evaluation)
-    if not output.quiet:
-        minutes = (monotonic() - begun) / 60.0
-        refused = sum(row.verdict is None for row in rows)
-        good = sum(row.verdict.good for row in rows if row.verdict is not None)
-        others = f", {refused} not inspected" if refused else ""
-        say(f"{len(sets)} parts, {good} OK{others}; {len(sets) / max(minutes, 1e-9):.3g} parts per minute")
-    write_batch(output, batch, rows, evaluations if truth else None)
+    if batch is not None:
+        if not output.quiet:
+            show_batch(rows, minutes=(monotonic() - begun) / 60.0)
+        write_batch(output, batch, rows, evaluations if truth else None)
     return rows
 
 

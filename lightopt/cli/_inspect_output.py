@@ -106,8 +106,16 @@ def _show_written(output: Output, summary: Mapping[str, Any] | None, written: Se
         say(f"{path}")
 
 
+def show_batch(rows: Sequence[BatchRow], *, minutes: float) -> None:
+    """How many parts are OK, and how long a part took."""
+    refused = sum(row.verdict is None for row in rows)
+    good = sum(row.verdict.good for row in rows if row.verdict is not None)
+    others = f", {refused} not inspected" if refused else ""
+    say(f"{len(rows)} parts, {good} OK{others}; {len(rows) / max(minutes, 1e-9):.3g} parts per minute")
+
+
 def show_calibration(calibration: Calibration, rate: float) -> None:
-    """The greatest score of each good set, the threshold, and the rates that these sets bear."""
+    """The greatest score of each good set, the threshold, and the rates that these sets can hold."""
     from lightopt.inspection import least_rate
 
     rows = [

@@ -44,7 +44,7 @@ from lightopt.inspection.evaluation._evaluation import (
     region_hits,
     summarise,
 )
-from lightopt.inspection.evaluation._ground_truth import TruthSource, truth_source, truth_sources
+from lightopt.inspection.evaluation._ground_truth import truth_sources
 from lightopt.inspection.evaluation._probability_of_detection import fit_detection_curve
 from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
 from lightopt.inspection.fusion._pixel_weights import pixel_weights
@@ -88,7 +88,6 @@ __all__ = [
     "SetEvaluation",
     "SurfaceCoverage",
     "SyntheticImage",
-    "TruthSource",
     "Verdict",
     "area_under_roc",
     "calibrate",
@@ -128,7 +127,6 @@ __all__ = [
     "summarise",
     "synthetic_image",
     "threshold",
-    "truth_source",
     "truth_sources",
     "truth_text",
     "write_random_defects",

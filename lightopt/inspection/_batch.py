@@ -25,16 +25,8 @@ from lightopt.scene import place_defects
 class InspectedSet:
     """What the inspection of one image set of a batch gave.
 
-    Attributes
-    ----------
-    name
-        Of the set's folder.
-    result, verdict
-        None where the set was refused.
-    evaluation
-        Against ground truth, where that was given.
-    error
-        Why the set was refused.
+    result, verdict: None where the set was refused.
+    evaluation: against ground truth, where that was given.
     """
 
     name: str
@@ -56,7 +48,7 @@ def inspect_batch(
     folders: Sequence[InspectionFolder] | None = None,
     progress: Callable[[], AbstractContextManager[Progress | None]] = nullcontext,
 ) -> Iterator[InspectedSet]:
-    """Inspect image sets one after the other; each is worked on when its result is asked for.
+    """Inspect image sets one after the other; each is inspected when its result is requested.
 
     Predictions are reused from set to set. A set of unusable images is refused, and the others are inspected.
 

@@ -64,17 +64,9 @@ def inspection_provenance(
 class InspectionFolder(ResultFolder):
     """A folder that an inspection is written to.
 
-    Parameters
-    ----------
-    folder
-        Made where it does not exist.
-    force
-        Whether files of an inspection of other inputs are replaced.
+    force: whether files of an inspection of other inputs are replaced.
 
-    Raises
-    ------
-    InputError
-        The folder holds an inspection of other inputs, and `force` is False.
+    Raises InputError: the folder holds an inspection of other inputs, and `force` is False.
     """
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
@@ -107,7 +99,7 @@ class InspectionFolder(ResultFolder):
             raise
 
     def clear(self) -> None:
-        """Remove what an earlier inspection left here, and the folder where nothing else is in it."""
+        """Remove the files of a previous inspection, and the folder where nothing else is in it."""
         self._remove_earlier()
         for folder in (*self.folder.glob("posture_*"), self.folder):
             with suppress(OSError):  # something else is in it
@@ -181,7 +173,7 @@ def set_names(sets: Sequence[ImageSet], out: Path) -> list[str]:
 
 
 def truth_text(summary: Mapping[str, Any]) -> str:
-    """``truth.json`` of what :func:`lightopt.inspection.summarise` says."""
+    """``truth.json`` with a summary from :func:`lightopt.inspection.summarise`."""
     return json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 

@@ -18,12 +18,7 @@ the second share, but to no less than the third."""
 class GreyPicture:
     """An image as grey: 255 · ((level − black) / (white − black)) ^ power.
 
-    Attributes
-    ----------
-    black, white
-        The levels that are shown black and white [grey level].
-    power
-        1 for a linear picture.
+    black, white: the levels that are shown black and white [grey level].
     """
 
     grey: NDArray[np.uint8]

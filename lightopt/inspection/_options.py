@@ -15,18 +15,11 @@ DETECTORS: Final = ("residual", "template")
 class InspectOptions:
     """How to inspect.
 
-    Attributes
-    ----------
-    detector
-        ``residual``: measured against predicted; ``template``: dots and lines in the synthetic image.
-    fusion
-        Rule that the synthetic image is made by; None for no such image, which the template detector needs.
-    false_alarms
-        Expected number of false alarms per posture where noise is all that differs from the good part.
-    seen_by
-        In how many images of a posture a defect must show.
-    shift
-        Whether the part is looked for around where its file has it.
+    detector: ``residual``: measured against predicted; ``template``: dots and lines in the synthetic image.
+    fusion: rule that the synthetic image is made by; None for no such image, which the template detector needs.
+    false_alarms: expected number of false alarms per posture where noise is all that differs from the good part.
+    seen_by: in how many images of a posture a defect must show.
+    shift: whether the part is searched for around its nominal place.
     """
 
     detector: Detector = "residual"
@@ -37,7 +30,7 @@ class InspectOptions:
     threads: int | None = None
 
     def problems(self) -> list[str]:
-        """What is wrong with them, in words."""
+        """Messages about wrong options."""
         found: list[str] = []
         if self.detector not in DETECTORS:
             found.append(f'--detector: expected {" or ".join(DETECTORS)}, found "{self.detector}"')

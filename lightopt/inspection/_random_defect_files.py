@@ -20,7 +20,7 @@ _PROVENANCE = "provenance: "
 
 
 def random_defect_provenance(rig: RigConfig, part: PartConfig, *, count: int, seed: int) -> dict[str, Any]:
-    """What scattered defects depend on, in the layout of :mod:`lightopt.core.provenance`."""
+    """What random defects depend on, in the layout of :mod:`lightopt.core.provenance`."""
     return provenance(input_hashes(rig, part), {"seed": seed, "count": count})
 
 
@@ -71,16 +71,16 @@ def write_random_defects(path: Path, text: str, *, force: bool) -> None:
     if path.is_dir():
         raise InputError(f"{path}: expected the name of a part file to write, found a folder")
     if path.exists() and not force and path.read_bytes() != text.encode():
-        told = differences(_provenance(path.read_text("utf-8", errors="replace")), _provenance(text))
+        changed = differences(_provenance(path.read_text("utf-8", errors="replace")), _provenance(text))
         raise InputError(
-            f"{path}: already there and different{f' ({told})' if told else ''}; use --force to replace it, or choose "
-            "another name"
+            f"{path}: already there and different{f' ({changed})' if changed else ''}; use --force to replace it, or "
+            "choose another name"
         )
     write_text_atomic(path, text)
 
 
 def _provenance(text: str) -> dict[str, Any]:
-    """That of the defects of a part file; empty where it says none."""
+    # of the defects of a part file; empty where it has none
     line = re.search(rf"^# {_PROVENANCE}(.*)$", text, re.MULTILINE)
     try:
         found = json.loads(line[1]) if line else {}

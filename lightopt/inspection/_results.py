@@ -27,16 +27,10 @@ Float32 = NDArray[np.float32]
 class InspectedPosture:
     """One posture of an inspected part.
 
-    Attributes
-    ----------
-    make_synthetic
-        Makes the image without highlights; None where none is wanted.
-    score
-        −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
-    labels
-        Number of the region that each pixel belongs to, 0 for none, shape (H, W).
-    threshold
-        Score from which a region counts.
+    make_synthetic: makes the image without highlights; None where none is wanted.
+    score: −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
+    labels: number of the region that each pixel belongs to, 0 for none, shape (H, W).
+    threshold: score from which a region counts.
     """
 
     view: PostureView
@@ -74,20 +68,11 @@ class InspectedPosture:
 class InspectionResult:
     """What an inspection of one set of images found.
 
-    Attributes
-    ----------
-    defects
-        The highest score first.
-    placement
-        Where the part lies from where its file has it; None where it was not searched for.
-    registration
-        The search that found it, or the part of the batch that it lies near; None where there was none.
-    warnings
-        Missing lights and postures, and so on.
-    nominal
-        The scene with the part where its file has it.
-    surface
-        Of the part, each place counted once however many postures show it.
+    placement: where the part lies from where its file has it; None where it was not searched for.
+    registration: the search that found it, or the part of the batch that it lies near; None where there was none.
+    warnings: missing lights and postures, and so on.
+    nominal: the scene with the part where its file has it.
+    surface: of the part, each place counted once however many postures show it.
     """
 
     defects: tuple[FoundDefect, ...]
@@ -114,18 +99,12 @@ class InspectionResult:
 class Verdict:
     """Whether a part is good.
 
-    Attributes
-    ----------
-    counting
-        Numbers of the defects that count.
-    inspected
-        Share of the visible surface that was inspected in one posture or several; where it is dark, for glints.
-    reasons
-        Why it is not; empty for a good part.
-    finds
-        Share of the visible surface where :data:`lightopt.inspection.REFERENCE_DEFECT` is found half of the time.
-    glints
-        Share of the visible surface that is dark, so that only glints show.
+    counting: numbers of the defects that count.
+    inspected: share of the visible surface that was inspected in one posture or several; where it is dark, for
+        glints.
+    reasons: why it is not; empty for a good part.
+    finds: share of the visible surface where :data:`lightopt.inspection.REFERENCE_DEFECT` is found half of the time.
+    glints: share of the visible surface that is dark, so that only glints show.
     """
 
     good: bool

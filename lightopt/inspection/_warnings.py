@@ -11,7 +11,7 @@ from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture
 
 MOST_DARK_SHARE = 0.01
-"""A black level that is further off than this share of the sensor's range is told."""
+"""A black level that is further off than this share of the sensor's range is reported."""
 
 
 def inspection_warnings(

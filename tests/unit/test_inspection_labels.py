@@ -11,8 +11,8 @@ import pytest
 from lightopt import load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.images import ImageSet, SourceFile, read_image_set
-from lightopt.inspection import InspectOptions, inspect_set, truth_source
-from lightopt.inspection.evaluation._ground_truth import true_labels
+from lightopt.inspection import InspectOptions, inspect_set
+from lightopt.inspection.evaluation._ground_truth import true_labels, truth_source
 from lightopt.rendering import RenderOptions, render_image_set
 from lightopt.scene import place_defects
 

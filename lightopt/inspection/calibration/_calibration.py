@@ -33,14 +33,8 @@ LEAST: Final = 3.0
 class CalibratedPosture:
     """What was learned from good parts of one posture.
 
-    Attributes
-    ----------
-    exposures
-        Of the images that each light has.
-    peaks
-        Greatest score of each good set, judged by what the others have in common.
-    systematic
-        What they have in common; None for a detector that does not look at deviations.
+    peaks: greatest score of each good set, judged by what the others have in common.
+    systematic: what they have in common; None for a detector that does not use deviations.
     """
 
     posture: Posture
@@ -66,16 +60,11 @@ class CalibratedPosture:
 class Calibration:
     """What was learned from good parts.
 
-    Attributes
-    ----------
-    rate
-        False alarms that it was made for: share of the good sets of a posture.
-    sets
-        Names of the good sets' folders.
-    computed_by
-        From :func:`lightopt.core.provenance.computed_by`: scores of other code are other scores.
-    name, sha256
-        Of its file: for the provenance of what is inspected with it; the hash is empty where there is no file.
+    rate: false alarms that it was made for: share of the good sets of a posture.
+    sets: names of the good sets' folders.
+    computed_by: from :func:`lightopt.core.provenance.computed_by`: scores of other code are other scores.
+    name, sha256: of its file: for the provenance of what is inspected with it; the hash is empty where there is no
+        file.
     """
 
     rate: float

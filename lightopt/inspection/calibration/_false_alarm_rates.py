@@ -1,4 +1,4 @@
-"""Which rate of false alarms so many good sets bear, whatever the law of their scores: order statistics.
+"""The rate of false alarms that so many good sets can hold, whatever the law of their scores: order statistics.
 
 Of `n` good sets let the k-th largest of their greatest scores be the threshold. A further good set exceeds it with a
 probability that is distributed as Beta(k, n − k + 1) over all ways to draw the sets, whatever they are drawn from

@@ -22,7 +22,7 @@ POOLED_PX = 3.0
 """The spread of a pixel is that of its surroundings, Gaussian of this width: few sets say little of one pixel."""
 
 GREATEST_Z = 100.0
-"""Deviations beyond this say no more; a single wild pixel does not drown what the other sets say."""
+"""Deviations are clipped here: a single outlier does not outweigh the other sets."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -50,16 +50,16 @@ class SurfaceState(IntEnum):
 class Shares:
     """A surface by what each place of it can show, and why nothing where it can show nothing.
 
-    seen: By the camera, not at a grazing angle [mm²].
-    inspected: Of it, judged [mm²]: the areas of :attr:`classes`.
-    glints: Of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes
+    seen: by the camera, not at a grazing angle [mm²].
+    inspected: of it, judged [mm²]: the areas of :attr:`classes`.
+    glints: of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes
         it darker does not.
-    fewer: Of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
+    fewer: of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
         show in these alone.
-    saturated, shadow, edge: Of what is seen, not judged: image and prediction are saturated under each light that
+    saturated, shadow, edge: of what is seen, not judged: image and prediction are saturated under each light that
         reaches it; no light does; next to silhouettes and creases [mm²].
-    grazing: Seen at a grazing angle only, which is left out [mm²].
-    sensitivity: By contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that
+    grazing: seen at a grazing angle only, which is left out [mm²].
+    sensitivity: by contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that
         share is found half of the time [mm²]. The rest is dark, or shows stronger ones.
     """
 
@@ -144,13 +144,9 @@ def class_areas(
 class PostureCoverage(Shares):
     """The surface that the camera sees in a posture.
 
-    Attributes
-    ----------
-    state
-        :class:`SurfaceState` of each pixel, shape (H, W).
-    least_contrast
-        Share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W); infinite where it
-        is dark, or nothing was inspected.
+    state: :class:`SurfaceState` of each pixel, shape (H, W).
+    least_contrast: share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W);
+        infinite where it is dark, or nothing was inspected.
     """
 
     state: NDArray[np.uint8] = field(compare=False, repr=False)

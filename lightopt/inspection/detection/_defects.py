@@ -34,17 +34,17 @@ normals differ by less than 60°."""
 class Detection:
     """A defect in the images of one posture.
 
-    centre_px: Column and row of the middle; pixel centres at +0.5.
-    box_px: First column and row, and those after the last.
-    position, normal: Middle of its surface and the normal there, in the coordinates of the mesh file [mm].
-    size: Extent along its longer and its shorter axis on the surface [mm].
-    area: Of its surface [mm²].
+    centre_px: column and row of the middle; pixel centres at +0.5.
+    box_px: first column and row, and those after the last.
+    position, normal: middle of its surface and the normal there, in the coordinates of the mesh file [mm].
+    size: extent along its longer and its shorter axis on the surface [mm].
+    area: of its surface [mm²].
     score: −log₁₀ of the probability that noise alone looks as much like a defect.
-    contrast: Per light that shows it, greatest deviation as a share of the predicted light, with its sign; where that
+    contrast: per light that shows it, greatest deviation as a share of the predicted light, with its sign; where that
         is darker than one standard deviation of the noise, as a multiple of this.
     kind: ``shape`` where light and dark lie side by side or change with the light, ``stain`` where all lights lose
         (or gain) the same share of diffuse light, ``unknown`` else.
-    points: Of its surface, one per pixel, in the coordinates of the mesh file [mm], shape (pixels, 3).
+    points: of its surface, one per pixel, in the coordinates of the mesh file [mm], shape (pixels, 3).
     """
 
     posture: Posture
@@ -91,12 +91,7 @@ class Detection:
 class FoundDefect:
     """A defect, seen in one posture or in several.
 
-    Attributes
-    ----------
-    number
-        From 1, the highest score first.
-    detections
-        The highest score first.
+    number: from 1, the highest score first.
     """
 
     number: int

@@ -45,18 +45,12 @@ MEAN_OF_NORMAL = 0.7979
 class Deviations:
     """Measured minus predicted of a posture.
 
-    Attributes
-    ----------
-    z
-        In standard deviations, shape (lights, H, W); 0 where not usable.
-    scale
-        The standard deviation [grey level at exposure 1], same shape; at pixels that cannot be judged, of noise and
-        surroundings alone.
-    usable
-        Pixels that can show a defect in an image: reached by the light, off edges, not saturated in both image and
-        prediction, same shape.
-    lit
-        Of these, the ones that are not :data:`DARK`: they show most defects, dark ones only what glints there, same
+    z: in standard deviations, shape (lights, H, W); 0 where not usable.
+    scale: the standard deviation [grey level at exposure 1], same shape; at pixels that cannot be judged, of noise
+        and surroundings alone.
+    usable: pixels that can show a defect in an image: reached by the light, off edges, not saturated in both image
+        and prediction, same shape.
+    lit: of these, the ones that are not :data:`DARK`: they show most defects, dark ones only what glints there, same
         shape.
     """
 

@@ -44,7 +44,7 @@ def measure_regions(
 ) -> tuple[Detection, ...]:
     """Measure the regions of a posture.
 
-    score: Shape (H, W).
+    score: shape (H, W).
     """
     if not count:
         return ()
@@ -116,7 +116,7 @@ def _contrasts(
         limit = view.limit[i][window]
         seen = float(np.minimum(view.level[i][window], limit).mean())
         model = float(np.clip(view.predicted[i][window], 0.0, limit).mean())
-        # a glint on a dark field is told against the noise, or its share of no light would be anything
+        # a glint on a dark field is compared with the noise, since it would be any share of no light
         result[light] = (seen - model) / max(model, float(view.deviation[i][window].mean()))
     return result
 
@@ -136,7 +136,7 @@ def _kind(
     weaker, stronger = min(up[shown].max(), down[shown].max()), max(up[shown].max(), down[shown].max())
     if weaker >= SHOWN_Z and weaker >= min(LEAST_OPPOSITE * stronger, CLEAR_OPPOSITE_Z):
         return "shape"
-    # stains change diffuse light, all of it by the same share: highlights do not tell
+    # stains change diffuse light, all of it by the same share: highlights do not count
     diffuse = view.specular[:, row, column] < 0.2 * view.predicted[:, row, column]
     diffuse &= ~view.saturated[:, row, column]
     both = np.where(diffuse.all(axis=1), np.minimum(up, down), 0.0)

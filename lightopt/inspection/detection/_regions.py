@@ -94,7 +94,7 @@ def box_sums(
 ) -> list[Float32]:
     """Sums over Gaussians in a box of pixels, from what lies around it as far as the Gaussians reach.
 
-    scales: Widths of the Gaussians [px].
+    scales: widths of the Gaussians [px].
 
     Returns Of each Gaussian, of shape (lights, rows, columns).
     """
@@ -111,7 +111,7 @@ def box_sums(
 def core_pixels(region: Bool, fine: Float32) -> Bool:
     """Pixels of a region whose own deviation is not only that of neighbours, spread by sums; shape of the region.
 
-    fine: Sums over the narrowest Gaussian in the same box, shape (lights, rows, columns).
+    fine: sums over the narrowest Gaussian in the same box, shape (lights, rows, columns).
     """
     nothing = np.float32(0.0)
     core = np.zeros_like(region)

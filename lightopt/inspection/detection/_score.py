@@ -63,7 +63,7 @@ def smoothed_deviations(
 ) -> tuple[Float32, Bool]:
     """Sums over Gaussians of deviations, in standard deviations of such a sum, and where they count; (lights, H, W).
 
-    scale: Width of the Gaussian [px].
+    scale: width of the Gaussian [px].
     """
     sums, counts = np.empty_like(found.z), np.empty(found.z.shape, np.bool_)
     lights, height, _ = found.z.shape

@@ -31,14 +31,10 @@ REFERENCE_DEFECT: Final = (
 class SurfaceCoverage(Shares):
     """The surface of the part, each place counted once, by the posture that shows it best.
 
-    Attributes
-    ----------
-    area
-        Of the whole surface, undersides and insides too [mm²]; `seen` of it by the camera in at least one posture,
+    area: of the whole surface, undersides and insides too [mm²]; `seen` of it by the camera in at least one posture,
         with images or without, not at a grazing angle.
-    missing
-        Of what is seen, not judged for want of images: what a posture without images shows, and those with images at
-        an edge at most [mm²].
+    missing: of what is seen, not judged for want of images: what a posture without images shows, and those with
+        images at an edge at most [mm²].
     """
 
     area: float

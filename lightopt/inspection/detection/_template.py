@@ -27,12 +27,12 @@ width and length, in so many directions."""
 LOCAL_PX = 18.0
 CLIPPED = 4.0
 MEAN_OF_NORMAL = 0.7979
-"""The response is told in units of what its surroundings show, as deviations of the other detector are."""
+"""The response is measured in units of what its surroundings show, as deviations of the other detector are."""
 
 MEDIAN_PX = 3
 
 BORDER_PX = 3.0
-"""Nothing is told within this distance of the border of the mask."""
+"""Nothing is scored within this distance of the border of the mask."""
 
 
 def templates() -> tuple[Float64, ...]:
@@ -113,9 +113,9 @@ def score_posture(
     Parameters
     ----------
     found
-        Deviations from the good part, which the residual detector looks at.
+        Deviations from the good part, for the residual detector.
     synthetic
-        Makes the image without highlights, which the template detector looks at; the other does not call it.
+        Makes the image without highlights, for the template detector; the other does not call it.
 
     Returns
     -------

@@ -26,7 +26,7 @@ SLACK_PX = 2
 MOST_TIMES = 10.0
 MOST_MORE_PX = 50
 """A region finds a defect only if it has at most this many times the defect's pixels, and this many more: one all over
-the part finds nothing. Defects of few pixels look larger, since what tells them are sums over Gaussians."""
+the part finds nothing. Defects of few pixels look larger, since they are found in sums over Gaussians."""
 
 _DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) <= SLACK_PX + 0.5
 
@@ -35,10 +35,10 @@ _DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) 
 class KnownDefect:
     """A defect that the images show, and whether it was found.
 
-    name, kind: As the set's manifest has them.
-    size: Square root of length times width of its outline [mm].
-    pixels: Of it that can be judged, in the posture that shows most of them.
-    found: Whether a region that is not far larger than it touches it in any posture.
+    name, kind: as the set's manifest has them.
+    size: square root of length times width of its outline [mm].
+    pixels: of it that can be judged, in the posture that shows most of them.
+    found: whether a region that is not far larger than it touches it in any posture.
     """
 
     name: str
@@ -62,18 +62,12 @@ class KnownDefect:
 
 @dataclass(frozen=True, kw_only=True)
 class SetEvaluation:
-    """A set of images held against what is known to be on the part.
+    """The evaluation of one set of images against ground truth.
 
-    Attributes
-    ----------
-    defects
-        Those with a pixel that can be judged in some posture.
-    false_alarms
-        Regions that touch no defect, or are far larger than those they touch, over all postures.
-    areas
-        Area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
-    labels
-        ``images`` or ``part file``: what said where the defects are; or ``no defects``.
+    defects, hidden: those with a pixel that can be judged in some posture, and the names of the others.
+    false_alarms: regions that touch no defect, or are far larger than those they touch, over all postures.
+    areas: area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
+    labels: the source of ground truth.
     """
 
     defects: tuple[KnownDefect, ...]
@@ -88,12 +82,12 @@ class SetEvaluation:
 def evaluate_set(
     image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect] | None = None
 ) -> SetEvaluation:
-    """Hold an inspection against the labels of its images, or against known defects, if any, where they have none.
+    """Compare an inspection with the labels of its images, or with `known` defects where these have none.
 
     Raises
     ------
     InputError
-        Neither labels nor knowledge.
+        Neither labels nor known defects.
     """
     labels = true_labels(image_set, result, known=known)
     listed = labels.listed

@@ -19,15 +19,14 @@ from lightopt.inspection._results import InspectedPosture, InspectionResult
 from lightopt.inspection.prediction._frames import world_to_mesh_file
 from lightopt.scene import defect_facts
 
+Int32 = NDArray[np.int32]
+
 
 @dataclass(frozen=True)
 class TruthSource:
-    """What says which defects are on the part of a set.
+    """The source of ground truth for a set of images.
 
-    Attributes
-    ----------
-    part
-        Whose defects are on it; None where the set's labels say it, or it was rendered without defects.
+    part: whose defects are on the part; None where the set has labels, or it was rendered without defects.
     """
 
     part: PartConfig | None = None
@@ -35,10 +34,10 @@ class TruthSource:
 
 
 def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
-    """What says which defects are on the part of a set.
+    """The source that determines which defects are on the part of a set.
 
     Its labels; else, of a set that lightopt rendered, that there are none; else the part file that it was taken by,
-    which is `part`, or lies beside it with the content that it had. A set that does not say what it was taken by, or
+    which is `part`, or lies beside it with the content that it had. A set without the name of its part file, or taken
     by this file before it was edited, has the defects that `part` names.
 
     Parameters
@@ -49,7 +48,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     Raises
     ------
     InputError
-        Nothing says it, or labels are listed and their images are not.
+        There is no source, or labels are listed and their images are not.
     """
     manifest = image_set.manifest
     if isinstance(manifest.extra.get("defects"), list):
@@ -85,7 +84,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
 
 
 def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSource]:
-    """What says which defects are on the parts of several sets, by :func:`truth_source`.
+    """The sources of ground truth of several sets, by :func:`truth_source`.
 
     Raises
     ------
@@ -115,15 +114,12 @@ def _part_file_source(part: PartConfig, name: str) -> TruthSource:
     )
 
 
-Int32 = NDArray[np.int32]
-
-
 @dataclass(frozen=True, kw_only=True)
 class TrueLabels:
-    """What is known to be on the part that a set of images shows.
+    """Ground truth of the images of a set.
 
-    listed: One entry per defect, as :func:`lightopt.scene.defect_facts` has it.
-    of_posture: Per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H,
+    listed: of each defect what :func:`lightopt.scene.defect_facts` gives.
+    of_posture: per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H,
         W).
     source: ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was
         found; ``no defects``: none is on the part.
@@ -139,10 +135,10 @@ def true_labels(
 ) -> TrueLabels:
     """The labels of a set; of one without labels those of known defects where the inspection found the part.
 
-    known: Defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`);
+    known: defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`);
         an empty sequence where it is known to have none, None where nothing is known.
 
-    InputError: The set has no labels and nothing is known, or its labels are those of images of another size.
+    Raises InputError: the set has no labels and nothing is known, or its labels are those of images of another size.
     """
     listed = image_set.manifest.extra.get("defects")
     if isinstance(listed, list):
@@ -184,12 +180,12 @@ def _cast(posture: InspectedPosture, result: InspectionResult, known: Sequence[P
     placement, file = result.placement or Placement(), nominal.placement
     row, column = np.nonzero(geometry.hit)
 
-    def in_file(vectors: NDArray[np.float32], *, direction: bool) -> NDArray[np.float64]:
+    def to_mesh_file(vectors: NDArray[np.float32], *, direction: bool) -> NDArray[np.float64]:
         own = vectors[row, column].astype(np.float64)
         return world_to_mesh_file(own, nominal, placement, posture.view.posture, direction=direction)
 
-    points = in_file(geometry.points, direction=False) @ file.rotation.T + file.translation
-    normals = in_file(geometry.normals, direction=True) @ file.rotation.T
+    points = to_mesh_file(geometry.points, direction=False) @ file.rotation.T + file.translation
+    normals = to_mesh_file(geometry.normals, direction=True) @ file.rotation.T
     labels = np.full(geometry.hit.shape, -1, np.int32)
     marks = mark_surface(known, points, normals)
     if marks is not None:

@@ -31,7 +31,7 @@ FURTHEST, PLACES = 30.0, 120
 class DetectionCurve:
     """Probability of detection against size.
 
-    intercept, steepness: b₀ and b₁; None where hits and misses do not tell them: too few, all found, all missed, or
+    intercept, steepness: b₀ and b₁; None where hits and misses do not determine them: too few, all found, all missed, or
         no rise with size.
     a90: Size that is found 90 % of the time [mm]; None likewise.
     a90_95: Its upper bound of 95 % confidence [mm]; None likewise, or where there is none.

@@ -47,7 +47,7 @@ def pixel_weights(
     images, height, _ = predicted.shape
 
     def weigh(i: int, rows: slice) -> None:
-        # with the rows around that dilation and gradients look at
+        # with the rows around that dilation and gradients need
         above = max(0, rows.start - BLOOMING_PX)
         around = slice(above, rows.stop + BLOOMING_PX)
         inner = slice(rows.start - above, rows.stop - above)

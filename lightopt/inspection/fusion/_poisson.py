@@ -78,10 +78,10 @@ class PoissonGrid:
 
         Gradients say nothing of the level of a component of the mask: each one gets the mean that `level` has over it.
 
-        gx, gy: Differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
-        level: Shape (H, W).
+        gx, gy: differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
+        level: shape (H, W).
 
-        LightoptError: Gradients that are not finite.
+        Raises LightoptError: gradients that are not finite.
         """
         b = divergence(_edges(gx, self.window, 1), _edges(gy, self.window, 0), self._wx, self._wy)
         u = np.zeros(self.mask.shape)

@@ -36,7 +36,7 @@ FILL_WEIGHT = 1e-3
 unless the others want otherwise."""
 
 MARGIN_PX = 2
-"""Around the pixels of the mask, as far as the rules look."""
+"""Around the pixels of the mask, as far as the rules reach."""
 
 PROBES = 4
 PROBE_TOLERANCE = 1e-4
@@ -54,17 +54,12 @@ added up in blocks of this side first."""
 class SyntheticImage:
     """An image without highlights.
 
-    Attributes
-    ----------
-    level
-        [grey level at exposure 1], shape (H, W); 0 outside of the mask.
-    deviation
-        Its standard deviation: the noise of the images, propagated; what was filled in where no image is used; what
-        noise makes of edges by helping them through a rule or not, or the uncertainty of that where it is taken off.
-    filled
-        Pixels of the mask around which no image is used, shape (H, W).
-    mask
-        Pixels that have a level, shape (H, W).
+    level: [grey level at exposure 1], shape (H, W); 0 outside of the mask.
+    deviation: its standard deviation: the noise of the images, propagated; what was filled in where no image is used;
+        what noise makes of edges by helping them through a rule or not, or the uncertainty of that where it is taken
+        off.
+    filled: pixels of the mask around which no image is used, shape (H, W).
+    mask: pixels that have a level, shape (H, W).
     """
 
     level: Float32

@@ -1,1 +1,1 @@
-"""What the images of a good part would look like where the part lies, beside those that were taken."""
+"""Predict the images of a good part where the part lies, and compare the captured ones with them."""

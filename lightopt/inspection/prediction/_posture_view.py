@@ -33,26 +33,16 @@ EVEN_VARIANCE = 0.3
 class PostureView:
     """Images of one posture, one per light, and the prediction; all levels in grey levels at exposure 1.
 
-    Attributes
-    ----------
-    lights
-        Names, of those that the set has for this posture.
-    level
-        Measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a light
-        each pixel has the longest that is saturated neither in the image nor in the prediction.
-    predicted
-        Of the good part, same shape.
-    deviation
-        Standard deviation of the sensor's noise at the predicted level, same shape.
-    rounding
-        By how much rounding may shift the mean of levels, where noise does not even it out, same shape.
-    limit
-        Level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
+    lights: names, of those that the set has for this posture.
+    level: measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a
+        light each pixel has the longest that is saturated neither in the image nor in the prediction.
+    predicted: of the good part, same shape.
+    deviation: standard deviation of the sensor's noise at the predicted level, same shape.
+    rounding: by how much rounding may shift the mean of levels, where noise does not even it out, same shape.
+    limit: level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
         darker than the good part.
-    saturated
-        Where `level` is only a lower bound, same shape.
-    prediction
-        The images that `predicted` is from, and the pixels that can be judged.
+    saturated: where `level` is only a lower bound, same shape.
+    prediction: the images that `predicted` is from, and the pixels that can be judged.
     """
 
     posture: Posture

@@ -45,22 +45,10 @@ searched for."""
 class PredictionCache:
     """The part inspected last where it lay, for the next sets of a batch.
 
-    Attributes
-    ----------
-    nominal_scenes
-        Scenes with the part where its file has it, by postures and lights.
-    placement, scene
-        Where the last part lay, and the scene with it there.
-    rendered
-        Predictions with the part there.
-    derivatives
-        Of these predictions.
-    registration
-        Of that part; None where it was not searched for.
-    misfit
-        Of that part's images to its predictions.
-    samples
-        Pixels that determine the placement, by posture and lights, light, and whether derivatives are known.
+    nominal_scenes: scenes with the part where its file has it, by postures and lights.
+    placement, scene: where the last part lay, and the scene with it there.
+    rendered: predictions with the part there.
+    samples: pixels that determine the placement, by posture and lights, light, and whether derivatives are known.
     """
 
     nominal_scenes: dict[tuple[tuple[Posture, ...], tuple[str, ...]], Scene] = field(default_factory=dict)

@@ -37,18 +37,10 @@ ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
 class RegisteredSet:
     """A set of images with its part registered.
 
-    Attributes
-    ----------
-    nominal
-        The scene with the part where its file has it.
-    placement
-        Where it lies from there.
-    scene
-        The predicted scene: the part lies where it was found, or nearly there.
-    views
-        Of each posture, in the set's order, made one at a time; with the exposures of its images.
-    registration
-        That found the part, or the part that it lies near; None for a part that is not searched for.
+    nominal: the scene with the part where its file has it.
+    scene: the predicted scene: the part lies where it was found, or nearly there.
+    views: of each posture, in the set's order, made one at a time; with the exposures of its images.
+    registration: that found the part, or the part that it lies near; None for a part that is not searched for.
     """
 
     nominal: Scene
