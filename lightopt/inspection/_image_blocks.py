@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
+from lightopt.inspection._arrays import Float32
 
 T = TypeVar("T")
-Float32 = NDArray[np.float32]
 
 BLOCK_ROWS = 64
 """Rows that a thread works on at once."""

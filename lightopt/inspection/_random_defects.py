@@ -18,10 +18,9 @@ from lightopt.defects import (
     tangent_direction,
 )
 from lightopt.geometry import SurfaceFinder, face_areas, surface_place
+from lightopt.inspection._arrays import Bool
 from lightopt.rendering import PosturePixels, cast_rays_at, trace_pixels
 from lightopt.scene import Scene, build_catalogue, build_scene, pixel_footprint, project
-
-Bool = NDArray[np.bool_]
 
 TRIES = 48
 """Places that are tried for each defect in a round."""

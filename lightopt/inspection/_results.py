@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted
 from lightopt.estimate.registration import Placement, Registration
+from lightopt.inspection._arrays import Float32
 from lightopt.inspection.detection._coverage import PostureCoverage
 from lightopt.inspection.detection._defects import Detection, FoundDefect
 from lightopt.inspection.detection._surface_coverage import REFERENCE_CONTRAST, SurfaceCoverage
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene
-
-Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.inspection._arrays import Bool, Float32
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import SCALES_PX, smoothed_deviations
-
-Float32 = NDArray[np.float32]
-Bool = NDArray[np.bool_]
 
 LEAST_SHARE = 0.5
 """At least this share of the good sets must show a pixel, else nothing is learned of it."""

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from lightopt.inspection._arrays import Float32
 from lightopt.inspection._image_blocks import in_row_blocks
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import disc_gain
 from lightopt.inspection.prediction._posture_view import PostureView
-
-Float32 = NDArray[np.float32]
 
 CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
 """Shares of the light that a defect takes away, for which the sensitivity is reported."""

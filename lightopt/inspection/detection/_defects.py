@@ -9,12 +9,11 @@ from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from lightopt.core.transforms import Posture
+from lightopt.inspection._arrays import Float64
 
-Float64 = NDArray[np.float64]
 Kind = Literal["shape", "stain", "unknown"]
 
 KIND_COLOURS: Final[Mapping[Kind, tuple[int, int, int]]] = {

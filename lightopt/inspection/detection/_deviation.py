@@ -6,17 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
+from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._posture_view import PostureView
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 REGISTRATION_PX = 0.1
 """The part is known to lie within about this much of where the model has it: steep edges are off by so much."""

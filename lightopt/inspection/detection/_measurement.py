@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt.estimate.registration import Placement
+from lightopt.inspection._arrays import Float64
 from lightopt.inspection.detection._defects import Detection, Kind
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._regions import SHOWN_Z, box_sums, core_pixels
 from lightopt.inspection.prediction._frames import world_to_mesh_file
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
 
 LEAST_OPPOSITE = 0.35
 """Lighter and darker places of which the weaker has this share of the stronger's deviation are those of a shape, …"""

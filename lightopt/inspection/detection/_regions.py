@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.inspection._arrays import Bool, Float32
 from lightopt.inspection._image_blocks import gaussian_taps
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import SCALES_PX, smoothed_deviations
-
-Float32 = NDArray[np.float32]
-Bool = NDArray[np.bool_]
 
 LOW_SHARE = 0.5
 """A region spreads from where it is certain to where its score is above this share of the threshold."""
 
 GAP_PX = 3
-"""What is this near to each other is one defect: a dent shows at its walls, and not in its middle."""
+"""Pixels this near to each other belong to one defect: a dent shows at its walls, and not in its middle."""
 
 PEAK_SHARE = 0.08
 """Of a region remains what is above this share of the greatest score around, and its core: sums over Gaussians spread

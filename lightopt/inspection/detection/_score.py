@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from lightopt.core.kernels import kernel
+from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import (
     TILE_COLUMNS,
     filter_tile,
@@ -19,10 +20,6 @@ from lightopt.inspection._image_blocks import (
     mask_window,
 )
 from lightopt.inspection.detection._deviation import Deviations
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 SCALES_PX = (1.0, 2.0, 3.5)
 """Widths of the Gaussians that deviations are added up with: small and large defects have one that suits them."""

@@ -6,16 +6,13 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, ndimage, special
 
+from lightopt.inspection._arrays import Float32, Float64
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import SCALES_PX, score_deviations
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 DOT_PX = (1.0, 2.0, 4.0)
 LINE_PX = (1.2, 5.0)
@@ -107,7 +104,7 @@ def _convolved(image: Float64, template: Float64) -> Float64:
 
 def score_posture(
     found: Deviations, options: InspectOptions, synthetic: Callable[[], SyntheticImage] | None
-) -> tuple[NDArray[np.float32], int]:
+) -> tuple[Float32, int]:
     """The scores of a posture by the detector that was chosen, and how many scores each is the greatest of.
 
     Parameters

@@ -13,12 +13,10 @@ from scipy import ndimage
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
 from lightopt.images import ImageSet
+from lightopt.inspection._arrays import Bool, Float64
 from lightopt.inspection._results import InspectionResult
 from lightopt.inspection.evaluation._ground_truth import true_labels
 from lightopt.inspection.evaluation._probability_of_detection import fit_detection_curve
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 SLACK_PX = 2
 """A region that comes this near to a labelled pixel is that defect's."""

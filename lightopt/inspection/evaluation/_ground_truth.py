@@ -15,11 +15,10 @@ from lightopt.core.provenance import file_sha256
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet
+from lightopt.inspection._arrays import Int32
 from lightopt.inspection._results import InspectedPosture, InspectionResult
 from lightopt.inspection.prediction._frames import world_to_mesh_file
 from lightopt.scene import defect_facts
-
-Int32 = NDArray[np.int32]
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special
-
-Float64 = NDArray[np.float64]
 
 WANTED = 0.9
 ONE_SIDED_95 = 2.7055
@@ -31,7 +28,7 @@ FURTHEST, PLACES = 30.0, 120
 class DetectionCurve:
     """Probability of detection against size.
 
-    intercept, steepness: b₀ and b₁; None where hits and misses do not determine them: too few, all found, all missed, or
+    intercept, steepness: b₀ and b₁; None where hits and misses do not determine them: too few, all found or missed, or
         no rise with size.
     a90: Size that is found 90 % of the time [mm]; None likewise.
     a90_95: Its upper bound of 95 % confidence [mm]; None likewise, or where there is none.

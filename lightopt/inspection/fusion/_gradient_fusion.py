@@ -11,16 +11,13 @@ from functools import partial, reduce
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
+from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import in_row_blocks
 from lightopt.inspection.fusion._pixel_weights import LIT
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 Gradients = list[Float64]
 """Differences to the pixel to the right, shape (H, W − 1), and to the one below, shape (H − 1, W)."""
 

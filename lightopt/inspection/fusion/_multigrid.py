@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
+from lightopt.inspection._arrays import Float64
 
-Float64 = NDArray[np.float64]
 Grid = NDArray[Any]
 """float64 or float32."""
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.inspection._arrays import Bool, Float32
 from lightopt.inspection._image_blocks import in_image_blocks
-
-Float32 = NDArray[np.float32]
-Bool = NDArray[np.bool_]
 
 BLOOMING_PX = 2
 """Pixels this near to a saturated one do not count: charge, glare and lens spread there."""

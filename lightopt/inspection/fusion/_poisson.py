@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt.core.errors import LightoptError
+from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import mask_window
 from lightopt.inspection.fusion._multigrid import (
     add_coarse,
@@ -30,10 +31,6 @@ from lightopt.inspection.fusion._multigrid import (
     relax,
     residual,
 )
-
-Float64 = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bool = NDArray[np.bool_]
 
 TOLERANCE = 1e-10
 """Residual that is left, as a share of the right side's."""

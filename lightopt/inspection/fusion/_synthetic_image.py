@@ -8,10 +8,10 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt.core.threads import in_threads
+from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps, in_row_blocks, mask_window
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection.fusion._gradient_fusion import (
@@ -23,10 +23,6 @@ from lightopt.inspection.fusion._gradient_fusion import (
 from lightopt.inspection.fusion._pixel_weights import pixel_weights
 from lightopt.inspection.fusion._poisson import poisson_grid
 from lightopt.inspection.prediction._posture_view import PostureView
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 AVERAGING: Final = ("paper",)
 """Rules that average the gradients of images; the others choose one of them, by noise as much as by shading."""

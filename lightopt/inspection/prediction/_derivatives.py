@@ -5,19 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration import Placement, view_of_placed
 from lightopt.geometry import RayCaster
+from lightopt.inspection._arrays import Float32, Float64
 from lightopt.inspection._image_blocks import in_image_blocks, mask_window
 from lightopt.inspection.prediction._predict import Prediction
 from lightopt.rendering import render_posture
 from lightopt.scene import Scene, pixel_footprint
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 STEP_PX = 0.25
 """For the differences the part is rendered this far to either side, for a shift in x and y and a rotation."""

@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration import Placement
+from lightopt.inspection._arrays import Float64
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene, project, view_from_part
-
-Float64 = NDArray[np.float64]
 
 
 def world_to_mesh_file(

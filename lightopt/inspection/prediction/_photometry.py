@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, Observation
+from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.scene import Scene
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 PIXELS_PER_IMAGE = 40_000
 """About so many pixels of an image are used: all of them would hardly improve the fit."""

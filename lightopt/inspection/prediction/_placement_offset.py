@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from lightopt.core.least_squares import Limits, linear_problem, solve
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, Observation, Placement, PoseFrame
+from lightopt.inspection._arrays import Float64
 from lightopt.inspection.prediction._derivatives import PlacementDerivatives, difference_steps
 from lightopt.inspection.prediction._predict import Prediction
 from lightopt.scene import Scene, project, view_from_part
-
-Float64 = NDArray[np.float64]
 
 PIXELS = 10_000
 """Of each image: half of them where its level changes most with the place, half anywhere."""

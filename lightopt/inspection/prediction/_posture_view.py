@@ -9,19 +9,16 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError, counted
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, refuse_mismatch
+from lightopt.inspection._arrays import Bool, Float32
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._photometry import Photometry, fit_photometry, some_pixels
 from lightopt.inspection.prediction._predict import Prediction
 from lightopt.scene import Scene
-
-Float32 = NDArray[np.float32]
-Bool = NDArray[np.bool_]
 
 _ARRAYS = ("level", "predicted", "deviation", "rounding", "limit", "saturated")
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
+from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.rendering import (
     GRAZING_COSINE,
     Geometry,
@@ -23,9 +24,6 @@ from lightopt.rendering import (
 )
 from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 Images = TypeVar("Images", LightImage, Geometry)
 
 TRACE = 1e-6
@@ -118,7 +116,7 @@ class SurfaceMap:
         −1 where it sees them at a grazing angle: these are left out.
     """
 
-    areas: NDArray[np.float64]
+    areas: Float64
     seen: dict[Posture, tuple[NDArray[np.intp], NDArray[np.intp]]]
 
 
