@@ -12,7 +12,7 @@ from lightopt.inspection._files import (
 )
 from lightopt.inspection._grey_picture import GreyPicture, grey_picture
 from lightopt.inspection._inspect import inspect_set
-from lightopt.inspection._options import Detector, InspectOptions
+from lightopt.inspection._options import FUSIONS, Detector, Fusion, InspectOptions
 from lightopt.inspection._random_defect_files import (
     random_defect_provenance,
     random_defects_text,
@@ -46,7 +46,6 @@ from lightopt.inspection.evaluation._evaluation import (
 )
 from lightopt.inspection.evaluation._ground_truth import truth_sources
 from lightopt.inspection.evaluation._probability_of_detection import fit_detection_curve
-from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
 from lightopt.inspection.fusion._pixel_weights import pixel_weights
 from lightopt.inspection.fusion._poisson import poisson_grid
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage, fuse_images, synthetic_image

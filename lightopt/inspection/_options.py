@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
-from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
-
 Detector = Literal["residual", "template"]
 DETECTORS: Final = ("residual", "template")
+Fusion = Literal["paper", "median", "minimum", "second-largest"]
+FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -220,3 +220,34 @@ def test_what_noise_makes_of_a_rule_that_chooses_is_taken_off(fusion, monkeypatc
 
     left, before = off(4), off(0)
     assert left < 0.7 * before
+
+
+def test_the_largest_gradient_nearby_is_that_of_scipys_filter():
+    from lightopt.inspection.fusion._gradient_fusion import REACH_PX, _largest_nearby
+
+    size = np.random.default_rng(2).random((3, 17, 23)).astype(np.float32)
+    side = 2 * REACH_PX + 1
+    assert np.array_equal(_largest_nearby(size), ndimage.maximum_filter(size, (1, side, side)))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_weights_are_what_they_read_pixel_by_pixel(threads):
+    rng = np.random.default_rng(4)
+    shape = (2, 70, 23)
+    saturated = rng.random(shape) < 0.02
+    predicted, deviations = (rng.uniform(a, b, shape).astype(np.float32) for a, b in ((0, 260), (0.5, 20)))
+    specular = (predicted * rng.random(shape)).astype(np.float32)
+    limit = np.full(shape, 255, np.float32)
+    found = pixel_weights(saturated, predicted, specular, deviations, limit, threads=threads)
+    full = saturated | (predicted >= limit)
+    for i, y, x in np.ndindex(shape):
+        near = (i, slice(max(y - 2, 0), y + 3), slice(max(x - 2, 0), x + 3))
+        noise = deviations[i, y, x]
+        if full[near].any() or predicted[i, y, x] < 3.0 * float(noise):
+            assert found[i, y, x] == 0.0
+            continue
+        above, below, before, after = max(y - 1, 0), min(y + 1, 69), max(x - 1, 0), min(x + 1, 22)
+        down = float(specular[i, below, x] - specular[i, above, x]) / (below - above)
+        right = float(specular[i, y, after] - specular[i, y, before]) / (after - before)
+        steep = (down * down + right * right) / float(noise * noise)
+        assert found[i, y, x] == np.float32(1.0 / (1.0 + steep))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +91,7 @@ class PackedDeviations:
 
     def save(self, path: Path) -> None:
         """Write to a file."""
-        flags = {name: np.packbits(getattr(self, name), axis=1) for name in ("usable", "lit")}
+        flags: dict[str, Any] = {name: np.packbits(getattr(self, name), axis=1) for name in ("usable", "lit")}
         np.savez(path, shape=np.array(self.shape), own=self.own, nominal=self.nominal, z=self.z, **flags)
 
     @staticmethod

@@ -137,7 +137,7 @@ def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = N
         are lit it has to show in these alone, or in one where none is, and may show in a dark one as well.
     """
     whole = np.zeros(found.z.shape[1:], np.float32)
-    window = mask_window(found.usable.any(axis=0))
+    window = mask_window(np.asarray(found.usable.any(axis=0), np.bool_))
     if not window[0].stop:
         return whole
     inner = found.in_box(*window)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial, reduce
-from typing import Final, Literal
 
 import numpy as np
 
@@ -16,13 +15,11 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import in_row_blocks
+from lightopt.inspection._options import FUSIONS, Fusion
 from lightopt.inspection.fusion._pixel_weights import LIT
 
 Gradients = list[Float64]
 """Differences to the pixel to the right, shape (H, W − 1), and to the one below, shape (H − 1, W)."""
-
-Fusion = Literal["paper", "median", "minimum", "second-largest"]
-FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
 
 LEAST_WEIGHT_SHARE = 0.25
 """An image with less than this share of the weight of the best one at a place is not used there."""

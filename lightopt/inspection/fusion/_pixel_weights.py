@@ -49,8 +49,8 @@ def pixel_weights(
         around = slice(above, rows.stop + BLOOMING_PX)
         inner = slice(rows.start - above, rows.stop - above)
         full = saturated[i, around] | (predicted[i, around] >= limit[i, around])
-        hidden = ndimage.maximum_filter(full, 2 * BLOOMING_PX + 1)[inner]
-        down, right = (np.asarray(g[inner], np.float64) for g in np.gradient(specular[i, around]))
+        hidden = np.asarray(ndimage.maximum_filter(full, 2 * BLOOMING_PX + 1), np.bool_)[inner]
+        down, right = (np.asarray(g, np.float64)[inner] for g in np.gradient(specular[i, around]))
         noise = deviations[i, rows]
         hidden |= predicted[i, rows] < LIT * noise.astype(np.float64)
         weights[i, rows] = np.where(

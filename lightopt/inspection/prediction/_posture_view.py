@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -110,7 +110,9 @@ def posture_view(
     )
     lights = tuple(name for name in images if any(o.light == name for o in observations))
     shape = len(lights), *clean.shape
-    arrays = {name: np.empty(shape, np.bool_ if name == "saturated" else np.float32) for name in _ARRAYS}
+    arrays: dict[str, Any] = {
+        name: np.empty(shape, np.bool_ if name == "saturated" else np.float32) for name in _ARRAYS
+    }
 
     def merge(number: int, rows: slice) -> None:
         light = lights[number]
@@ -120,8 +122,8 @@ def posture_view(
 
     in_image_blocks(merge, len(lights), len(clean), threads)
     posture = observations[0].posture
-    compared = (arrays[name] for name in ("level", "predicted", "limit", "deviation"))
-    refuse_mismatch(*compared, some_pixels(clean), f"{where}, posture {posture}")
+    level, predicted, limit, deviation = (arrays[k] for k in ("level", "predicted", "limit", "deviation"))
+    refuse_mismatch(level, predicted, limit, deviation, some_pixels(clean), f"{where}, posture {posture}")
     return PostureView(posture=posture, lights=lights, prediction=prediction, photometry=photometry, **arrays)
 
 
