@@ -28,9 +28,9 @@ from lightopt.inspection import (
     Detector,
     Deviations,
     InspectOptions,
-    LaidSet,
     PostureView,
-    calibrate_laid,
+    RegisteredSet,
+    calibrate_registered,
     deviations,
     find_regions,
     least_rate,
@@ -40,9 +40,9 @@ from lightopt.inspection import (
     region_hits,
     score_posture,
     sets_needed,
+    subtract_systematic,
     synthetic_image,
     threshold,
-    without_systematic,
 )
 from lightopt.optics import expose, image_rng, saturated
 from lightopt.rendering import PostureImages, cast_rays_at, render_posture
@@ -137,11 +137,11 @@ def try_part(task: tuple[str, int, Size, float]) -> list[str]:
         )
         shots = dict.fromkeys(sets[0][0].lights, ((1.0, 1),))
         laid = (
-            (str(i), LaidSet(model, told, model, iter([(view, shots)])))
+            (str(i), RegisteredSet(model, told, model, iter([(view, shots)])))
             for i, (view, told) in enumerate(sets[:half])
         )
         names = [str(i) for i in range(half)]
-        learned = calibrate_laid(laid, names, options=options, made={}).postures[0]
+        learned = calibrate_registered(laid, names, options=options, fingerprint={}).postures[0]
         cells: list[str] = []
         for taught in (None, learned):
             alarms = [len_of(regions_of(one, model, options, taught)) for one in sets[half:]]
@@ -165,7 +165,7 @@ def regions_of(
     view, told = one
     found: Deviations = deviations(view)
     if taught is not None and taught.systematic is not None:
-        found = without_systematic(found, taught.systematic, nominal_pixels(view, model, told))
+        found = subtract_systematic(found, taught.systematic, nominal_pixels(view, model, told))
     score, tests = score_posture(found, options, partial(synthetic_image, view, options, probes=0))
     noise = threshold(options.false_alarms, int(view.clean.sum()), tests)
     high = noise if taught is None else taught.threshold(options.false_alarms)

@@ -19,7 +19,7 @@ from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet, read_image_set
-from lightopt.inspection import Inspection, InspectOptions, Predictions, inspect_set, judge
+from lightopt.inspection import InspectionResult, InspectOptions, PredictionCache, inspect_set, judge
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, trace_samples
 from lightopt.scene import Scene, screen_window, view_from_part
 
@@ -63,11 +63,11 @@ def _part(folder: Path, part: str, size: Size, numbers: dict[str, object]) -> li
     rig = _rig(folder, size)
     good, sets = _sets(folder, part, rig)
     options = InspectOptions(threads=THREADS)
-    predictions = Predictions()
+    cache = PredictionCache()
     once: list[float] = []
     for folder_of_set in sets[:2]:
         start = time.perf_counter()
-        result = _verdict(rig, good, folder_of_set, options, predictions)
+        result = _verdict(rig, good, folder_of_set, options, cache)
         once.append(time.perf_counter() - start)
     scene = result.nominal
     caster = cast_rays_at(scene)
@@ -78,7 +78,7 @@ def _part(folder: Path, part: str, size: Size, numbers: dict[str, object]) -> li
         def inspect() -> object:
             turns[name] += 1
             begun = time.process_time()
-            result = _verdict(rig, good, sets[1 + turns[name] % 2], options, predictions)
+            result = _verdict(rig, good, sets[1 + turns[name] % 2], options, cache)
             if name == "synthetic":
                 assert all(posture.synthetic is not None for posture in result.postures)
             processor[name].append(time.process_time() - begun)
@@ -154,9 +154,9 @@ def _sets(folder: Path, name: str, rig: RigConfig) -> tuple[PartConfig, list[Pat
 
 
 def _verdict(
-    rig: RigConfig, part: PartConfig, folder: Path, options: InspectOptions, predictions: Predictions
-) -> Inspection:
-    result = inspect_set(rig, part, read_image_set(folder), options=options, predictions=predictions)
+    rig: RigConfig, part: PartConfig, folder: Path, options: InspectOptions, cache: PredictionCache
+) -> InspectionResult:
+    result = inspect_set(rig, part, read_image_set(folder), options=options, cache=cache)
     judge(result, part.inspection)
     return result
 

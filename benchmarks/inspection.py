@@ -39,18 +39,18 @@ from lightopt.inspection import (
     defect_size,
     deviations,
     find_regions,
-    fit_detection,
+    fit_detection_curve,
     fuse_images,
-    good_part,
-    lay_over,
+    nominal_scene,
+    pixel_weights,
     posture_view,
     predict,
     region_hits,
+    register_part,
     score_deviations,
     score_templates,
-    separate_pieces,
+    split_regions,
     threshold,
-    trust_weights,
 )
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 from lightopt.scene import _build
@@ -219,8 +219,8 @@ def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool, s
 
 def look(rig: RigConfig, part: PartConfig, image_set: ImageSet, *, told: bool = False) -> PostureView:
     """The images laid over the model, where the search finds the part or where it is told to lie."""
-    scene, observations = good_part(rig, part, image_set)
-    scene = place_part(scene, LIES) if told else lay_over(scene, observations)[0]
+    scene, observations = nominal_scene(rig, part, image_set)
+    scene = place_part(scene, LIES) if told else register_part(scene, observations)[0]
     prediction = predict(scene, FIRST, cast_rays_at(scene), lights=[o.light for o in observations])
     return posture_view(scene, observations, prediction, where=str(image_set.folder))
 
@@ -233,7 +233,7 @@ def ways(view: PostureView, found: Deviations) -> Iterator[tuple[str, NDArray[np
         one = slice(i, i + 1)
         alone = Deviations(found.z[one], found.scale[one], found.usable[one], found.lit[one])
         yield f"residual on {light} alone", score_deviations(alone, seen_by=1), len(SCALES_PX)
-    weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
+    weights = pixel_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
     for fusion in FUSIONS:
         good = {"predicted": view.predicted, "specular": view.specular}
         image = fuse_images(view.level, view.deviation, weights, view.clean, fusion=fusion, probes=0, **good)
@@ -255,7 +255,7 @@ def count(
 ) -> None:
     """Add what a score finds; without a set of images with labels, all of it is false alarms of a good part."""
     high = threshold(FALSE_ALARMS, int(view.clean.sum()), tests)
-    labels, regions = separate_pieces(*find_regions(score, high), score, found, high)
+    labels, regions = split_regions(*find_regions(score, high), score, found, high)
     if image_set is None:
         tally.good_alarms += regions
         return
@@ -282,7 +282,7 @@ def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float,
     """
     diffuse = np.stack([read_exr(image_set.path(e.exr or ""))["diffuse.Y"] for e in image_set.images])
     lit = (diffuse >= LIT * view.deviation).astype(np.float32)
-    weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
+    weights = pixel_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
     full = ndimage.binary_dilation(view.saturated.any(axis=0), iterations=3) & view.clean
     pieces, number = ndimage.label(full)
     rows: list[tuple[str, float, float, float]] = []
@@ -392,7 +392,7 @@ def defects_table(tallies: dict[tuple[str, str], Tally], parts: Sequence[str]) -
     lines += ["", "| | found | a90 [mm] | a90/95 [mm] |", "|---|---|---|---|"]
     for title, start in kinds.items():
         pairs = [pair for t in mine for n, own in t.by_name.items() if n.startswith(start) for pair in own]
-        curve = fit_detection([size for size, _ in pairs], [hit for _, hit in pairs])
+        curve = fit_detection_curve([size for size, _ in pairs], [hit for _, hit in pairs])
         a90, bound = ("-" if a is None else f"{a:.2g}" for a in (curve.a90, curve.a90_95))
         lines.append(f"| {title} | {curve.found} of {curve.defects} | {a90} | {bound} |")
     return "\n".join(lines)

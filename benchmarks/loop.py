@@ -37,15 +37,15 @@ from lightopt.design import Inspection as LookedFor
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     SCALES_PX,
-    Inspection,
+    InspectionResult,
     InspectOptions,
-    TrueSet,
-    compare_with_truth,
+    SetEvaluation,
     deviations,
+    evaluate_set,
     find_regions,
     inspect_set,
     score_deviations,
-    separate_pieces,
+    split_regions,
     threshold,
 )
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
@@ -173,14 +173,14 @@ class Prediction:
         return inside if len(inside) else np.array([distance.argmin()])
 
 
-def looked_at_again(result: Inspection, seen_by: int) -> Inspection:
+def looked_at_again(result: InspectionResult, seen_by: int) -> InspectionResult:
     """The same images, judged by another number of images that must show a defect."""
     postures = []
     for posture in result.postures:
         found = deviations(posture.view)
         score = score_deviations(found, seen_by=seen_by)
         high = threshold(FALSE_ALARMS, int(posture.view.clean.sum()), len(SCALES_PX))
-        labels, _ = separate_pieces(*find_regions(score, high), score, found, high)
+        labels, _ = split_regions(*find_regions(score, high), score, found, high)
         postures.append(replace(posture, score=score, labels=labels, threshold=high))
     return replace(result, postures=tuple(postures))
 
@@ -225,7 +225,7 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
             placed = place_defects(once.nominal, rig, part)
             for seen_in in SEEN_IN:
                 result = once if seen_in == 1 else looked_at_again(once, seen_in)
-                counts.add(seen_in, placed, compare_with_truth(image_set, result, known=placed))
+                counts.add(seen_in, placed, evaluate_set(image_set, result, known=placed))
             print(f"{name}, {objective}, seed {seed}: done", flush=True)
         yield from counts.tallies(name, objective)
 
@@ -240,7 +240,7 @@ class _Counts:
         self.false_alarms = dict.fromkeys(SEEN_IN, 0)
         self.postures = dict.fromkeys(SEEN_IN, 0)
 
-    def add(self, seen_in: int, placed: tuple[PlacedDefect, ...], known: TrueSet) -> None:
+    def add(self, seen_in: int, placed: tuple[PlacedDefect, ...], known: SetEvaluation) -> None:
         seen, areas = self.prediction.seen(seen_in), self.prediction.visibility.areas
         found = {defect.name: defect.found for defect in known.defects}
         for defect in placed:
@@ -358,7 +358,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--step", type=float, default=5.0, help="of the lights' angles [°]")
     parser.add_argument("--out", type=Path, default=Path("out/loop"), help="folder of loop.csv")
     parser.add_argument("--plot", type=Path, help="picture to draw")
-    parser.add_argument("--page", action="store_true", help="put the tables into docs/validation/inspection.md")
+    parser.add_argument(
+        "--page", action="store_true", help="put the tables into docs/validation/inspection.md"
+    )
     options = parser.parse_args(arguments)
     tallies: list[Tally] = []
     for name in options.parts:

@@ -22,7 +22,7 @@ def defects(
         ),
     ],
     seed: Annotated[
-        int, typer.Option(metavar="N", help="Of the random numbers: the same, the same defects.")
+        int, typer.Option(metavar="N", help="Random seed; the same seed gives the same defects.")
     ],
     count: Annotated[int, typer.Option(metavar="K", help="How many defects, 1 to 500.")],
     threads: Annotated[
@@ -31,7 +31,7 @@ def defects(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Strew defects over the surface of PART that the camera of RIG sees in at least one posture, for trials.
+    """Place random defects on the surface of PART that the camera of RIG sees in at least one posture, for testing.
 
     The entries of the part's defect_catalogue, or of the built-in one (docs/defects.md), take turns; places are even by
     area, off silhouettes and creases, and apart from each other. Writes PART with a list of defects at its end,
@@ -39,17 +39,22 @@ def defects(
 
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """
-    from lightopt.inspection import defects_text, scatter_defects, scatter_provenance, write_defects
+    from lightopt.inspection import (
+        place_random_defects,
+        random_defect_provenance,
+        random_defects_text,
+        write_random_defects,
+    )
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
     comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
-    scattered = scatter_defects(loaded_rig, loaded_part, count=count, seed=seed, threads=threads)
-    made_from = scatter_provenance(loaded_rig, loaded_part, count=count, seed=seed)
-    text = defects_text(loaded_part, scattered, folder=out.parent, comment=comment, made_from=made_from)
+    placed = place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, threads=threads)
+    made_from = random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)
+    text = random_defects_text(loaded_part, placed, folder=out.parent, comment=comment, made_from=made_from)
     make_folder(out.parent)
-    write_defects(out, text, force=force)
+    write_random_defects(out, text, force=force)
     if not quiet:
-        kinds = Counter(defect.entry.name for defect in scattered)
-        say(f"{counted(len(scattered), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")
+        kinds = Counter(defect.entry.name for defect in placed)
+        say(f"{counted(len(placed), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")
         say(f"{out}")

@@ -1,21 +1,23 @@
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._inspect_sets import Wanted, inspect_batch, inspect_one
-from lightopt.cli._inspect_tables import show_calibration
+from lightopt.cli._inspect_output import Output, show_batch, show_calibration, write_batch, write_set
 from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, Threads, make_folder
-from lightopt.cli._terminal import say, show_share
+from lightopt.cli._terminal import say, say_error, say_warning, show_share
 from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
     from lightopt.images import ImageSet
-    from lightopt.inspection import Detector, Fusion, InspectOptions
+    from lightopt.inspection import Calibration, Detector, Fusion, InspectOptions
+    from lightopt.report import BatchRow
 
 
 DEFAULT_FALSE_ALARMS = 0.05
@@ -54,7 +56,7 @@ def inspect(
         int, typer.Option(metavar="K", help="A defect shows in so many images of a posture. [2]")
     ] = 2,
     no_shift: Annotated[
-        bool, typer.Option("--no-shift", help="The part lies exactly where its file has it.")
+        bool, typer.Option("--no-shift", help="Skip registration; assume nominal placement.")
     ] = False,
     calibrate: Annotated[
         bool,
@@ -83,7 +85,7 @@ def inspect(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find defects in IMAGES of PART, and say where they are.
+    """Find defects in IMAGES of PART and report where they are.
 
     Writes report.html, defects.json, .csv and .ply, the synthetic image without highlights with its uncertainty, scores
     and an overlay for each posture. Several sets, as of several parts, get a folder each. OK or NG is by the limits
@@ -122,18 +124,9 @@ def inspect(
         _calibrate(loaded_rig, loaded_part, sets, out, options, force=force, quiet=quiet)
         return
     if learned is not None:
-        learned.refuse_others(loaded_rig, loaded_part, options)
-    wanted = Wanted(
-        rig=loaded_rig,
-        part=loaded_part,
-        options=options,
-        calibration=learned,
-        truth=truth,
-        report=not no_report,
-        force=force,
-        quiet=quiet,
-    )
-    rows = [inspect_one(wanted, sets[0], out)] if len(sets) == 1 else inspect_batch(wanted, sets, out)
+        learned.require_match(loaded_rig, loaded_part, options)
+    output = Output(rig=loaded_rig, part=loaded_part, report=not no_report, quiet=quiet)
+    rows = _inspect(output, sets, out, options, learned, truth=truth, force=force)
     refused = [row.name for row in rows if row.verdict is None]
     bad = [
         f"{image_set.folder}: NG, {'; '.join(row.verdict.reasons)}"
@@ -141,10 +134,87 @@ def inspect(
         if row.verdict is not None and not row.verdict.good
     ]
     if refused:
-        told = f"{len(refused)} of {counted(len(sets), 'set')} not inspected: {', '.join(refused)}"
-        raise InputError(*(bad if fail_on_defect else ()), told)
+        summary = f"{len(refused)} of {counted(len(sets), 'set')} not inspected: {', '.join(refused)}"
+        raise InputError(*(bad if fail_on_defect else ()), summary)
     if bad and fail_on_defect:
         raise CheckFailed(*bad)
+
+
+def _inspect(
+    output: Output,
+    sets: list[ImageSet],
+    out: Path,
+    options: InspectOptions,
+    calibration: Calibration | None,
+    *,
+    truth: bool,
+    force: bool,
+) -> list[BatchRow]:
+    # one set goes to `out`; several go to folders below it, and what is said of all of them to `out`
+    from lightopt.inspection import (
+        BatchFolder,
+        InspectionFolder,
+        SetEvaluation,
+        inspect_batch,
+        inspection_provenance,
+        set_names,
+        truth_sources,
+    )
+    from lightopt.report import BatchRow
+
+    rig, part, several = output.rig, output.part, len(sets) > 1
+    names = set_names(sets, out)
+    sources = truth_sources(sets, part) if truth else None
+    describe = partial(inspection_provenance, rig, part, options=options, calibration=calibration)
+    batch = None
+    if several:
+        made_from = describe(sets)
+        made_from["options"]["truth"] = truth
+        batch = BatchFolder(out, made_from, force=force)
+    folders = [
+        InspectionFolder(
+            out / name if several else out, describe([image_set], before=sets[:number]), force=force
+        )
+        for number, (image_set, name) in enumerate(zip(sets, names, strict=True))
+    ]
+    results = inspect_batch(
+        rig,
+        part,
+        sets,
+        options=options,
+        calibration=calibration,
+        truth=sources,
+        folders=folders,
+        progress=partial(show_share, quiet=output.quiet),
+    )
+    rows: list[BatchRow] = []
+    evaluations: list[SetEvaluation] = []
+    begun = monotonic()
+    for name, image_set, folder in zip(names, sets, folders, strict=True):
+        if several and not output.quiet:
+            say(f"{name}:")
+        inspected = next(results)
+        if inspected.error is not None:
+            if not several:
+                raise inspected.error
+            folder.clear()
+            own = f"{image_set.folder}"
+            bare = (message.removeprefix(own).lstrip(",: ") for message in inspected.error.messages)
+            say_error(*(f"{name}: not inspected: {message}" for message in bare))
+            # results name folders, and not where on this machine they are
+            reasons = (message.replace(own, name) for message in inspected.error.messages)
+            rows.append(BatchRow(name=name, refused=tuple(reasons)))
+            continue
+        for text in inspected.warnings:
+            say_warning(f"{name}: {text}" if several else text)
+        rows.append(write_set(output, folder, inspected, summarised=not several))
+        if inspected.evaluation is not None:
+            evaluations.append(inspected.evaluation)
+    if batch is not None:
+        if not output.quiet:
+            show_batch(rows, minutes=(monotonic() - begun) / 60.0)
+        write_batch(output, batch, rows, evaluations if truth else None)
+    return rows
 
 
 def _calibrate(
@@ -157,9 +227,9 @@ def _calibrate(
     force: bool,
     quiet: bool,
 ) -> None:
-    from lightopt.inspection import CalibrationFolder, calibrate, inspection_provenance, refuse_too_few
+    from lightopt.inspection import CalibrationFolder, calibrate, inspection_provenance, require_good_sets
 
-    refuse_too_few(len(sets), options)
+    require_good_sets(len(sets), options)
     folder = CalibrationFolder(out, inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:

@@ -5,25 +5,25 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig, input_hashes
+from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.estimate.registration import Placement
-from lightopt.images import ImageSet, ResultFolder, posture_folder, write_exr, write_png
-from lightopt.inspection._calibration import Calibration
-from lightopt.inspection._defect_merging import KIND_COLOURS
-from lightopt.inspection._grey import grey_picture
-from lightopt.inspection._measure import to_file
+from lightopt.images import ImageSet, ResultFolder, make_folder, posture_folder, write_exr, write_png
+from lightopt.inspection._grey_picture import grey_picture
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._regions import pixels_of
-from lightopt.inspection._results import InspectedPosture, Inspection
-from lightopt.inspection._verdict import Verdict
+from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict
+from lightopt.inspection.calibration._calibration import Calibration
+from lightopt.inspection.detection._defects import KIND_COLOURS
+from lightopt.inspection.detection._regions import region_pixels
+from lightopt.inspection.prediction._frames import world_to_mesh_file
 
 DEFECTS_NAME, BATCH_NAME = "defects.json", "batch.json"
 TRUTH_NAME, REPORT_NAME = "truth.json", "report.html"
@@ -47,10 +47,8 @@ def inspection_provenance(
 
     Parameters
     ----------
-    rig, part, sets, options, calibration
-        Of the inspection.
     before
-        The sets of its batch that were inspected before: a part that lies near one of them has its prediction.
+        The sets of its batch that were inspected before: a part that lies near one of theirs reuses its prediction.
     """
     inputs: dict[str, Any] = {
         **input_hashes(rig, part),
@@ -66,19 +64,9 @@ def inspection_provenance(
 class InspectionFolder(ResultFolder):
     """A folder that an inspection is written to.
 
-    Parameters
-    ----------
-    folder
-        Made where it does not exist.
-    made_from
-        From :func:`inspection_provenance`.
-    force
-        Whether files of an inspection of other inputs are replaced.
+    force: whether files of an inspection of other inputs are replaced.
 
-    Raises
-    ------
-    InputError
-        The folder holds an inspection of other inputs, and `force` is False.
+    Raises InputError: the folder holds an inspection of other inputs, and `force` is False.
     """
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
@@ -97,8 +85,21 @@ class InspectionFolder(ResultFolder):
         """From :func:`inspection_provenance`."""
         return self._made_from
 
+    @contextmanager
+    def made(self) -> Generator[None]:
+        """Make the folder before the work for it begins; a new one is removed where the work fails."""
+        new = not self.folder.exists()
+        make_folder(self.folder)
+        try:
+            yield
+        except BaseException:
+            if new:
+                with suppress(OSError):
+                    self.folder.rmdir()
+            raise
+
     def clear(self) -> None:
-        """Remove what an earlier inspection left here, and the folder where nothing else is in it."""
+        """Remove the files of a previous inspection, and the folder where nothing else is in it."""
         self._remove_earlier()
         for folder in (*self.folder.glob("posture_*"), self.folder):
             with suppress(OSError):  # something else is in it
@@ -124,13 +125,11 @@ class InspectionFolder(ResultFolder):
         shown = grey_picture(synthetic.level, synthetic.mask)
         write_png(self.place(f"{folder}/synthetic.png"), shown.grey, metadata={**facts, **shown.as_dict()})
 
-    def write(self, result: Inspection, verdict: Verdict) -> list[Path]:
+    def write(self, result: InspectionResult, verdict: Verdict) -> list[Path]:
         """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
 
         Parameters
         ----------
-        result
-            Of the inspection.
         verdict
             On it.
         """
@@ -156,12 +155,29 @@ class BatchFolder(ResultFolder):
         )
 
 
+def set_names(sets: Sequence[ImageSet], out: Path) -> list[str]:
+    """Names of the folders below `out` for the results of several sets: those of the sets.
+
+    Raises
+    ------
+    InputError
+        Sets of the same name.
+    """
+    names = [image_set.folder.resolve().name for image_set in sets]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(
+            f"image sets of the same folder name ({', '.join(twice)}): results go to folders of these names in {out}; "
+            "rename one, or inspect them one by one"
+        )
+    return names
+
+
 def truth_text(summary: Mapping[str, Any]) -> str:
-    """``truth.json`` of what :func:`lightopt.inspection.summarise` says."""
+    """``truth.json`` with a summary from :func:`lightopt.inspection.summarise`."""
     return json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _table(result: Inspection, verdict: Verdict) -> str:
+def _table(result: InspectionResult, verdict: Verdict) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -177,25 +193,27 @@ def _table(result: Inspection, verdict: Verdict) -> str:
                 f"{best.score:.2f}",
                 f"{defect.greatest_contrast:.4f}",
                 " ".join(defect.lights),
-                " ".join(f"{s.posture.elevation_deg:g}/{s.posture.rotation_deg:g}" for s in defect.sightings),
+                " ".join(
+                    f"{s.posture.elevation_deg:g}/{s.posture.rotation_deg:g}" for s in defect.detections
+                ),
                 *(f"{x:.2f}" for x in best.centre_px),
             ]
         )
     return text.getvalue()
 
 
-def _points(result: Inspection) -> str:
-    # surface points of all sightings in the mesh file's coordinates, coloured by kind
+def _points(result: InspectionResult) -> str:
+    # surface points of all detections in the mesh file's coordinates, coloured by kind
     placement = result.placement or Placement()
-    regions = {p.view.posture: pixels_of(p.labels, len(p.sightings)) for p in result.postures}
+    regions = {p.view.posture: region_pixels(p.labels, len(p.detections)) for p in result.postures}
     lines: list[str] = []
     for defect in result.defects:
         red, green, blue = KIND_COLOURS[defect.best.kind]
-        for sighting in defect.sightings:
-            posture = next(p for p in result.postures if p.view.posture == sighting.posture)
-            row, column = regions[posture.view.posture][posture.sightings.index(sighting)]
+        for detection in defect.detections:
+            posture = next(p for p in result.postures if p.view.posture == detection.posture)
+            row, column = regions[posture.view.posture][posture.detections.index(detection)]
             world = posture.view.prediction.images.geometry.points[row, column].astype(np.float64)
-            for x, y, z in to_file(world, result.nominal, placement, sighting.posture):
+            for x, y, z in world_to_mesh_file(world, result.nominal, placement, detection.posture):
                 lines.append(f"{x:.4f} {y:.4f} {z:.4f} {red} {green} {blue} {defect.number}")
     head = [
         "ply",

@@ -5,30 +5,21 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
-from lightopt.inspection._fusion import FUSIONS, Fusion
-
 Detector = Literal["residual", "template"]
 DETECTORS: Final = ("residual", "template")
+Fusion = Literal["paper", "median", "minimum", "second-largest"]
+FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
 
 
 @dataclass(frozen=True, kw_only=True)
 class InspectOptions:
     """How to inspect.
 
-    Attributes
-    ----------
-    detector
-        ``residual``: measured against predicted; ``template``: dots and lines in the synthetic image.
-    fusion
-        Rule that the synthetic image is made by; None for no such image, which the template detector needs.
-    false_alarms
-        Expected number of false alarms per posture where noise is all that differs from the good part.
-    seen_by
-        In how many images of a posture a defect must show.
-    shift
-        Whether the part is looked for around where its file has it.
-    threads
-        Number of threads; all the machine's by default. The result does not depend on it.
+    detector: ``residual``: measured against predicted; ``template``: dots and lines in the synthetic image.
+    fusion: rule that the synthetic image is made by; None for no such image, which the template detector needs.
+    false_alarms: expected number of false alarms per posture where noise is all that differs from the good part.
+    seen_by: in how many images of a posture a defect must show.
+    shift: whether the part is searched for around its nominal place.
     """
 
     detector: Detector = "residual"
@@ -39,7 +30,7 @@ class InspectOptions:
     threads: int | None = None
 
     def problems(self) -> list[str]:
-        """What is wrong with them, in words."""
+        """Messages about wrong options."""
         found: list[str] = []
         if self.detector not in DETECTORS:
             found.append(f'--detector: expected {" or ".join(DETECTORS)}, found "{self.detector}"')

@@ -1,4 +1,4 @@
-"""The part file that names scattered defects: the part's own text, and a list at its end."""
+"""The part file that lists random defects: the part's own text with a list at its end."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from lightopt.config import PartConfig, RigConfig, copied_text, input_hashes, wi
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences, provenance
 from lightopt.images import write_text_atomic
-from lightopt.inspection._random_defects import ScatteredDefect
+from lightopt.inspection._random_defects import RandomDefect
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _PROVENANCE = "provenance: "
 
 
-def scatter_provenance(rig: RigConfig, part: PartConfig, *, count: int, seed: int) -> dict[str, Any]:
-    """What scattered defects depend on, in the layout of :mod:`lightopt.core.provenance`."""
+def random_defect_provenance(rig: RigConfig, part: PartConfig, *, count: int, seed: int) -> dict[str, Any]:
+    """What random defects depend on, in the layout of :mod:`lightopt.core.provenance`."""
     return provenance(input_hashes(rig, part), {"seed": seed, "count": count})
 
 
-def defects_text(
+def random_defects_text(
     part: PartConfig,
-    defects: Sequence[ScatteredDefect],
+    defects: Sequence[RandomDefect],
     *,
     folder: Path,
     comment: str,
@@ -38,14 +38,12 @@ def defects_text(
     ----------
     part
         Read from a file that names no defects.
-    defects
-        To be named.
     folder
         That the text will lie in: the mesh is named relative to it.
     comment
         Of the list.
     made_from
-        From :func:`scatter_provenance`: a second line of comment, as JSON.
+        From :func:`random_defect_provenance`: a second line of comment, as JSON.
 
     Raises
     ------
@@ -62,7 +60,7 @@ def defects_text(
     return with_list(text, "defects", [_entry(defect) for defect in defects], comment=comment)
 
 
-def write_defects(path: Path, text: str, *, force: bool) -> None:
+def write_random_defects(path: Path, text: str, *, force: bool) -> None:
     """Write the part file.
 
     Raises
@@ -73,16 +71,16 @@ def write_defects(path: Path, text: str, *, force: bool) -> None:
     if path.is_dir():
         raise InputError(f"{path}: expected the name of a part file to write, found a folder")
     if path.exists() and not force and path.read_bytes() != text.encode():
-        told = differences(_provenance(path.read_text("utf-8", errors="replace")), _provenance(text))
+        changed = differences(_provenance(path.read_text("utf-8", errors="replace")), _provenance(text))
         raise InputError(
-            f"{path}: already there and different{f' ({told})' if told else ''}; use --force to replace it, or choose "
-            "another name"
+            f"{path}: already there and different{f' ({changed})' if changed else ''}; use --force to replace it, or "
+            "choose another name"
         )
     write_text_atomic(path, text)
 
 
 def _provenance(text: str) -> dict[str, Any]:
-    """That of the defects of a part file; empty where it says none."""
+    # of the defects of a part file; empty where it has none
     line = re.search(rf"^# {_PROVENANCE}(.*)$", text, re.MULTILINE)
     try:
         found = json.loads(line[1]) if line else {}
@@ -91,7 +89,7 @@ def _provenance(text: str) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _entry(defect: ScatteredDefect) -> str:
+def _entry(defect: RandomDefect) -> str:
     shape = defect.entry.shape
     name = defect.name if _PLAIN.fullmatch(defect.name) else json.dumps(defect.name, ensure_ascii=False)
     size = f"{shape.length:g}" if shape.length == shape.width else f"[{shape.length:g}, {shape.width:g}]"

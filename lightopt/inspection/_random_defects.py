@@ -1,53 +1,59 @@
-"""Draw places for defects, evenly by area, and keep those where a defect lies whole and in the open."""
+"""Random defects for testing: places drawn evenly by area where an image shows the whole defect."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
-from lightopt.defects import CatalogueEntry, PlacedDefect, tangent_direction
-from lightopt.geometry import SurfaceFinder, TriangleMesh, face_areas, surface_place
-from lightopt.inspection._random_defect_space import PixelMap, lies_in_the_open
-from lightopt.rendering import cast_rays_at, trace_pixels
-from lightopt.scene import Placement, Scene, build_catalogue, build_scene
-
-Float64 = NDArray[np.float64]
+from lightopt.defects import (
+    CatalogueEntry,
+    PlacedDefect,
+    radial_place,
+    surface_coordinates,
+    tangent_direction,
+)
+from lightopt.geometry import SurfaceFinder, face_areas, surface_place
+from lightopt.inspection._arrays import Bool
+from lightopt.rendering import PosturePixels, cast_rays_at, trace_pixels
+from lightopt.scene import Scene, build_catalogue, build_scene, pixel_footprint, project
 
 TRIES = 48
 """Places that are tried for each defect in a round."""
 
 ROUNDS = 8
-"""Rounds of tries for those that found no room."""
+"""Rounds of tries for the defects that are not placed yet."""
 
 MOST_DEFECTS = 500
-"""More than a part file may name."""
+"""As many as a part file may name."""
 
 GAP = 0.25
 """Between the circles around two defects there is at least this share of their radii."""
+
+MARGIN_PX = 2.0
+"""So much around the outline of a defect must be visible, too."""
+
+LEAST_COSINE = math.cos(math.radians(30.0))
+"""The surface turns by no more than this over a defect: beyond, the tangent plane is a poor approximation."""
+
+NEAR_PX = 4.0
+"""A place is the one that a pixel sees where they are no further apart than this."""
 
 _POSITION_DIGITS = 4
 _ANGLE_DIGITS = 1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ScatteredDefect:
+class RandomDefect:
     """A defect as a part file is to name it.
 
-    Attributes
-    ----------
-    name
-        That no other has.
-    entry
-        The kind of the catalogue.
-    at_mm
-        Centre in the mesh file's coordinates [mm].
-    direction_deg
-        Of its length, as part files count it [°].
+    entry: the kind of the catalogue.
+    at_mm: centre in the mesh file's coordinates [mm].
+    direction_deg: of its length, as part files count it [°].
     """
 
     name: str
@@ -57,18 +63,19 @@ class ScatteredDefect:
 
 
 @dataclass(frozen=True, eq=False)
-class _Try:
-    """One place that is tried for a defect; part frame."""
+class _Candidate:
+    """A place that is tried for a defect, which is number `slot`; part frame."""
 
+    slot: int
     at_mm: tuple[float, float, float]
     direction_deg: float
     defect: PlacedDefect
 
 
-def scatter_defects(
+def place_random_defects(
     rig: RigConfig, part: PartConfig, *, count: int, seed: int, threads: int | None = None
-) -> tuple[ScatteredDefect, ...]:
-    """Strew defects over the surface that the camera sees in at least one of the part's postures.
+) -> tuple[RandomDefect, ...]:
+    """Place random defects on the surface that the camera sees in at least one of the part's postures.
 
     The entries of the part's catalogue, or of the built-in one, take turns. Places are drawn evenly by area and
     directions evenly all around; a place is taken where the defect is seen whole in one posture, off silhouettes,
@@ -77,13 +84,11 @@ def scatter_defects(
     Parameters
     ----------
     rig, part
-        Configurations. The part's own defects are not looked at.
+        The part's own defects do not matter.
     count
         Number of defects, 1 to 500.
     seed
         Of the random numbers, 0 or more.
-    threads
-        Number of threads; all the machine's by default. The defects do not depend on it.
 
     Raises
     ------
@@ -101,13 +106,18 @@ def scatter_defects(
     scene = build_scene(rig, part, defects=False)
     kinds = [catalogue[slot % len(catalogue)] for slot in range(count)]
     rng = np.random.default_rng(seed)
-    chosen: list[_Try | None] = [None] * count
+    chosen: list[_Candidate | None] = [None] * count
     for _ in range(ROUNDS):
         waiting = [slot for slot in range(count) if chosen[slot] is None]
         if not waiting:
             break
-        tries = _draw(scene, [kinds[slot] for slot in waiting], rng)
-        _take_apart(chosen, waiting, tries, _fits(scene, tries, threads))
+        candidates = _draw(scene, kinds, waiting, rng)
+        for candidate, fits in zip(candidates, _fit(scene, candidates, threads), strict=True):
+            # each defect takes the first of its places that is apart from those taken
+            if fits and chosen[candidate.slot] is None:
+                others = (other for other in chosen if other is not None)
+                if not any(_overlap(candidate.defect, other.defect) for other in others):
+                    chosen[candidate.slot] = candidate
     if any(choice is None for choice in chosen):
         lost = [entry.name for entry, choice in zip(kinds, chosen, strict=True) if choice is None]
         raise InputError(
@@ -115,14 +125,14 @@ def scatter_defects(
             f"posture and apart from the others, was found in {TRIES * ROUNDS} tries each; none for "
             f"{', '.join(dict.fromkeys(lost))}; ask for fewer, or give the part a defect_catalogue with smaller ones"
         )
-    taken: dict[str, int] = {}
-    result: list[ScatteredDefect] = []
+    numbers: dict[str, int] = {}
+    result: list[RandomDefect] = []
     for entry, choice in zip(kinds, chosen, strict=True):
         assert choice is not None
-        taken[entry.name] = taken.get(entry.name, 0) + 1
+        numbers[entry.name] = numbers.get(entry.name, 0) + 1
         result.append(
-            ScatteredDefect(
-                name=f"{entry.name[:190]}-{taken[entry.name]}",
+            RandomDefect(
+                name=f"{entry.name[:190]}-{numbers[entry.name]}",
                 entry=entry,
                 at_mm=choice.at_mm,
                 direction_deg=choice.direction_deg,
@@ -131,92 +141,83 @@ def scatter_defects(
     return tuple(result)
 
 
-def _draw(scene: Scene, kinds: list[CatalogueEntry], rng: np.random.Generator) -> list[list[_Try]]:
-    # the tries of each defect; all random numbers are drawn whatever becomes of them
-    total = len(kinds) * TRIES
+def _draw(
+    scene: Scene, kinds: list[CatalogueEntry], slots: list[int], rng: np.random.Generator
+) -> list[_Candidate]:
+    # slot after slot; all random numbers are drawn whatever becomes of them
+    total = len(slots) * TRIES
     cumulative = np.cumsum(face_areas(scene.mesh))
     faces = np.searchsorted(cumulative, rng.random(total) * cumulative[-1], side="right")
     # evenly over a triangle: a parallelogram folded at its diagonal
     u, v = rng.random(total), rng.random(total)
     beyond = u + v > 1.0
     u, v = np.where(beyond, 1.0 - u, u), np.where(beyond, 1.0 - v, v)
-    turns = np.round(rng.random(total) * 360.0, _ANGLE_DIGITS) % 360.0
-    tries: list[list[_Try]] = []
-    for slot, entry in enumerate(kinds):
-        numbers = range(slot * TRIES, (slot + 1) * TRIES)
-        tries.append(
-            [
-                _try(
-                    scene.mesh,
-                    scene.placement,
-                    entry,
-                    int(faces[i]),
-                    float(u[i]),
-                    float(v[i]),
-                    float(turns[i]),
-                )
-                for i in numbers
-            ]
+    directions = np.round(rng.random(total) * 360.0, _ANGLE_DIGITS) % 360.0
+    axes = {"x_axis": scene.placement.rotation[:, 0], "y_axis": scene.placement.rotation[:, 1]}
+    candidates: list[_Candidate] = []
+    for i in range(total):
+        slot, direction = slots[i // TRIES], float(directions[i])
+        place = surface_place(scene.mesh, int(faces[i]), float(u[i]), float(v[i]))
+        # the file's digits are what a later reader has
+        x, y, z = (np.round(scene.placement.to_file(place.point), _POSITION_DIGITS) + 0.0).tolist()
+        defect = PlacedDefect(
+            name=kinds[slot].name,
+            shape=kinds[slot].shape,
+            position=place.point,
+            normal=place.normal,
+            along=tangent_direction(place.normal, math.radians(direction), **axes),
         )
-    return tries
+        candidates.append(_Candidate(slot, (x, y, z), direction, defect))
+    return candidates
 
 
-def _try(
-    mesh: TriangleMesh,
-    placement: Placement,
-    entry: CatalogueEntry,
-    face: int,
-    u: float,
-    v: float,
-    turn: float,
-) -> _Try:
-    place = surface_place(mesh, face, u, v)
-    # the file's digits are what a later reader has
-    rounded = np.round(placement.to_file(place.point), _POSITION_DIGITS) + 0.0
-    along = tangent_direction(
-        place.normal, math.radians(turn), x_axis=placement.rotation[:, 0], y_axis=placement.rotation[:, 1]
-    )
-    x, y, z = rounded.tolist()
-    defect = PlacedDefect(
-        name=entry.name, shape=entry.shape, position=place.point, normal=place.normal, along=along
-    )
-    return _Try((x, y, z), turn, defect)
-
-
-def _fits(scene: Scene, tries: list[list[_Try]], threads: int | None) -> list[list[bool]]:
-    # one posture at a time, so that the memory does not grow with their number
-    fits = [[False] * len(some) for some in tries]
+def _fit(scene: Scene, candidates: list[_Candidate], threads: int | None) -> Bool:
+    # which of them an image shows whole; one posture at a time, so that the memory does not grow with their number
+    fits = np.zeros(len(candidates), np.bool_)
     caster = cast_rays_at(scene)
     for posture in scene.postures:
-        pixels = PixelMap(trace_pixels(scene, posture, caster, threads=threads))
-        for slot, some in enumerate(tries):
-            for number, one in enumerate(some):
-                if not fits[slot][number]:
-                    fits[slot][number] = lies_in_the_open(one.defect, pixels)
+        pixels = trace_pixels(scene, posture, caster, threads=threads)
+        index = np.full(pixels.shape, -1, np.int32)
+        index[pixels.row, pixels.column] = np.arange(len(pixels.row), dtype=np.int32)
+        for i in np.flatnonzero(~fits):
+            fits[i] = _is_visible(candidates[i].defect, pixels, index)
     # a place that a later reader would take for another, on the other side of an edge, is no place
     finder = SurfaceFinder(scene.mesh)
-    for slot, some in enumerate(tries):
-        for number, one in enumerate(some):
-            if fits[slot][number]:
-                point = scene.placement.to_part(np.array(one.at_mm))
-                again = finder.nearest(point)
-                fits[slot][number] = bool(again.normal @ one.defect.normal > 1.0 - 1e-4)
+    for i in np.flatnonzero(fits):
+        again = finder.nearest(scene.placement.to_part(np.array(candidates[i].at_mm)))
+        fits[i] = again.normal @ candidates[i].defect.normal > 1.0 - 1e-4
     return fits
 
 
-def _take_apart(
-    chosen: list[_Try | None], waiting: list[int], tries: list[list[_Try]], fits: list[list[bool]]
-) -> None:
-    # each defect that waits takes the first of its places that is apart from those taken
-    for slot, some, good in zip(waiting, tries, fits, strict=True):
-        free = (
-            one
-            for one, fit in zip(some, good, strict=True)
-            if fit and not any(other is not None and _meet(one.defect, other.defect) for other in chosen)
-        )
-        chosen[slot] = next(free, None)
-
-
-def _meet(one: PlacedDefect, other: PlacedDefect) -> bool:
+def _overlap(one: PlacedDefect, other: PlacedDefect) -> bool:
     radii = 0.5 * (one.shape.length + other.shape.length)
     return float(np.linalg.norm(one.position - other.position)) < (1.0 + GAP) * radii
+
+
+def _is_visible(defect: PlacedDefect, pixels: PosturePixels, index: NDArray[np.int32]) -> bool:
+    # whether an image shows all of a defect and a margin around it, off silhouettes, creases and grazing views; `index`
+    # has the number of each pixel among `pixels`, or −1
+    camera, surface = pixels.view.camera, pixels.surface
+    columns, rows, depth = project(camera, defect.position[None])
+    if not depth[0] > 0.0 or not (np.isfinite(columns[0]) and np.isfinite(rows[0])):
+        return False
+    footprint = pixel_footprint(camera, float(depth[0]))
+    column, row = math.floor(columns[0]), math.floor(rows[0])
+    half = math.ceil(defect.reach / footprint + 2.0 * MARGIN_PX)
+    height, width = pixels.shape
+    if column < half or row < half or column + half >= width or row + half >= height:
+        return False
+    centre = index[row, column]
+    if centre < 0 or not pixels.clean[centre]:
+        return False
+    if np.linalg.norm(surface.points[centre] - defect.position) > NEAR_PX * footprint:
+        return False
+    window = index[row - half : row + half + 1, column - half : column + half + 1]
+    near = window[window >= 0]
+    x, y, same = surface_coordinates(defect, surface.points[near], surface.normals[near])
+    margin = 2.0 * MARGIN_PX * footprint
+    wider = replace(defect.shape, length=defect.shape.length + margin, width=defect.shape.width + margin)
+    own = near[same & (radial_place(wider, x, y) < 1.0)]
+    return bool(
+        len(own) and pixels.clean[own].all() and (surface.normals[own] @ defect.normal >= LEAST_COSINE).all()
+    )

@@ -1,4 +1,4 @@
-"""What an inspection found: of each posture, and of the whole set."""
+"""What an inspection found, and the verdict by the limits of the part file."""
 
 from __future__ import annotations
 
@@ -10,37 +10,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.config import InspectionConfig
+from lightopt.core.errors import counted
 from lightopt.estimate.registration import Placement, Registration
-from lightopt.inspection._coverage import Coverage
-from lightopt.inspection._defect_merging import FoundDefect, Sighting
-from lightopt.inspection._posture_view import PostureView
-from lightopt.inspection._surface import SurfaceCoverage
-from lightopt.inspection._synthetic import SyntheticImage
+from lightopt.inspection._arrays import Float32
+from lightopt.inspection.detection._coverage import PostureCoverage
+from lightopt.inspection.detection._defects import Detection, FoundDefect
+from lightopt.inspection.detection._surface_coverage import REFERENCE_CONTRAST, SurfaceCoverage
+from lightopt.inspection.fusion._synthetic_image import SyntheticImage
+from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene
-
-Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
 class InspectedPosture:
     """One posture of an inspected part.
 
-    Attributes
-    ----------
-    view
-        Images and prediction.
-    make_synthetic
-        Makes the image without highlights; None where none was asked for.
-    score
-        −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
-    labels
-        Number of the region that each pixel belongs to, 0 for none, shape (H, W).
-    threshold
-        Score from which a region counts.
-    sightings
-        One per region.
-    coverage
-        Of the surface.
+    make_synthetic: makes the image without highlights; None where none is wanted.
+    score: −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
+    labels: number of the region that each pixel belongs to, 0 for none, shape (H, W).
+    threshold: score from which a region counts.
     """
 
     view: PostureView
@@ -48,14 +37,14 @@ class InspectedPosture:
     score: Float32
     labels: NDArray[np.int32]
     threshold: float
-    sightings: tuple[Sighting, ...]
-    coverage: Coverage
+    detections: tuple[Detection, ...]
+    coverage: PostureCoverage
 
     @cached_property
     def synthetic(self) -> SyntheticImage | None:
-        """The image without highlights; None where none was asked for.
+        """The image without highlights; None where none is wanted.
 
-        It is made when it is first asked for: it takes several times as long as the verdict, which the residual
+        It is made on first use: it takes several times as long as the verdict, which the residual
         detector reaches without it.
         """
         return None if self.make_synthetic is None else self.make_synthetic()
@@ -75,32 +64,21 @@ class InspectedPosture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspection:
+class InspectionResult:
     """What an inspection of one set of images found.
 
-    Attributes
-    ----------
-    defects
-        The highest score first.
-    postures
-        In the set's order.
-    placement
-        Where the part lies from where its file has it; None where it was not looked for.
-    registration
-        The search that found it, or the part of the batch that it lies near; None where there was none.
-    words
-        What a person should know: missing lights and postures, and so on.
-    nominal
-        The scene with the part where its file has it.
-    surface
-        Of the part, each place counted once however many postures show it.
+    placement: where the part lies from where its file has it; None where it was not searched for.
+    registration: the search that found it, or the part of the batch that it lies near; None where there was none.
+    warnings: missing lights and postures, and so on.
+    nominal: the scene with the part where its file has it.
+    surface: of the part, each place counted once however many postures show it.
     """
 
     defects: tuple[FoundDefect, ...]
     postures: tuple[InspectedPosture, ...]
     placement: Placement | None
     registration: Registration | None = None
-    words: tuple[str, ...]
+    warnings: tuple[str, ...]
     nominal: Scene = field(repr=False, compare=False)
     surface: SurfaceCoverage
 
@@ -112,5 +90,91 @@ class Inspection:
             "surface": self.surface.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
             "registration": None if self.registration is None else self.registration.as_dict(),
-            "warnings": list(self.words),
+            "warnings": list(self.warnings),
         }
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a part is good.
+
+    counting: numbers of the defects that count.
+    inspected: share of the visible surface that was inspected in one posture or several; where it is dark, for
+        glints.
+    reasons: why it is not; empty for a good part.
+    finds: share of the visible surface where :data:`lightopt.inspection.REFERENCE_DEFECT` is found half of the time.
+    glints: share of the visible surface that is dark, so that only glints show.
+    """
+
+    good: bool
+    counting: tuple[int, ...]
+    inspected: float
+    reasons: tuple[str, ...]
+    limits: InspectionConfig = field(default_factory=InspectionConfig)
+    finds: float = 0.0
+    glints: float = 0.0
+
+    @property
+    def word(self) -> str:
+        """``OK`` or ``NG``."""
+        return "OK" if self.good else "NG"
+
+    @property
+    def explanation(self) -> str:
+        """The reasons, or what speaks for the part."""
+        if self.reasons:
+            return "; ".join(self.reasons)
+        if self.counting:
+            return _count_text(len(self.counting), self.limits.most_defects)
+        return "nothing found that counts"
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "verdict": self.word,
+            "counting": list(self.counting),
+            "inspected": round(self.inspected, 5),
+            "finds_contrast": {f"{REFERENCE_CONTRAST:g}": round(self.finds, 5)},
+            "only_glints": round(self.glints, 5),
+            "reasons": list(self.reasons),
+            "limits": self.limits.model_dump(),
+        }
+
+
+def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
+    """Hold an inspection against the part's limits.
+
+    Parameters
+    ----------
+    limits
+        From the part's file.
+    """
+    counting = [
+        defect.number
+        for defect in result.defects
+        if defect.size[0] >= limits.least_size_mm and defect.greatest_contrast >= limits.least_contrast
+    ]
+    inspected = result.surface.share
+    reasons: list[str] = []
+    if len(counting) > limits.most_defects:
+        reasons.append(_count_text(len(counting), limits.most_defects))
+    if inspected == 0.0:
+        reasons.append("nothing of the surface was inspected")
+    elif inspected < limits.least_inspected:
+        reasons.append(
+            f"{100.0 * inspected:.1f} % of the visible surface was inspected, at least "
+            f"{100.0 * limits.least_inspected:g} % are asked for"
+        )
+    return Verdict(
+        good=not reasons,
+        counting=tuple(counting),
+        inspected=inspected,
+        reasons=tuple(reasons),
+        limits=limits,
+        finds=result.surface.finds,
+        glints=result.surface.glints / max(result.surface.seen, 1e-9),
+    )
+
+
+def _count_text(count: int, allowed: int) -> str:
+    return f"{counted(count, 'defect')} that count{'s' if count == 1 else ''}, {allowed} allowed"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.errors import counted, percent
-from lightopt.inspection import TOLD_CONTRAST, TOLD_DISC, Verdict
+from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, Verdict
 from lightopt.report._page import Answer, Page, Section, Table
 from lightopt.report._page_html import page_html
 from lightopt.report._truth_blocks import truth_blocks
@@ -53,7 +53,7 @@ class BatchRow:
         return [
             self.name,
             verdict.word,
-            verdict.told,
+            verdict.explanation,
             str(self.defects),
             str(len(verdict.counting)),
             percent(verdict.inspected),
@@ -91,14 +91,14 @@ def batch_report(
             "defects",
             "that count",
             "inspected",
-            f"finds {100 * TOLD_CONTRAST:g} %",
+            f"finds {100 * REFERENCE_CONTRAST:g} %",
             "only glints",
         ],
         rows=[row.cells() for row in rows],
         numbers_from=3,
         caption="A set's name leads to its own report. Inspected: share of the surface that the part's postures show. "
-        f"Finds: share of it where {TOLD_DISC} is found half of the time. Only glints: share of it that was inspected, "
-        "but is dark.",
+        f"Finds: share of it where {REFERENCE_DEFECT} is found half of the time. Only glints: share of it that was "
+        "inspected, but is dark.",
         links=[row.report for row in rows],
     )
     rest = f"; {counted(refused, 'set')} not inspected" if refused else ""

@@ -15,7 +15,7 @@ from lightopt.inspection import (
     FoundDefect,
     GreyPicture,
     InspectedPosture,
-    Inspection,
+    InspectionResult,
     Kind,
     grey_picture,
 )
@@ -64,16 +64,16 @@ def overlay_image(
         level, mask = np.minimum(posture.view.level, posture.view.limit).min(axis=0), posture.view.part
     shown = grey_picture(level, mask)
     rgb = np.repeat(shown.grey[..., None], 3, axis=2)
-    found = {id(sighting): defect for defect in defects for sighting in defect.sightings}
-    for index, sighting in enumerate(posture.sightings):
-        rgb[_rim(posture.labels == index + 1)] = KIND_COLOURS[found[id(sighting)].best.kind]
+    found = {id(detection): defect for defect in defects for detection in defect.detections}
+    for index, detection in enumerate(posture.detections):
+        rgb[_rim(posture.labels == index + 1)] = KIND_COLOURS[found[id(detection)].best.kind]
     image = enlarged(Image.fromarray(rgb), enlarge)
     draw, line = ImageDraw.Draw(image), max(1, round(LINE_SHARE * image.width))
     size = max(LABEL_SIZE, round(LABEL_SHARE * image.width))
     font = ImageFont.truetype(font_file(), size)
-    for sighting in posture.sightings:
-        defect = found[id(sighting)]
-        left, top, right, bottom = (enlarge * side for side in sighting.box_px)
+    for detection in posture.detections:
+        defect = found[id(detection)]
+        left, top, right, bottom = (enlarge * side for side in detection.box_px)
         m = BOX_MARGIN_PX * enlarge
         draw.rectangle(
             [left - m, top - m, right + m - 1, bottom + m - 1],
@@ -115,7 +115,7 @@ def _rim(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask & ~inner
 
 
-def image_blocks(result: Inspection) -> list[Block]:
+def image_blocks(result: InspectionResult) -> list[Block]:
     """A picture of each posture, and of those that have one the image without highlights and its uncertainty."""
     blocks: list[Block] = []
     for posture in result.postures:
@@ -135,7 +135,7 @@ def image_blocks(result: Inspection) -> list[Block]:
             Picture(
                 png=_small(picture, OVERLAY_PX),
                 alt=f"Posture {where}: the part with its defects outlined and numbered",
-                caption=f"{caption}; {shown.told}.",
+                caption=f"{caption}; {shown.legend}.",
             )
         )
     rows = [(f"posture {p.view.posture}", pictures) for p in result.postures if (pictures := _synthetic(p))]
@@ -158,7 +158,7 @@ def _synthetic(posture: InspectedPosture) -> list[Picture | None]:
             Picture(
                 png=_small(_whole(Image.fromarray(shown.grey).convert("RGB"), SMALL_PX), SMALL_PX),
                 alt=f"Posture {posture.view.posture}: {what}",
-                caption=shown.told,
+                caption=shown.legend,
             )
         )
     return pictures

@@ -7,7 +7,7 @@ from typing import Any
 
 from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted, percent
-from lightopt.inspection import TOLD_DISC, Inspection, Verdict
+from lightopt.inspection import REFERENCE_DEFECT, InspectionResult, Verdict
 from lightopt.report._inspection_pictures import image_blocks
 from lightopt.report._inspection_surface import marked_part
 from lightopt.report._inspection_tables import dark_text, defect_table, placement_text, surface_table
@@ -17,7 +17,7 @@ from lightopt.report._truth_blocks import truth_blocks
 
 
 def inspection_report(
-    result: Inspection,
+    result: InspectionResult,
     verdict: Verdict,
     *,
     part: str,
@@ -53,24 +53,24 @@ def inspection_report(
         Page(
             title=f"{verdict.word}: {part}",
             subtitle=f"{part} on {rig}, lightopt {provenance['lightopt']}",
-            lead=[_answer(result, verdict), Warnings(texts=result.words)],
+            lead=[_answer(result, verdict), Warnings(texts=result.warnings)],
             sections=[section for section in sections if section.blocks],
         )
     )
 
 
-def _answer(result: Inspection, verdict: Verdict) -> Answer:
+def _answer(result: InspectionResult, verdict: Verdict) -> Answer:
     found = counted(len(result.defects), "defect") if result.defects else "no defects"
     missing = result.surface.missing / max(result.surface.seen, 1e-9)
     rest = f" {percent(missing)} of the visible surface has no images." if missing > 0.0 else ""
     return Answer(
         figure=verdict.word,
-        text=f"{verdict.told}. {found.capitalize()} on the {percent(verdict.inspected)} of the visible surface that "
-        f"was inspected; {TOLD_DISC} is found on {percent(verdict.finds)}{dark_text(verdict)}.{rest}",
+        text=f"{verdict.explanation}. {found.capitalize()} on the {percent(verdict.inspected)} of the visible surface "
+        f"that was inspected; {REFERENCE_DEFECT} is found on {percent(verdict.finds)}{dark_text(verdict)}.{rest}",
     )
 
 
-def _facts(result: Inspection, verdict: Verdict, provenance: Mapping[str, Any]) -> Facts:
+def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, Any]) -> Facts:
     """Files, detector, limits, and what was found of the part's place and the brightness."""
     inputs: Mapping[str, Any] = provenance["inputs"]
     options: Mapping[str, Any] = provenance["options"]

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.inspection import KIND_COLOURS, FoundDefect, Inspection, Kind
+from lightopt.inspection import KIND_COLOURS, FoundDefect, InspectionResult, Kind
 from lightopt.report._page import SurfaceView
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
 
@@ -28,7 +28,7 @@ LEAST_SHARE = 0.015
 RINGS, SECTORS = 8, 12
 
 
-def marked_part(result: Inspection, name: str) -> SurfaceView:
+def marked_part(result: InspectionResult, name: str) -> SurfaceView:
     """The part as its file has it on the stage, to turn."""
     mesh, place = result.nominal.mesh, result.nominal.placement
     size = float(np.linalg.norm(mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)))

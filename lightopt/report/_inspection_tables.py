@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from lightopt.core.errors import percent
 from lightopt.estimate.registration import Placement
-from lightopt.inspection import CONTRASTS, Coverage, Inspection, SurfaceCoverage, Verdict
+from lightopt.inspection import CONTRASTS, InspectionResult, PostureCoverage, SurfaceCoverage, Verdict
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Table
 
 
-def defect_table(result: Inspection, verdict: Verdict) -> Table:
+def defect_table(result: InspectionResult, verdict: Verdict) -> Table:
     """A row for each defect, the highest score first."""
     rows = [
         [
@@ -22,7 +22,7 @@ def defect_table(result: Inspection, verdict: Verdict) -> Table:
             f"{defect.area:.3g}",
             percent(defect.greatest_contrast, 0),
             f"{defect.best.score:.1f}",
-            str(len(defect.sightings)),
+            str(len(defect.detections)),
         ]
         for defect in result.defects
     ]
@@ -37,7 +37,7 @@ def defect_table(result: Inspection, verdict: Verdict) -> Table:
     )
 
 
-def surface_table(result: Inspection) -> Table:
+def surface_table(result: InspectionResult) -> Table:
     """A row for each posture, and one for all: the surface by what each place can show, and by why it shows nothing.
 
     Columns from the fourth on are classes: each place is in one of them.
@@ -45,7 +45,7 @@ def surface_table(result: Inspection) -> Table:
     every = result.surface
     gap = every.missing > 0.0
 
-    def row(name: str, cover: Coverage | SurfaceCoverage, missing: float) -> list[str]:
+    def row(name: str, cover: PostureCoverage | SurfaceCoverage, missing: float) -> list[str]:
         areas = [cover.inspected, *cover.classes, cover.edge, cover.saturated, cover.shadow]
         areas += [missing] if gap else []
         shares = [percent(area / max(cover.seen, 1e-9)) for area in areas]
@@ -67,7 +67,7 @@ def surface_table(result: Inspection) -> Table:
     return Table(header=header, rows=rows, caption=" ".join(surface_notes(result)))
 
 
-def surface_notes(result: Inspection) -> list[str]:
+def surface_notes(result: InspectionResult) -> list[str]:
     """What the columns of :func:`surface_table` stand for, and what else there is to say of the surface; sentences."""
     every = result.surface
     seen = max(every.seen, 1e-9)

@@ -12,7 +12,7 @@ from lightopt.config._defects import CatalogueEntryConfig
 from lightopt.core.errors import InputError
 from lightopt.defects import PlacedDefect, tangent_direction
 from lightopt.geometry import SurfaceFinder
-from lightopt.inspection import scatter_defects
+from lightopt.inspection import place_random_defects
 from lightopt.scene import Scene
 
 __all__ = ["strew"]
@@ -35,7 +35,7 @@ def strew(
     rig, part, scene
         The scene's postures are those in which the defects must be seen.
     count, seed
-        As for :func:`lightopt.inspection.scatter_defects`.
+        As for :func:`lightopt.inspection.place_random_defects`.
     catalogue
         Instead of the part's.
     turns
@@ -52,7 +52,7 @@ def strew(
         own = own.model_copy(update={"defect_catalogue": tuple(catalogue)})
     while True:
         try:
-            found = scatter_defects(rig, own, count=count, seed=seed)
+            found = place_random_defects(rig, own, count=count, seed=seed)
             break
         except InputError:
             if count < 4:

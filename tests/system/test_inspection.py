@@ -20,8 +20,8 @@ from lightopt.inspection import (
     area_under_roc,
     fuse_images,
     inspect_set,
+    pixel_weights,
     score_templates,
-    trust_weights,
 )
 from lightopt.rendering import RenderOptions, render_image_set
 
@@ -134,7 +134,7 @@ def good_part_seen(request, shared_bench, tmp_path_factory):
 @pytest.mark.parametrize("fusion", FUSIONS)
 def test_former_highlights_differ_from_what_is_around_by_less_than_the_uncertainty(good_part_seen, fusion):
     view, diffuse = good_part_seen
-    weights = trust_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
+    weights = pixel_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
     image = fuse_images(
         view.level, view.deviation, weights, view.clean, fusion=fusion, predicted=view.predicted,
         specular=view.specular,

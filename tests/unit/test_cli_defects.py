@@ -11,7 +11,7 @@ import trimesh
 from lightopt import build_scene, load_part, load_rig
 from lightopt.core.provenance import code_sha256
 from lightopt.images import read_exr, read_image_set
-from lightopt.inspection import scatter_defects
+from lightopt.inspection import place_random_defects
 
 FEW = ("--patches", "500", "-q")
 SMALL = """\
@@ -96,7 +96,7 @@ def test_places_are_even_by_area(catalogue):
     catalogue.part.write_text(text, encoding="utf-8")
     part = load_part(catalogue.part)
     rig = load_rig(catalogue.rig)
-    found = scatter_defects(rig, part, count=200, seed=0)
+    found = place_random_defects(rig, part, count=200, seed=0)
     places = np.array([d.at_mm for d in found])
     middle = build_scene(rig, part).placement.to_file(np.zeros(3))
     for axis in (0, 1):
@@ -109,7 +109,7 @@ def test_no_defect_lies_across_an_edge(bench):
     text = bench.part.read_text(encoding="utf-8").replace(", {elevation_deg: -10, rotation_deg: 170}", "")
     text += "defect_catalogue: [{name: knock, kind: dent, size_mm: 3, slope_deg: 6}]\n"
     bench.part.write_text(text, encoding="utf-8")
-    found = scatter_defects(load_rig(bench.rig), load_part(bench.part), count=4, seed=1)
+    found = place_random_defects(load_rig(bench.rig), load_part(bench.part), count=4, seed=1)
     places = np.abs([d.at_mm for d in found])
     assert np.allclose(places[:, 2], 3)
     assert places[:, 0].max() < 10 - 1.5

@@ -120,7 +120,7 @@ def test_the_verdict_is_reached_and_told_before_the_images_without_highlights(cl
     def refuse(*_, **__):
         raise InputError("no image without highlights")
 
-    monkeypatch.setattr("lightopt.inspection._template_scores.fuse_images", refuse)
+    monkeypatch.setattr("lightopt.inspection.fusion._synthetic_image.fuse_images", refuse)
     ran = inspect(cli, bench, parts["bad"])
     assert "NG: " in ran.out
     assert "no image without highlights" in ran.err
@@ -423,7 +423,7 @@ def test_what_cannot_be_known_is_refused_before_any_work(cli, bench, parts, imag
     def never(*_, **__):
         raise AssertionError("inspected")
 
-    monkeypatch.setattr("lightopt.inspection.inspect_set", never)
+    monkeypatch.setattr("lightopt.inspection._batch.inspect_set", never)
     manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
     (images / "manifest.json").write_text(json.dumps({**manifest, "part": None, "lightopt": None}), "utf-8")
     for sets in (images, [parts["bad"], images]):
@@ -491,7 +491,7 @@ def test_images_that_are_saturated_all_over_are_refused(cli, bench, images):
 def test_a_posture_without_a_pixel_to_judge_is_said_and_no_good_part(cli, bench, parts, monkeypatch):
     from dataclasses import replace
 
-    from lightopt.inspection import _prediction_cache as _predictions
+    from lightopt.inspection.prediction import _prediction_cache as _predictions
 
     def nothing_clean(*given, **more):
         found = predict(*given, **more)

@@ -13,9 +13,8 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
 from lightopt.images import read_image_set
 from lightopt.inspection import deviations, posture_view, predict, score_deviations
-from lightopt.inspection._coverage import measure_coverage
-from lightopt.inspection._coverage_blocks import coverage_in_blocks
-from lightopt.inspection._filter import filter_tile, gaussian_taps
+from lightopt.inspection._image_blocks import filter_tile, gaussian_taps
+from lightopt.inspection.detection._coverage import coverage_of_rows, measure_coverage
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 
 FLAT = Posture(0.0, 0.0)
@@ -55,8 +54,8 @@ def test_the_number_of_threads_changes_nothing(shown):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_coverage_in_blocks_is_that_of_the_whole_image(shown, threads):
     view, found, _ = seen(shown, 2)
-    whole = measure_coverage(view, found, seen_by=2, high=6.0)
-    blocks = coverage_in_blocks(view, found, seen_by=2, high=6.0, threads=threads)
+    whole = coverage_of_rows(view, found, seen_by=2, high=6.0)
+    blocks = measure_coverage(view, found, seen_by=2, high=6.0, threads=threads)
     assert whole.inspected > 0.1 * whole.seen > 0.0
     for field in fields(whole):
         mine, theirs = getattr(blocks, field.name), getattr(whole, field.name)

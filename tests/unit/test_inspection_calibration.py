@@ -13,8 +13,8 @@ import pytest
 from lightopt.cli._main import run
 from lightopt.images import read_image_set
 from lightopt.inspection import Deviations, least_rate, score_deviations, sets_needed
-from lightopt.inspection._false_alarm_rates import held_threshold
-from lightopt.inspection._systematic import Residuals, SystematicSums, without_systematic
+from lightopt.inspection.calibration._false_alarm_rates import tolerance_limit
+from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
 
 # --- rates
 
@@ -23,8 +23,8 @@ from lightopt.inspection._systematic import Residuals, SystematicSums, without_s
 def test_so_many_good_sets_bear_a_rate_and_one_less_does_not(rate, sets):
     assert sets_needed(rate) == sets
     peaks = list(range(sets))
-    assert held_threshold(peaks, rate) == sets - 1
-    assert held_threshold(peaks[1:], rate) is None
+    assert tolerance_limit(peaks, rate) == sets - 1
+    assert tolerance_limit(peaks[1:], rate) is None
     assert least_rate(sets) <= rate < least_rate(sets - 1)
 
 
@@ -35,15 +35,15 @@ def test_the_rate_is_held_19_times_in_20_whatever_the_law(law, sets, rate):
     held = []
     for _ in range(2000):
         draws = rng.standard_normal(sets) if law == "normal" else rng.standard_cauchy(sets)
-        t = held_threshold(draws.tolist(), rate)
+        t = tolerance_limit(draws.tolist(), rate)
         tail = 0.5 * math.erfc(t / math.sqrt(2)) if law == "normal" else 0.5 - math.atan(t) / math.pi
         held.append(tail <= rate)
     assert 0.94 < np.mean(held) < 0.995
 
 
 def test_more_good_sets_than_needed_lower_the_threshold():
-    assert held_threshold(range(100), 0.05) == 98
-    assert held_threshold(range(100), 0.2) == 86
+    assert tolerance_limit(range(100), 0.05) == 98
+    assert tolerance_limit(range(100), 0.2) == 86
 
 
 # --- what good sets have in common
@@ -62,7 +62,7 @@ def images(n, *, shift=0, seed=0, common=None):
             z += np.roll(common, shift, axis=2)
         nominal = (row * columns + column - shift).astype(np.int32)
         found = Deviations(np.where(usable, z, 0), np.full(z.shape, 2.0, np.float32), usable, usable)
-        yield Residuals.of(found, nominal), found, nominal
+        yield PackedDeviations.of(found, nominal), found, nominal
 
 
 def blotch():
@@ -77,7 +77,7 @@ def test_noise_alone_stays_noise():
         sums.add(one)
     learned = sums.systematic()
     one, found, nominal = next(images(1, seed=9))
-    z = without_systematic(found, learned, nominal).z[found.usable]
+    z = subtract_systematic(found, learned, nominal).z[found.usable]
     assert 0.85 < z.std() < 1.0
     assert np.abs(learned.mean).max() < 1.5
     assert learned.spread.max() < 1.6
@@ -91,12 +91,12 @@ def test_what_good_sets_share_goes_wherever_the_part_lies_and_a_defect_stays():
     learned = sums.systematic()
     _, found, nominal = next(images(1, shift=5, seed=9, common=blotch()))
     assert score_deviations(found, seen_by=2).max() > 20
-    after = without_systematic(found, learned, nominal)
+    after = subtract_systematic(found, learned, nominal)
     assert score_deviations(after, seen_by=2).max() < 6
     assert np.all(after.scale >= found.scale)
     defect = found.z.copy()
     defect[:, 20:24, 45:49] -= 6.0
-    marked = without_systematic(replace(found, z=defect), learned, nominal)
+    marked = subtract_systematic(replace(found, z=defect), learned, nominal)
     assert score_deviations(marked, seen_by=2).max() > 20
 
 
@@ -119,7 +119,7 @@ def test_where_few_sets_tell_nothing_is_learned():
         if i:
             usable[:, :, :40] = False
         told = replace(found, z=np.where(usable, found.z, 0), usable=usable, lit=usable)
-        sums.add(Residuals.of(told, nominal))
+        sums.add(PackedDeviations.of(told, nominal))
     learned = sums.systematic()
     assert np.all(learned.mean[:, :, :40] == 0.0)
     assert np.all(learned.spread[:, :, :40] == 1.0)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from lightopt.inspection import CONTRASTS, Deviations, SurfaceCoverage, score_deviations
-from lightopt.inspection._coverage import least_contrast, measure_coverage
-from lightopt.inspection._deviation import DARK
-from lightopt.inspection._surface_classes import Reached
+from lightopt.inspection.detection._coverage import SurfaceState, coverage_of_rows, least_contrast
+from lightopt.inspection.detection._deviation import DARK
 
 SIDE, STEP = 360, 24
 LEVEL, SCALE, HIGH = 100.0, 2.0, 6.5
@@ -76,8 +75,9 @@ def test_a_dark_place_tells_no_contrast_and_shows_glints_of_three_deviations(see
 def test_each_pixel_is_in_the_class_of_what_it_can_show():
     # columns: off the part, an edge, shadow, saturated, dark, lit by one, lit by two, lit brightly by two, grazing
     expected = [
-        *(Reached.NO_PART, Reached.EDGE, Reached.SHADOW, Reached.SATURATED),
-        *(Reached.GLINTS, Reached.FEWER, Reached.INSPECTED, Reached.INSPECTED, Reached.GRAZING),
+        *(SurfaceState.NO_PART, SurfaceState.EDGE, SurfaceState.SHADOW, SurfaceState.SATURATED),
+        *(SurfaceState.GLINTS, SurfaceState.FEWER, SurfaceState.INSPECTED, SurfaceState.INSPECTED),
+        SurfaceState.GRAZING,
     ]
     predicted = np.array([[0, 9, 0, 300, 0.1, 40, 2, 400, 9], [0, 9, 0, 0, 0.1, 0.1, 2, 400, 9]], np.float32)
     saturated = np.array([[0, 0, 0, 1, 0, 0, 0, 0, 0]] * 2, bool)
@@ -92,8 +92,8 @@ def test_each_pixel_is_in_the_class_of_what_it_can_show():
         limit=np.full_like(predicted, 255.0), prediction=SimpleNamespace(area=area[None], grazing=grazing[None]),
     )  # fmt: skip
     ones = np.ones_like(predicted)
-    found = measure_coverage(view, Deviations(0.0 * ones, ones, usable, lit), seen_by=2, high=HIGH)
-    assert found.reached[0].tolist() == expected
+    found = coverage_of_rows(view, Deviations(0.0 * ones, ones, usable, lit), seen_by=2, high=HIGH)
+    assert found.state[0].tolist() == expected
     # what is seen at a grazing angle is in no share
     assert (found.seen, found.inspected, found.grazing) == (127.0, 120.0, 128.0)
     assert found.as_dict()["left_out"] == pytest.approx(128 / 255, abs=1e-5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from lightopt.inspection import FUSIONS, fuse_images, trust_weights
+from lightopt.inspection import FUSIONS, fuse_images, pixel_weights
 
 ROWS, COLUMNS = 70, 90
 Y, X = np.mgrid[:ROWS, :COLUMNS].astype(np.float32)
@@ -36,7 +36,7 @@ def scene(*, noise=0.0, stain=0.0, seed=0, same_place=False):
 def fused(level, specular, fusion, *, deviation=0.5, probes=0):
     deviations = np.full_like(level, deviation)
     predicted = np.array([shading(np.pi * (0.25 + 0.5 * i)) for i in range(4)], np.float32) + specular
-    weights = trust_weights(level >= TOP, predicted, specular, deviations, np.full_like(level, TOP))
+    weights = pixel_weights(level >= TOP, predicted, specular, deviations, np.full_like(level, TOP))
     return fuse_images(level, deviations, weights, MASK, fusion=fusion, probes=probes)
 
 
@@ -88,7 +88,7 @@ def test_shadow_and_neighbours_of_saturation_are_not_trusted():
     saturated = np.zeros((1, 9, 9), bool)
     saturated[0, 4, 5] = True
     flat = np.zeros_like(predicted)
-    weights = trust_weights(saturated, predicted, flat, deviations, np.full_like(predicted, TOP))[0]
+    weights = pixel_weights(saturated, predicted, flat, deviations, np.full_like(predicted, TOP))[0]
     assert (weights[:, 0] == 0).all()
     assert (weights[2:7, 3:8] == 0).all()
     assert (weights == 1).sum() == 81 - 9 - 25
@@ -104,7 +104,7 @@ def test_one_image_alone_is_given_back():
 
 def plain_paper(levels, deviations, weights, axis):
     """The paper's rule as it reads, pixel by pixel: kept where another image has a gradient of half the size nearby."""
-    from lightopt.inspection._fusion import Edges
+    from lightopt.inspection.fusion._gradient_fusion import Edges
 
     edges = Edges.of(weights, deviations, axis)
     noise = edges.noise.astype(np.float64)
@@ -126,7 +126,7 @@ def plain_paper(levels, deviations, weights, axis):
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("images", [1, 2, 4])
 def test_the_papers_rule_is_what_it_reads(axis, images):
-    from lightopt.inspection._fusion import fuse_gradients
+    from lightopt.inspection.fusion._gradient_fusion import fuse_gradients
 
     rng = np.random.default_rng(images)
     shape = (images, 70, 23)
@@ -143,7 +143,7 @@ def test_the_papers_rule_is_what_it_reads(axis, images):
 
 def plain_choice(levels, deviations, weights, axis, fusion):
     """The other rules as they read, pixel by pixel."""
-    from lightopt.inspection._fusion import Edges
+    from lightopt.inspection.fusion._gradient_fusion import Edges
 
     edges = Edges.of(weights, deviations, axis)
     gradient = np.diff(levels, axis=2 if axis == 1 else 1).astype(np.float64)
@@ -164,7 +164,7 @@ def plain_choice(levels, deviations, weights, axis, fusion):
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("fusion", ["median", "minimum", "second-largest"])
 def test_rules_that_choose_are_what_they_read(axis, fusion):
-    from lightopt.inspection._fusion import fuse_gradients
+    from lightopt.inspection.fusion._gradient_fusion import fuse_gradients
 
     rng = np.random.default_rng(8)
     shape = (4, 70, 23)
@@ -184,7 +184,7 @@ def test_the_number_of_threads_changes_neither_image_nor_uncertainty(fusion):
     limit = np.full_like(level, TOP)
 
     def made(threads):
-        weights = trust_weights(level >= TOP, predicted, specular, deviations, limit, threads=threads)
+        weights = pixel_weights(level >= TOP, predicted, specular, deviations, limit, threads=threads)
         good = {"predicted": predicted, "specular": specular}
         return fuse_images(level, deviations, weights, MASK, fusion=fusion, threads=threads, **good)
 
@@ -199,13 +199,13 @@ def test_what_noise_makes_of_a_rule_that_chooses_is_taken_off(fusion, monkeypatc
     predicted = np.array([shading(np.pi * (0.25 + 0.5 * i)) for i in range(4)], np.float32)
     none = np.zeros_like(predicted)
     deviations, limit = np.full_like(predicted, 2.0), np.full_like(predicted, 1e9)
-    weights = trust_weights(none > 0, predicted, none, deviations, limit)
+    weights = pixel_weights(none > 0, predicted, none, deviations, limit)
     # half of one image has no say, as in a former highlight
     weights[0, :, :45] = 0
     plain = fuse_images(predicted, deviations, np.ones_like(weights), MASK, fusion=fusion, probes=0).level
 
     def off(draws):
-        monkeypatch.setattr("lightopt.inspection._synthetic.PROBES", draws)
+        monkeypatch.setattr("lightopt.inspection.fusion._synthetic_image.PROBES", draws)
         images = []
         for seed in range(6):
             noise = np.random.default_rng(seed).standard_normal(predicted.shape, dtype=np.float32)
@@ -220,3 +220,34 @@ def test_what_noise_makes_of_a_rule_that_chooses_is_taken_off(fusion, monkeypatc
 
     left, before = off(4), off(0)
     assert left < 0.7 * before
+
+
+def test_the_largest_gradient_nearby_is_that_of_scipys_filter():
+    from lightopt.inspection.fusion._gradient_fusion import REACH_PX, _largest_nearby
+
+    size = np.random.default_rng(2).random((3, 17, 23)).astype(np.float32)
+    side = 2 * REACH_PX + 1
+    assert np.array_equal(_largest_nearby(size), ndimage.maximum_filter(size, (1, side, side)))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_weights_are_what_they_read_pixel_by_pixel(threads):
+    rng = np.random.default_rng(4)
+    shape = (2, 70, 23)
+    saturated = rng.random(shape) < 0.02
+    predicted, deviations = (rng.uniform(a, b, shape).astype(np.float32) for a, b in ((0, 260), (0.5, 20)))
+    specular = (predicted * rng.random(shape)).astype(np.float32)
+    limit = np.full(shape, 255, np.float32)
+    found = pixel_weights(saturated, predicted, specular, deviations, limit, threads=threads)
+    full = saturated | (predicted >= limit)
+    for i, y, x in np.ndindex(shape):
+        near = (i, slice(max(y - 2, 0), y + 3), slice(max(x - 2, 0), x + 3))
+        noise = deviations[i, y, x]
+        if full[near].any() or predicted[i, y, x] < 3.0 * float(noise):
+            assert found[i, y, x] == 0.0
+            continue
+        above, below, before, after = max(y - 1, 0), min(y + 1, 69), max(x - 1, 0), min(x + 1, 22)
+        down = float(specular[i, below, x] - specular[i, above, x]) / (below - above)
+        right = float(specular[i, y, after] - specular[i, y, before]) / (after - before)
+        steep = (down * down + right * right) / float(noise * noise)
+        assert found[i, y, x] == np.float32(1.0 / (1.0 + steep))

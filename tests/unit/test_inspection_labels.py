@@ -11,8 +11,8 @@ import pytest
 from lightopt import load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.images import ImageSet, SourceFile, read_image_set
-from lightopt.inspection import InspectOptions, inspect_set, truth_source
-from lightopt.inspection._labels import true_labels
+from lightopt.inspection import InspectOptions, inspect_set
+from lightopt.inspection.evaluation._ground_truth import true_labels, truth_source
 from lightopt.rendering import RenderOptions, render_image_set
 from lightopt.scene import place_defects
 
@@ -117,7 +117,7 @@ def test_what_is_on_a_captured_part_is_told_by_the_file_that_it_was_taken_by(ben
         source = truth_source(image_set, asked)
         assert source.part is not None
         assert source.part.defects == ()
-        assert "names no defects: held to be a good part" in source.words[0]
+        assert "names no defects: held to be a good part" in source.warnings[0]
     by_named = replace(image_set.manifest, part=SourceFile(named.name, load_part(named).source.sha256))
     source = truth_source(ImageSet(image_set.folder, by_named), good)
     assert [d.name for d in source.part.defects] == ["stain", "dent"]

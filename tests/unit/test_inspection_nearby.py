@@ -12,8 +12,13 @@ from lightopt import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import read_image_set
-from lightopt.inspection import Predictions, good_part, predict
-from lightopt.inspection._slopes import move, node_steps, prediction_slopes, shifted
+from lightopt.inspection import PredictionCache, nominal_scene, predict
+from lightopt.inspection.prediction._derivatives import (
+    difference_steps,
+    placement_derivatives,
+    shift_prediction,
+    shifted_scene,
+)
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
 
 TILTED = Posture(-10.0, 170.0)
@@ -39,12 +44,12 @@ def known(nominal):
     scene = place_part(nominal, PLACE)
     caster = cast_rays_at(scene)
     prediction = predict(scene, FLAT, caster, lights=LIGHTS)
-    return scene, prediction, prediction_slopes(scene, PLACE, FLAT, prediction, caster)
+    return scene, prediction, placement_derivatives(scene, PLACE, FLAT, prediction, caster)
 
 
 def test_moving_camera_and_lights_is_moving_the_part(nominal):
     scene, off = place_part(nominal, PLACE), np.array([0.3, -0.2, 0.01])
-    moved = move(scene, PLACE, TILTED, off)
+    moved = shifted_scene(scene, PLACE, TILTED, off)
     ours = render_posture(moved, TILTED, caster=cast_rays_at(scene))
     placed = place_part(nominal, further(off))
     theirs = render_posture(placed, TILTED, caster=cast_rays_at(placed))
@@ -57,8 +62,8 @@ def test_moving_camera_and_lights_is_moving_the_part(nominal):
 @pytest.mark.parametrize("off", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (0.4, -0.3, 0.5)])
 def test_a_prediction_moved_is_the_one_rendered_there(nominal, known, off):
     scene, prediction, slopes = known
-    mm = np.array(off) * node_steps(scene)
-    ours = shifted(prediction, slopes, mm)
+    mm = np.array(off) * difference_steps(scene)
+    ours = shift_prediction(prediction, slopes, mm)
     placed = place_part(nominal, further(mm))
     theirs = predict(placed, FLAT, cast_rays_at(placed), lights=LIGHTS)
     clean = prediction.clean & theirs.clean
@@ -93,22 +98,22 @@ def images_of(bench, folder, shift, *, seed):
 def first(shared_bench, tmp_path):
     """Predictions of a part that was inspected."""
     rig, part, images = images_of(shared_bench, tmp_path / "first", (0.4, -0.3, 0.5), seed=1)
-    predictions = Predictions()
-    nominal, observations = good_part(rig, part, images, known=predictions.nominal)
-    scene, _ = predictions.moved_to(place_part(nominal, PLACE), PLACE)
-    predictions.of(scene, FLAT, LIGHTS)
+    predictions = PredictionCache()
+    nominal, observations = nominal_scene(rig, part, images, scenes=predictions.nominal_scenes)
+    scene, _ = predictions.use_placement(place_part(nominal, PLACE), PLACE)
+    predictions.prediction(scene, FLAT, LIGHTS)
     predictions.measure_misfit(scene, observations)
     return predictions
 
 
 def test_a_part_nearly_in_the_same_place_is_found_without_a_search(first, shared_bench, tmp_path):
     rig, part, images = images_of(shared_bench, tmp_path / "second", (0.46, -0.34, 0.55), seed=2)
-    nominal, observations = good_part(rig, part, images, known=first.nominal)
-    assert nominal is next(iter(first.nominal.values()))  # the mesh is not read again
-    near = first.nearby(nominal, observations)
+    nominal, observations = nominal_scene(rig, part, images, scenes=first.nominal_scenes)
+    assert nominal is next(iter(first.nominal_scenes.values()))  # the mesh is not read again
+    near = first.nearby_placement(nominal, observations)
     assert near is not None
     scene, place, off = near
-    x, y, turn = off * node_steps(scene)
+    x, y, turn = off * difference_steps(scene)
     assert (place.x - PLACE.x, place.y - PLACE.y, place.turn - PLACE.turn) == pytest.approx((x, y, turn))
     assert 0.0 < max(place.errors[:2]) < 0.006
     assert (x, y) == pytest.approx((0.06, -0.04), abs=0.006)
@@ -118,15 +123,15 @@ def test_a_part_nearly_in_the_same_place_is_found_without_a_search(first, shared
 @pytest.mark.parametrize("shift", [(1.4, -0.3, 0.5), (0.4, -0.9, 0.5), (0.4, -0.3, 3.5)])
 def test_a_part_further_off_is_looked_for_anew(first, shared_bench, tmp_path, shift):
     rig, part, images = images_of(shared_bench, tmp_path / "other", shift, seed=2)
-    nominal, observations = good_part(rig, part, images, known=first.nominal)
-    assert first.nearby(nominal, observations) is None
+    nominal, observations = nominal_scene(rig, part, images, scenes=first.nominal_scenes)
+    assert first.nearby_placement(nominal, observations) is None
 
 
 def test_what_the_first_part_did_not_determine_stays(first, shared_bench, tmp_path):
     rig, part, images = images_of(shared_bench, tmp_path / "second", (0.46, -0.34, 0.5), seed=2)
-    nominal, observations = good_part(rig, part, images, known=first.nominal)
+    nominal, observations = nominal_scene(rig, part, images, scenes=first.nominal_scenes)
     first.placement = replace(PLACE, observable=(True, True, False))
-    near = first.nearby(nominal, observations)
+    near = first.nearby_placement(nominal, observations)
     assert near is not None
     assert near[1].turn == PLACE.turn
     assert near[1].x == pytest.approx(0.46, abs=0.01)
@@ -134,11 +139,11 @@ def test_what_the_first_part_did_not_determine_stays(first, shared_bench, tmp_pa
 
 def test_slopes_too_large_to_keep_are_not_rendered(first, shared_bench, tmp_path, monkeypatch):
     rig, part, images = images_of(shared_bench, tmp_path / "second", (0.46, -0.34, 0.55), seed=2)
-    nominal, observations = good_part(rig, part, images, known=first.nominal)
-    monkeypatch.setattr("lightopt.inspection._prediction_cache.MOST_BYTES", 1000)
-    assert first.nearby(nominal, observations) is None
-    assert not first.slopes
+    nominal, observations = nominal_scene(rig, part, images, scenes=first.nominal_scenes)
+    monkeypatch.setattr("lightopt.inspection.prediction._prediction_cache.MOST_BYTES", 1000)
+    assert first.nearby_placement(nominal, observations) is None
+    assert not first.derivatives
 
 
 def test_nothing_is_near_before_a_first_part_was(nominal):
-    assert Predictions().nearby(nominal, []) is None
+    assert PredictionCache().nearby_placement(nominal, []) is None

@@ -1,4 +1,4 @@
-"""Scores of noise follow their law; regions grow by hysteresis; sightings of one place are one defect."""
+"""Scores of noise follow their law; regions grow by hysteresis; detections of one place are one defect."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from lightopt.estimate.registration import Placement
 from lightopt.inspection import (
     SCALES_PX,
     Deviations,
-    Inspection,
+    InspectionResult,
     SurfaceCoverage,
     find_regions,
     judge,
     score_deviations,
-    separate_pieces,
+    split_regions,
     threshold,
 )
-from lightopt.inspection._defect_merging import Sighting, gather
-from lightopt.inspection._detection_score import (
+from lightopt.inspection.detection._defects import Detection, merge_detections
+from lightopt.inspection.detection._regions import box_sums, core_pixels
+from lightopt.inspection.detection._score import (
     STRONGEST_Z,
     noise_gain,
     rank_probability,
     smoothed_deviations,
 )
-from lightopt.inspection._region_splitting import core_pixels, sums_in
-from lightopt.inspection._template import templates
+from lightopt.inspection.detection._template import templates
 
 
 def noise(lights, rows=200, columns=240, *, seed=0, holes=False):
@@ -158,11 +158,11 @@ def test_regions_reach_down_to_half_the_threshold_and_bridge_gaps():
     assert (labels[:, 18:20] == 0).all()
 
 
-def sighting(position, *, length=1.0, rotation=0.0, normal=(0.0, 0.0, 1.0), score=10.0, contrast=-0.2):
+def detection(position, *, length=1.0, rotation=0.0, normal=(0.0, 0.0, 1.0), score=10.0, contrast=-0.2):
     """A region `length` mm long in x and 1 mm wide in y."""
     x, y = np.meshgrid(np.arange(-length / 2, length / 2 + 0.05, 0.1), np.arange(-0.5, 0.55, 0.1))
     points = np.array(position) + np.stack([x.ravel(), y.ravel(), 0.0 * x.ravel()], axis=1)
-    return Sighting(
+    return Detection(
         posture=Posture(elevation_deg=0.0, rotation_deg=rotation),
         pixels=len(points),
         centre_px=(5.0, 5.0),
@@ -179,41 +179,41 @@ def sighting(position, *, length=1.0, rotation=0.0, normal=(0.0, 0.0, 1.0), scor
 
 
 def test_the_same_place_in_several_postures_is_one_defect():
-    first = sighting((1.0, 2.0, 3.0))
-    again = sighting((1.3, 2.1, 3.0), rotation=90.0, score=20.0)
-    other_side = sighting((1.0, 2.0, 2.6), rotation=180.0, normal=(0.0, 0.0, -1.0))
-    beside = sighting((9.0, 2.0, 3.0), score=5.0)
-    defects = gather([first, again, other_side, beside])
-    assert [len(d.sightings) for d in defects] == [2, 1, 1]
+    first = detection((1.0, 2.0, 3.0))
+    again = detection((1.3, 2.1, 3.0), rotation=90.0, score=20.0)
+    other_side = detection((1.0, 2.0, 2.6), rotation=180.0, normal=(0.0, 0.0, -1.0))
+    beside = detection((9.0, 2.0, 3.0), score=5.0)
+    defects = merge_detections([first, again, other_side, beside])
+    assert [len(d.detections) for d in defects] == [2, 1, 1]
     assert defects[0].best is again
     assert [d.number for d in defects] == [1, 2, 3]
 
 
 @pytest.mark.parametrize("score", [5.0, 15.0])
 def test_two_regions_of_a_posture_stay_two_whatever_another_posture_shows_of_both(score):
-    first = sighting((1.0, 2.0, 3.0))
-    beside = sighting((2.6, 2.0, 3.0), score=score)
-    between = sighting((1.7, 2.0, 3.0), rotation=90.0, score=20.0)
-    assert len(gather([first, beside])) == 2
-    assert sorted(len(d.sightings) for d in gather([first, beside, between])) == [1, 2]
+    first = detection((1.0, 2.0, 3.0))
+    beside = detection((2.6, 2.0, 3.0), score=score)
+    between = detection((1.7, 2.0, 3.0), rotation=90.0, score=20.0)
+    assert len(merge_detections([first, beside])) == 2
+    assert sorted(len(d.detections) for d in merge_detections([first, beside, between])) == [1, 2]
 
 
 def test_long_defects_side_by_side_are_as_many_as_there_are():
-    ours = [sighting((0.0, y, 3.0), length=8.0) for y in (0.0, 5.0)]
-    theirs = [sighting((0.3, y, 3.0), length=8.0, rotation=90.0, score=12.0) for y in (0.2, 5.2)]
-    pairs = gather([*ours, *theirs])
-    assert [{s.posture.rotation_deg for s in d.sightings} for d in pairs] == [{0.0, 90.0}] * 2
+    ours = [detection((0.0, y, 3.0), length=8.0) for y in (0.0, 5.0)]
+    theirs = [detection((0.3, y, 3.0), length=8.0, rotation=90.0, score=12.0) for y in (0.2, 5.2)]
+    pairs = merge_detections([*ours, *theirs])
+    assert [{s.posture.rotation_deg for s in d.detections} for d in pairs] == [{0.0, 90.0}] * 2
     for defect in pairs:
-        assert abs(defect.sightings[0].position[1] - defect.sightings[1].position[1]) < 1.0
-    assert len(gather([ours[0], theirs[1]])) == 2  # 4.2 mm between them
-    assert len(gather([sighting((-5.0, 0.0, 3.0), length=8.0), theirs[0]])) == 1  # ends overlap
+        assert abs(defect.detections[0].position[1] - defect.detections[1].position[1]) < 1.0
+    assert len(merge_detections([ours[0], theirs[1]])) == 2  # 4.2 mm between them
+    assert len(merge_detections([detection((-5.0, 0.0, 3.0), length=8.0), theirs[0]])) == 1  # ends overlap
 
 
 def test_a_defect_is_as_large_and_as_strong_as_any_posture_shows_it():
-    surest = sighting((1.0, 2.0, 3.0), score=20.0, contrast=0.05)
-    longest = sighting((1.2, 2.0, 3.0), length=3.0, rotation=90.0, contrast=-0.1)
-    strongest = sighting((1.1, 2.0, 3.0), length=0.8, rotation=180.0, score=5.0, contrast=-0.4)
-    (defect,) = gather([surest, longest, strongest])
+    surest = detection((1.0, 2.0, 3.0), score=20.0, contrast=0.05)
+    longest = detection((1.2, 2.0, 3.0), length=3.0, rotation=90.0, contrast=-0.1)
+    strongest = detection((1.1, 2.0, 3.0), length=0.8, rotation=180.0, score=5.0, contrast=-0.4)
+    (defect,) = merge_detections([surest, longest, strongest])
     assert defect.best is surest
     assert (defect.size, defect.area, defect.greatest_contrast) == ((3.0, 1.0), 3.0, 0.4)
     told = defect.as_dict()
@@ -221,8 +221,8 @@ def test_a_defect_is_as_large_and_as_strong_as_any_posture_shows_it():
     surface = SurfaceCoverage(
         area=9.0, seen=5.0, inspected=4.0, saturated=0.0, shadow=0.0, edge=1.0, sensitivity={}
     )
-    result = Inspection(
-        defects=(defect,), postures=(), placement=None, words=(), nominal=None, surface=surface
+    result = InspectionResult(
+        defects=(defect,), postures=(), placement=None, warnings=(), nominal=None, surface=surface
     )
     assert judge(result, InspectionConfig()).inspected == 0.8
     assert judge(result, InspectionConfig(least_size_mm=2.5, least_contrast=0.3)).counting == (1,)
@@ -240,7 +240,7 @@ def test_templates_answer_to_no_even_image_and_are_of_one_size():
 def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_bench):
     from lightopt import build_scene
     from lightopt.estimate.registration import place_part
-    from lightopt.inspection._measure import to_file
+    from lightopt.inspection.prediction._frames import world_to_mesh_file
     from lightopt.scene import view_from_part
 
     bench = shared_bench.part.with_name("turned.yaml")
@@ -252,21 +252,23 @@ def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_
     placed = place_part(scene, placement).mesh
     world = placed.vertices[::50] @ view.rotation.T + view.translation
     own = np.array([scene.placement.to_file(v) for v in scene.mesh.vertices[::50]])
-    assert np.allclose(to_file(world, scene, placement, posture), own, atol=1e-4)
+    assert np.allclose(world_to_mesh_file(world, scene, placement, posture), own, atol=1e-4)
     assert placed.normals is not None
     assert scene.mesh.normals is not None
     turned = placed.normals[::50] @ view.rotation.T
     expected = scene.mesh.normals[::50] @ scene.placement.rotation
-    assert np.allclose(to_file(turned, scene, placement, posture, direction=True), expected, atol=1e-4)
+    assert np.allclose(
+        world_to_mesh_file(turned, scene, placement, posture, direction=True), expected, atol=1e-4
+    )
 
 
 def test_the_pixels_of_regions_are_those_of_their_numbers():
-    from lightopt.inspection._regions import pixels_of
+    from lightopt.inspection.detection._regions import region_pixels
 
     labels = np.array([[0, 2, 2], [3, 0, 2], [1, 3, 0]], np.int32)
-    for number, (row, column) in enumerate(pixels_of(labels, 3), start=1):
+    for number, (row, column) in enumerate(region_pixels(labels, 3), start=1):
         assert np.array_equal(np.stack([row, column]), np.stack(np.nonzero(labels == number)))
-    assert pixels_of(np.zeros((2, 2), np.int32), 0) == []
+    assert region_pixels(np.zeros((2, 2), np.int32), 0) == []
 
 
 def strewn(*spots, lights=4):
@@ -277,7 +279,7 @@ def strewn(*spots, lights=4):
         found.z[light][np.hypot(y - row, x - column) <= 4.5] += height
     score = score_deviations(found, seen_by=1)
     high = threshold(0.05, 200 * 240, len(SCALES_PX))
-    return (*separate_pieces(*find_regions(score, high), score, found, high), found)
+    return (*split_regions(*find_regions(score, high), score, found, high), found)
 
 
 def test_neighbours_that_wide_sums_join_are_two_defects():
@@ -294,7 +296,16 @@ def test_walls_across_from_each_other_are_one_defect_with_both_walls():
     # the glint of one wall is ten times as strong as what the other loses
     labels, count, found = strewn((0, 100, 100, 60), (0, 100, 111, -6))
     assert count == 1
-    core = core_pixels(labels == 1, sums_in(found, (slice(0, 200), slice(0, 240)))[0])
+    core = core_pixels(labels == 1, box_sums(found, (slice(0, 200), slice(0, 240)))[0])
     assert core[100, 100]
     assert core[100, 111]
     assert core.sum() == pytest.approx(2 * 69, rel=0.35)
+
+
+def test_what_is_near_is_scipys_dilation_by_a_disc():
+    from scipy import ndimage
+
+    from lightopt.inspection.detection._regions import _DISC, GAP_PX, _dilated
+
+    mask = np.random.default_rng(5).random((40, 31)) < 0.03
+    assert np.array_equal(_dilated(mask), ndimage.binary_dilation(np.pad(mask, GAP_PX), _DISC))

@@ -10,9 +10,10 @@ import pytest
 from lightopt import build_scene
 from lightopt.core.transforms import Posture
 from lightopt.geometry import face_areas
-from lightopt.inspection import Coverage
-from lightopt.inspection._surface import map_surface, surface_coverage
-from lightopt.inspection._surface_classes import Reached
+from lightopt.inspection import PostureCoverage
+from lightopt.inspection.detection._coverage import SurfaceState
+from lightopt.inspection.detection._surface_coverage import surface_coverage
+from lightopt.inspection.prediction._predict import map_surface
 from lightopt.rendering import GRAZING_COSINE, cast_rays_at, trace_pixels
 
 FLAT, TURN, TILTED = Posture(0.0, 0.0), Posture(0.0, 360.0), Posture(-40.0, 170.0)
@@ -24,12 +25,12 @@ def scene(shared_bench):
     return build_scene(shared_bench.rig, shared_bench.part, postures=(FLAT, TURN, TILTED), defects=False)
 
 
-def coverage(scene, reached, least):
+def coverage(scene, state, least):
     """Of a posture, its pixels in arrays; areas are not looked at where there are several."""
     none = dict.fromkeys(CONTRASTS, 0.0)
-    return Coverage(
+    return PostureCoverage(
         seen=1.0, inspected=1.0, saturated=0.0, shadow=0.0, edge=0.0, sensitivity=none,
-        reached=np.full((scene.camera.height, scene.camera.width), reached, np.uint8),
+        state=np.full((scene.camera.height, scene.camera.width), state, np.uint8),
         least_contrast=np.full((scene.camera.height, scene.camera.width), least, np.float32),
     )  # fmt: skip
 
@@ -39,12 +40,12 @@ def over(scene, *postures):
     here = replace(scene, postures=tuple(posture for posture, _, _ in postures))
     surface = map_surface(here, cast_rays_at(here))
     return surface_coverage(
-        here, [(posture, coverage(here, reached, least)) for posture, reached, least in postures], surface
+        here, [(posture, coverage(here, state, least)) for posture, state, least in postures], surface
     )
 
 
 def test_the_same_view_twice_counts_once(scene):
-    once = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TURN, Reached.INSPECTED, 0.1))
+    once = over(scene, (FLAT, SurfaceState.INSPECTED, 0.1), (TURN, SurfaceState.INSPECTED, 0.1))
     assert once.area == pytest.approx(float(face_areas(scene.mesh).sum()))
     # walls are seen at a grazing angle: in no share, and said beside them
     assert once.inspected == pytest.approx(once.seen)
@@ -61,8 +62,8 @@ def test_a_patch_has_what_the_pixel_has_that_sees_it(scene):
     cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
     steep = cosine > GRAZING_COSINE
     here = replace(scene, postures=(FLAT, TURN))
-    own = coverage(scene, Reached.EDGE, np.inf)
-    own.reached[pixels.row[steep], pixels.column[steep]] = Reached.INSPECTED
+    own = coverage(scene, SurfaceState.EDGE, np.inf)
+    own.state[pixels.row[steep], pixels.column[steep]] = SurfaceState.INSPECTED
     surface = map_surface(here, cast_rays_at(here))
     found = surface_coverage(here, [(FLAT, own), (TURN, own)], surface)
     assert found.inspected == pytest.approx(np.sum(side[steep] ** 2 / cosine[steep]), rel=0.05)
@@ -70,9 +71,9 @@ def test_a_patch_has_what_the_pixel_has_that_sees_it(scene):
 
 
 def test_several_postures_show_more_and_no_place_twice(scene):
-    flat = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TURN, Reached.INSPECTED, 0.1))
-    tilted = over(scene, (TILTED, Reached.INSPECTED, 0.1), (TILTED, Reached.INSPECTED, 0.1))
-    both = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TILTED, Reached.INSPECTED, 0.1))
+    flat = over(scene, (FLAT, SurfaceState.INSPECTED, 0.1), (TURN, SurfaceState.INSPECTED, 0.1))
+    tilted = over(scene, (TILTED, SurfaceState.INSPECTED, 0.1), (TILTED, SurfaceState.INSPECTED, 0.1))
+    both = over(scene, (FLAT, SurfaceState.INSPECTED, 0.1), (TILTED, SurfaceState.INSPECTED, 0.1))
     for name in ("seen", "inspected"):
         one, other, union = (getattr(found, name) for found in (flat, tilted, both))
         assert max(one, other) + 1.0 < union < one + other - 1.0
@@ -80,18 +81,18 @@ def test_several_postures_show_more_and_no_place_twice(scene):
 
 
 def test_the_furthest_counts_and_the_rest_has_its_reason(scene):
-    flat = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TURN, Reached.INSPECTED, 0.1)).inspected
-    found = over(scene, (FLAT, Reached.INSPECTED, 0.3), (TILTED, Reached.SATURATED, np.inf))
+    flat = over(scene, (FLAT, SurfaceState.INSPECTED, 0.1), (TURN, SurfaceState.INSPECTED, 0.1)).inspected
+    found = over(scene, (FLAT, SurfaceState.INSPECTED, 0.3), (TILTED, SurfaceState.SATURATED, np.inf))
     # each map has patches of its own
     assert found.inspected == pytest.approx(flat, rel=5e-3)
     assert found.saturated > 1.0
     assert found.saturated + found.edge == pytest.approx(found.seen - found.inspected)
     assert found.shadow == 0.0
     assert found.sensitivity == pytest.approx({0.05: 0.0, 0.1: 0.0, 0.2: 0.0, 0.4: found.inspected})
-    better = over(scene, (FLAT, Reached.INSPECTED, 0.3), (TURN, Reached.INSPECTED, 0.07))
+    better = over(scene, (FLAT, SurfaceState.INSPECTED, 0.3), (TURN, SurfaceState.INSPECTED, 0.07))
     assert better.sensitivity == pytest.approx({0.05: 0.0, 0.1: flat, 0.2: flat, 0.4: flat})
     # a patch that the camera sees beside the last pixel of the part is at its edge
-    beside = over(scene, (FLAT, Reached.NO_PART, np.inf), (TILTED, Reached.SHADOW, np.inf))
+    beside = over(scene, (FLAT, SurfaceState.NO_PART, np.inf), (TILTED, SurfaceState.SHADOW, np.inf))
     assert beside.edge + beside.shadow == pytest.approx(beside.seen)
     assert min(beside.edge, beside.shadow) > 1.0
     told = beside.as_dict()
@@ -102,11 +103,11 @@ def test_what_a_posture_without_images_shows_is_missing(scene):
     here = replace(scene, postures=(FLAT, TILTED))
     surface = map_surface(here, cast_rays_at(here))
 
-    def one(reached):
-        return surface_coverage(here, [(FLAT, coverage(scene, reached, 0.1))], surface)
+    def one(state):
+        return surface_coverage(here, [(FLAT, coverage(scene, state, 0.1))], surface)
 
-    judged, edges, full = one(Reached.INSPECTED), one(Reached.EDGE), one(Reached.SATURATED)
-    both = over(scene, (FLAT, Reached.INSPECTED, 0.1), (TILTED, Reached.INSPECTED, 0.1))
+    judged, edges, full = one(SurfaceState.INSPECTED), one(SurfaceState.EDGE), one(SurfaceState.SATURATED)
+    both = over(scene, (FLAT, SurfaceState.INSPECTED, 0.1), (TILTED, SurfaceState.INSPECTED, 0.1))
     for found in (judged, edges, full):
         assert found.seen == pytest.approx(both.seen)
         rest = found.inspected + found.saturated + found.shadow + found.edge + found.missing
@@ -122,7 +123,12 @@ def test_what_a_posture_without_images_shows_is_missing(scene):
 
 def test_a_single_posture_tells_by_its_own_pixels(scene):
     own = replace(
-        coverage(scene, Reached.EDGE, np.inf), seen=8.0, inspected=5.0, saturated=1.0, shadow=1.5, edge=0.5
+        coverage(scene, SurfaceState.EDGE, np.inf),
+        seen=8.0,
+        inspected=5.0,
+        saturated=1.0,
+        shadow=1.5,
+        edge=0.5,
     )
     found = surface_coverage(scene, [(FLAT, own)], None)
     assert (found.seen, found.inspected, found.saturated, found.shadow, found.edge) == (

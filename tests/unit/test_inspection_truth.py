@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightopt.inspection import area_under_roc, fit_detection
-from lightopt.inspection._evaluation import region_hits
+from lightopt.inspection import area_under_roc, fit_detection_curve
+from lightopt.inspection.evaluation._evaluation import region_hits
 
 
 def test_the_area_counts_pairs_and_ties_by_half():
@@ -45,7 +45,7 @@ def draw(n, seed, *, a50=0.5, steepness=5.0):
 
 
 def test_the_curve_comes_back_from_many_defects():
-    curve = fit_detection(*draw(4000, 1))
+    curve = fit_detection_curve(*draw(4000, 1))
     truth = 0.5 * np.exp(np.log(9) / 5.0)
     assert curve.steepness == pytest.approx(5.0, rel=0.15)
     assert curve.a90 == pytest.approx(truth, rel=0.06)
@@ -55,7 +55,7 @@ def test_the_curve_comes_back_from_many_defects():
 @pytest.mark.slow
 def test_the_bound_holds_about_19_times_in_20():
     truth = 0.5 * np.exp(np.log(9) / 5.0)
-    curves = [fit_detection(*draw(60, seed)) for seed in range(30)]
+    curves = [fit_detection_curve(*draw(60, seed)) for seed in range(30)]
     bounds = [c.a90_95 for c in curves]
     held = sum(b is None or b >= truth for b in bounds)
     assert held >= 25
@@ -65,7 +65,7 @@ def test_the_bound_holds_about_19_times_in_20():
 
 def test_the_likelihood_is_greatest_there():
     sizes, found = draw(80, 3)
-    curve = fit_detection(sizes, found)
+    curve = fit_detection_curve(sizes, found)
     x = np.log(sizes)
 
     def value(b0, b1):
@@ -92,13 +92,13 @@ def test_the_likelihood_is_greatest_there():
     ],
 )
 def test_what_cannot_be_told_is_not(sizes, found):
-    curve = fit_detection(sizes, found)
+    curve = fit_detection_curve(sizes, found)
     assert (curve.a90, curve.a90_95) == (None, None)
     assert (curve.defects, curve.found) == (len(sizes), sum(found))
 
 
 def test_all_found_from_some_size_on_has_a_bound_all_the_same():
     sizes = np.linspace(0.1, 2.0, 30)
-    curve = fit_detection(sizes.tolist(), (sizes > 0.8).tolist())
+    curve = fit_detection_curve(sizes.tolist(), (sizes > 0.8).tolist())
     assert curve.a90 == pytest.approx(0.8, abs=0.08)
     assert 0.8 < curve.a90_95 < 1.5

@@ -15,7 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, refuse_mismatch
 from lightopt.inspection import InspectOptions, deviations, posture_view, predict
-from lightopt.inspection._texts import inspection_words
+from lightopt.inspection._warnings import inspection_warnings
 from lightopt.rendering import cast_rays_at
 
 FLAT = Posture(0.0, 0.0)
@@ -140,12 +140,14 @@ def test_an_even_plate_is_not_refused_for_having_no_variance():
 )
 def test_a_sensor_without_noise_is_warned_of(bench, noise, told):
     bench.edit("rig.yaml", "read_noise_levels: 0.8, electrons_per_level: 60", noise)
-    words = inspection_words(load_rig(bench.rig), [], InspectOptions())
+    words = inspection_warnings(load_rig(bench.rig), [], InspectOptions())
     assert any("read_noise_levels" in word for word in words) == told
 
 
 def test_warnings_of_the_registration_are_said(bench):
-    words = inspection_words(load_rig(bench.rig), [], InspectOptions(), registration=("the turn is unknown",))
+    words = inspection_warnings(
+        load_rig(bench.rig), [], InspectOptions(), registration=("the turn is unknown",)
+    )
     assert words == ("the turn is unknown",)
 
 

@@ -11,9 +11,9 @@ from PIL import Image
 
 from lightopt.config import InspectionConfig
 from lightopt.core.transforms import Posture
-from lightopt.inspection import KIND_COLOURS, FoundDefect, TrueSet, Verdict, grey_picture, summarise
-from lightopt.inspection._defect_merging import Sighting
-from lightopt.inspection._evaluation import KnownDefect
+from lightopt.inspection import KIND_COLOURS, FoundDefect, SetEvaluation, Verdict, grey_picture, summarise
+from lightopt.inspection.detection._defects import Detection
+from lightopt.inspection.evaluation._evaluation import KnownDefect
 from lightopt.report import BatchRow, batch_report
 from lightopt.report._inspection_pictures import LABEL_COLOURS, overlay_image
 from lightopt.report._inspection_surface import _ball
@@ -33,7 +33,7 @@ def true_set(sizes, found):
         )
         for i, (size, hit) in enumerate(zip(sizes, found, strict=True))
     )
-    return TrueSet(defects=defects, hidden=("behind",), false_alarms=3, postures=2, areas=(0.9, 0.92))
+    return SetEvaluation(defects=defects, hidden=("behind",), false_alarms=3, postures=2, areas=(0.9, 0.92))
 
 
 def test_the_truth_is_told_with_curves_where_hits_and_misses_tell_them():
@@ -65,13 +65,13 @@ def test_the_truth_is_told_with_curves_where_hits_and_misses_tell_them():
 def test_what_few_defects_do_not_tell_is_said():
     summary = summarise([true_set([1.0, 2.0], [True, True])])
     assert isinstance(truth_blocks(summary)[-1], Note)
-    nothing = summarise([TrueSet(defects=(), hidden=(), false_alarms=0, postures=1, areas=())])
+    nothing = summarise([SetEvaluation(defects=(), hidden=(), false_alarms=0, postures=1, areas=())])
     assert isinstance(truth_blocks(nothing)[-1], Note)
     assert ("area under the pixels' ROC", "-") in truth_blocks(nothing)[0].rows
 
 
-def sighting(kind, box, *, score=10.0, rotation=0.0):
-    return Sighting(
+def detection(kind, box, *, score=10.0, rotation=0.0):
+    return Detection(
         posture=Posture(0.0, rotation), pixels=4, centre_px=(1.0, 1.0), box_px=box, position=(0.0, 0.0, 0.0),
         normal=(0.0, 0.0, 1.0), size=(1.0, 1.0), area=1.0, score=score, contrast={}, kind=kind, points=np.zeros((1, 3)),
     )  # fmt: skip
@@ -79,15 +79,15 @@ def sighting(kind, box, *, score=10.0, rotation=0.0):
 
 def posture_of(level, boxes):
     """What the pictures look at: a part that fills the image, with defects at boxes of kinds."""
-    sightings = tuple(sighting(kind, box) for kind, box in boxes)
+    detections = tuple(detection(kind, box) for kind, box in boxes)
     labels = np.zeros(level.shape, np.int32)
     for i, (_, (left, top, right, bottom)) in enumerate(boxes, start=1):
         labels[top:bottom, left:right] = i
     image = SimpleNamespace(level=level.astype(np.float32), mask=np.ones(level.shape, bool))
-    return SimpleNamespace(synthetic=image, labels=labels, sightings=sightings)
+    return SimpleNamespace(synthetic=image, labels=labels, detections=detections)
 
 
-def pixels_of(picture, colour):
+def region_pixels(picture, colour):
     return np.argwhere((np.asarray(picture) == colour).all(axis=2))
 
 
@@ -97,15 +97,15 @@ def test_marks_have_the_colour_of_the_defect_and_numbers_stay_inside(enlarge):
     posture = posture_of(np.full((120, 160), 50.0), [("unknown", box) for box in corners])
     defects = [
         FoundDefect(
-            number=100 + i, sightings=(sighting("stain", (0, 0, 1, 1), score=90.0, rotation=9.0), one)
+            number=100 + i, detections=(detection("stain", (0, 0, 1, 1), score=90.0, rotation=9.0), one)
         )
-        for i, one in enumerate(posture.sightings)
+        for i, one in enumerate(posture.detections)
     ]
     picture, _ = overlay_image(posture, defects, enlarge=enlarge)
     assert picture.size == (160 * enlarge, 120 * enlarge)
-    assert not len(pixels_of(picture, KIND_COLOURS["unknown"]))
-    assert len(pixels_of(picture, KIND_COLOURS["stain"])) > 30
-    places = pixels_of(picture, LABEL_COLOURS["stain"])
+    assert not len(region_pixels(picture, KIND_COLOURS["unknown"]))
+    assert len(region_pixels(picture, KIND_COLOURS["stain"])) > 30
+    places = region_pixels(picture, LABEL_COLOURS["stain"])
     height, width = 120 * enlarge, 160 * enlarge
     for y in (places[:, 0] < height / 2, places[:, 0] >= height / 2):
         for x in (places[:, 1] < width / 2, places[:, 1] >= width / 2):
@@ -126,16 +126,16 @@ def test_a_dark_field_is_stretched_until_the_part_shows():
     level[:2, :4] = 200.0
     picture, shown = overlay_image(posture_of(level, []), [])
     assert 50 < np.asarray(picture)[20, 20, 0] < 80
-    assert "white: 200 grey levels; stretched by a power of 0." in shown.told
+    assert "white: 200 grey levels; stretched by a power of 0." in shown.legend
     level = np.linspace(0.0, 10.0, 1600).reshape(40, 40)
     picture, shown = overlay_image(posture_of(level, []), [])
-    assert shown.told.startswith("white: 9.9")
-    assert "stretched" not in shown.told
+    assert shown.legend.startswith("white: 9.9")
+    assert "stretched" not in shown.legend
     assert abs(int(np.asarray(picture)[20, 20, 0]) - 128) <= 3
     below = posture_of(level - 5.0, [])
     below.synthetic.mask[:, :5] = False
     picture, shown = overlay_image(below, [])
-    assert shown.told.startswith("black: -4.")
+    assert shown.legend.startswith("black: -4.")
     assert np.asarray(picture)[20, 20, 0] > 100
     assert not np.asarray(picture)[:, :5].any()
 
@@ -143,8 +143,8 @@ def test_a_dark_field_is_stretched_until_the_part_shows():
 @pytest.mark.parametrize("width", [640, 1600, 2448])
 def test_numbers_are_read_on_wide_pictures_as_on_small_ones(width):
     posture = posture_of(np.full((60, width), 50.0), [("stain", (300, 20, 306, 26))])
-    defects = [FoundDefect(number=88, sightings=posture.sightings)]
-    halo = pixels_of(overlay_image(posture, defects)[0], (0, 0, 0))
+    defects = [FoundDefect(number=88, detections=posture.detections)]
+    halo = region_pixels(overlay_image(posture, defects)[0], (0, 0, 0))
     # as the page shows it, 896 px wide
     assert np.ptp(halo[:, 0]) * 896 / width > 12.0
 

@@ -1,0 +1,113 @@
+"""Inspect several image sets of one kind of part: a set that is refused does not stop the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.errors import InputError
+from lightopt.images import ImageSet
+from lightopt.inspection._files import InspectionFolder
+from lightopt.inspection._inspect import inspect_set
+from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._results import InspectionResult, Verdict, judge
+from lightopt.inspection.calibration._calibration import Calibration
+from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
+from lightopt.inspection.evaluation._ground_truth import TruthSource
+from lightopt.inspection.prediction._prediction_cache import PredictionCache
+from lightopt.inspection.prediction._registered_set import Progress
+from lightopt.scene import place_defects
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectedSet:
+    """What the inspection of one image set of a batch gave.
+
+    result, verdict: None where the set was refused.
+    evaluation: against ground truth, where that was given.
+    """
+
+    name: str
+    result: InspectionResult | None = None
+    verdict: Verdict | None = None
+    evaluation: SetEvaluation | None = None
+    warnings: tuple[str, ...] = ()
+    error: InputError | None = None
+
+
+def inspect_batch(
+    rig: RigConfig,
+    part: PartConfig,
+    sets: Sequence[ImageSet],
+    *,
+    options: InspectOptions | None = None,
+    calibration: Calibration | None = None,
+    truth: Sequence[TruthSource] | None = None,
+    folders: Sequence[InspectionFolder] | None = None,
+    progress: Callable[[], AbstractContextManager[Progress | None]] = nullcontext,
+) -> Iterator[InspectedSet]:
+    """Inspect image sets one after the other; each is inspected when its result is requested.
+
+    Predictions are reused from set to set. A set of unusable images is refused, and the others are inspected.
+
+    Parameters
+    ----------
+    sets
+        Rendered or captured.
+    calibration
+        Learned from good parts.
+    truth
+        From :func:`truth_sources`: the results are evaluated against it.
+    folders
+        That the results will be written to: each is made before its set is inspected, and removed where the set is
+        refused and the folder is new.
+    progress
+        Opened for each set, so that its display ends before the set's result is used.
+
+    Raises
+    ------
+    InputError
+        Wrong options, or a calibration of another rig, part or way to inspect; before the first set.
+    """
+    options = options or InspectOptions()
+    if problems := options.problems():
+        raise InputError(*problems)
+    if calibration is not None:
+        calibration.require_match(rig, part, options)
+    cache = PredictionCache()
+    for number, image_set in enumerate(sets):
+        source = None if truth is None else truth[number]
+        folder = nullcontext() if folders is None else folders[number].made()
+        name = image_set.folder.resolve().name
+        try:
+            with folder:
+                with progress() as report:
+                    result = inspect_set(
+                        rig,
+                        part,
+                        image_set,
+                        options=options,
+                        cache=cache,
+                        calibration=calibration,
+                        progress=report,
+                    )
+                evaluation = None if source is None else _evaluate(image_set, result, rig, source)
+        except InputError as error:
+            yield InspectedSet(name=name, error=error)
+            continue
+        yield InspectedSet(
+            name=name,
+            result=result,
+            verdict=judge(result, part.inspection),
+            evaluation=evaluation,
+            warnings=(*(() if source is None else source.warnings), *result.warnings),
+        )
+
+
+def _evaluate(
+    image_set: ImageSet, result: InspectionResult, rig: RigConfig, source: TruthSource
+) -> SetEvaluation:
+    known = () if source.part is None else place_defects(result.nominal, rig, source.part)
+    return evaluate_set(image_set, result, known=known)

@@ -1,0 +1,1 @@
+"""Thresholds and systematic deviations learned from good parts."""

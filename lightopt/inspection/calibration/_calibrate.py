@@ -1,0 +1,184 @@
+"""Learn from good parts: what they have in common, and the highest scores that they reach."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.images import ImageSet, posture_folder
+from lightopt.inspection._options import InspectOptions
+from lightopt.inspection.calibration._calibration import (
+    CalibratedPosture,
+    Calibration,
+    calibration_fingerprint,
+)
+from lightopt.inspection.calibration._false_alarm_rates import least_rate, too_few_good_sets
+from lightopt.inspection.calibration._systematic import (
+    PackedDeviations,
+    SystematicSums,
+    subtract_systematic,
+)
+from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._score import score_deviations
+from lightopt.inspection.detection._template import score_posture
+from lightopt.inspection.fusion._synthetic_image import synthetic_image
+from lightopt.inspection.prediction._frames import nominal_pixels
+from lightopt.inspection.prediction._prediction_cache import PredictionCache
+from lightopt.inspection.prediction._registered_set import (
+    ExposuresByLight,
+    Progress,
+    RegisteredSet,
+    register_set,
+)
+
+
+@dataclass
+class _GoodPosture:
+    """What is gathered of one posture from good set to good set."""
+
+    exposures: ExposuresByLight
+    first_set: str
+    packed: list[Path] = field(default_factory=list)
+    peaks: list[float] = field(default_factory=list)
+    sums: SystematicSums = field(default_factory=SystematicSums)
+
+
+def calibrate(
+    rig: RigConfig,
+    part: PartConfig,
+    sets: Sequence[ImageSet],
+    *,
+    options: InspectOptions,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Learn from image sets of good parts.
+
+    Each set is judged by what the others have in common, so that its greatest score is that of a set which was not
+    learned from.
+
+    Parameters
+    ----------
+    sets
+        Of good parts, all of the same postures and lights.
+    options
+        How later sets will be inspected; `false_alarms` is the rate that is to be held.
+
+    Raises
+    ------
+    InputError
+        Too few sets for the rate, sets that differ in their postures or images, or images that are not the part's.
+    """
+    if problems := options.problems():
+        raise InputError(*problems)
+
+    def registered() -> Iterator[tuple[str, RegisteredSet]]:
+        cache = PredictionCache()
+        for number, one in enumerate(sets):
+            if progress is not None:
+                progress(f"good set {one.folder.name}", number / len(sets))
+            yield str(one.folder), register_set(rig, part, one, options=options, cache=cache)
+
+    require_good_sets(len(sets), options)
+    names = tuple(one.folder.resolve().name for one in sets)
+    fingerprint = calibration_fingerprint(rig, part, options)
+    return calibrate_registered(registered(), names, options=options, fingerprint=fingerprint)
+
+
+def calibrate_registered(
+    sets: Iterator[tuple[str, RegisteredSet]],
+    names: Sequence[str],
+    *,
+    options: InspectOptions,
+    fingerprint: dict[str, object],
+) -> Calibration:
+    """Learn from registered image sets of good parts.
+
+    Parameters
+    ----------
+    sets
+        Each with its name for messages; taken one at a time.
+    names
+        Of all sets.
+    fingerprint
+        What the calibration is valid for, from :func:`calibration_fingerprint`.
+    """
+    require_good_sets(len(names), options)
+    postures: dict[Posture, _GoodPosture] = {}
+    with tempfile.TemporaryDirectory(prefix="lightopt-calibration-") as folder:
+        for number, (name, registered) in enumerate(sets):
+            seen: list[Posture] = []
+            for view, exposures in registered.views:
+                if number == 0:
+                    postures[view.posture] = _GoodPosture(exposures, name)
+                gathered = _same_images(postures, view.posture, exposures, name)
+                seen.append(view.posture)
+                found = deviations(view, threads=options.threads)
+                if options.detector == "template":
+                    score, _ = score_posture(
+                        found, options, partial(synthetic_image, view, options, probes=0)
+                    )
+                    gathered.peaks.append(float(score.max(initial=0.0)))
+                    continue
+                nominal = nominal_pixels(view, registered.nominal, registered.placement)
+                packed = PackedDeviations.of(found, nominal)
+                gathered.sums.add(packed)
+                path = Path(folder) / f"{number}-{posture_folder(view.posture)}.npz"
+                packed.save(path)
+                gathered.packed.append(path)
+            if missing := [posture for posture in postures if posture not in seen]:
+                raise InputError(
+                    f"{name}: no images of posture {', '.join(map(str, missing))}, which "
+                    f"{postures[missing[0]].first_set} has; give good sets of the same postures"
+                )
+        return Calibration(
+            rate=options.false_alarms,
+            sets=tuple(names),
+            postures=tuple(_calibrated(posture, one, options) for posture, one in postures.items()),
+            fingerprint=fingerprint,
+        )
+
+
+def require_good_sets(sets: int, options: InspectOptions) -> None:
+    """Refuse a number of good sets that is too small for the rate of false alarms.
+
+    Raises
+    ------
+    InputError
+        Says how many are needed.
+    """
+    if options.false_alarms < least_rate(sets):
+        raise InputError(too_few_good_sets(sets, options.false_alarms, "--calibrate"))
+
+
+def _same_images(
+    postures: dict[Posture, _GoodPosture], posture: Posture, exposures: ExposuresByLight, name: str
+) -> _GoodPosture:
+    gathered = postures.get(posture)
+    if gathered is None or gathered.exposures != exposures:
+        what = "of a posture that the first lacks" if gathered is None else "under other lights or exposures"
+        first = next(iter(postures.values())).first_set
+        raise InputError(
+            f"{name}, posture {posture}: images {what} ({first}); give good sets that were all taken in the same way"
+        )
+    return gathered
+
+
+def _calibrated(posture: Posture, gathered: _GoodPosture, options: InspectOptions) -> CalibratedPosture:
+    systematic, peaks = None, gathered.peaks
+    if gathered.packed:
+        systematic = gathered.sums.systematic()
+        for path in gathered.packed:
+            one = PackedDeviations.load(path)
+            others = gathered.sums.systematic(but=one)
+            found = subtract_systematic(one.in_own_image(), others, one.nominal_image())
+            score = score_deviations(found, seen_by=options.seen_by)
+            peaks.append(float(score.max(initial=0.0)))
+    return CalibratedPosture(
+        posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic
+    )

@@ -1,0 +1,185 @@
+"""What was learned from good parts, and the inspections that it is valid for."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import computed_by, differences, file_sha256
+from lightopt.core.transforms import Posture
+from lightopt.inspection._options import InspectOptions
+from lightopt.inspection.calibration._false_alarm_rates import (
+    CONFIDENCE,
+    least_rate,
+    tolerance_limit,
+    too_few_good_sets,
+)
+from lightopt.inspection.calibration._systematic import SystematicDeviations
+from lightopt.inspection.prediction._registered_set import ExposuresByLight, exposures_text
+
+CALIBRATION_NAME: Final = "calibration.json"
+LEAST: Final = 3.0
+"""No threshold is below this: of so many pixels, some have a chance of one in a thousand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibratedPosture:
+    """What was learned from good parts of one posture.
+
+    peaks: greatest score of each good set, judged by what the others have in common.
+    systematic: what they have in common; None for a detector that does not use deviations.
+    """
+
+    posture: Posture
+    exposures: ExposuresByLight
+    peaks: tuple[float, ...]
+    systematic: SystematicDeviations | None = field(repr=False)
+
+    def threshold(self, rate: float) -> float:
+        """Score that holds a rate of false alarms.
+
+        Raises
+        ------
+        InputError
+            There are too few good sets for the rate.
+        """
+        peak = tolerance_limit(self.peaks, rate)
+        if peak is None:
+            raise InputError(too_few_good_sets(len(self.peaks), rate, f"posture {self.posture}"))
+        return float(np.nextafter(np.float32(max(peak, LEAST)), np.float32(np.inf)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """What was learned from good parts.
+
+    rate: false alarms that it was made for: share of the good sets of a posture.
+    sets: names of the good sets' folders.
+    computed_by: from :func:`lightopt.core.provenance.computed_by`: scores of other code are other scores.
+    name, sha256: of its file: for the provenance of what is inspected with it; the hash is empty where there is no
+        file.
+    """
+
+    rate: float
+    sets: tuple[str, ...]
+    postures: tuple[CalibratedPosture, ...]
+    fingerprint: Mapping[str, Any]
+    computed_by: Mapping[str, Any] = field(default_factory=computed_by)
+    name: str = CALIBRATION_NAME
+    sha256: str = ""
+
+    def require_match(self, rig: RigConfig, part: PartConfig, options: InspectOptions) -> None:
+        """Refuse another rig, part, way to inspect or program, and a rate that needs more good sets.
+
+        Raises
+        ------
+        InputError
+            Names all that differs.
+        """
+        now = calibration_fingerprint(rig, part, options)
+        parts = {
+            "rig": f"{rig.source.path}: camera, sensor, lights or stage",
+            "part": f"{part.source.path}: placement, reflectance or how the mesh is read",
+            "mesh_sha256": f"{part.source.resolve(part.mesh.file)}: the mesh",
+        }
+        problems = [
+            f"{text} differ from those that {self.name} was made for; make it anew (--calibrate)"
+            for key, text in parts.items()
+            if now[key] != self.fingerprint.get(key)
+        ]
+        if changed := differences(self.computed_by, computed_by()):
+            problems.append(
+                f"{self.name} was made by another lightopt, whose scores may be others ({changed}); make it anew "
+                "(--calibrate)"
+            )
+        before = self.fingerprint.get("options")
+        before = before if isinstance(before, Mapping) else {}
+        problems += [
+            f"--{key.replace('_', '-')}: {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; "
+            "make it anew (--calibrate), or inspect as it was made"
+            for key, value in now["options"].items()
+            if value != before.get(key)
+        ]
+        if options.false_alarms < least_rate(len(self.sets)):
+            problems.append(too_few_good_sets(len(self.sets), options.false_alarms, self.name))
+        if problems:
+            raise InputError(*problems)
+
+    def of(self, posture: Posture, exposures: ExposuresByLight, *, where: str) -> CalibratedPosture:
+        """What was learned of a posture that was taken in this way.
+
+        Raises
+        ------
+        InputError
+            Nothing: no such posture, other lights, exposures or numbers of frames.
+        """
+        found = next((one for one in self.postures if one.posture == posture), None)
+        if found is None:
+            there = ", ".join(str(one.posture) for one in self.postures)
+            raise InputError(
+                f"{where}: posture {posture} is none of those that {self.name} was made for ({there}); make it anew "
+                "with good sets of this posture (--calibrate)"
+            )
+        if found.exposures != exposures:
+            raise InputError(
+                f"{where}, posture {posture}: expected the images that {self.name} was made for, "
+                f"{exposures_text(found.exposures)}, found {exposures_text(exposures)}; take them as the good sets "
+                "were taken, or make the calibration anew"
+            )
+        return found
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form, maps apart."""
+        return {
+            "false_alarms": self.rate,
+            "confidence": CONFIDENCE,
+            "least_false_alarms": round(least_rate(len(self.sets)), 5),
+            "good_sets": list(self.sets),
+            "made_for": dict(self.fingerprint),
+        }
+
+
+def _shown(value: object) -> str:
+    return "none" if value is None else str(value)
+
+
+def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOptions) -> dict[str, Any]:
+    """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
+    of_part = {
+        "name": True,
+        "postures": True,
+        "mesh": {"file"},
+        "inspection": True,
+        "defects": True,
+        "defect_catalogue": True,
+    }
+    ranges = {"elevation_range_deg", "azimuth_range_deg"}
+    chosen: dict[str, Any] = {
+        "detector": options.detector,
+        "no_shift": not options.shift,
+    }
+    chosen |= {"fusion": options.fusion} if options.detector == "template" else {"seen_by": options.seen_by}
+    return {
+        "rig": _hash(
+            {
+                "camera": rig.camera.model_dump(mode="json"),
+                "light_source": rig.light_source.model_dump(mode="json"),
+                "lights": [light.model_dump(mode="json", exclude=ranges) for light in rig.lights],
+                "pivot_mm": list(rig.stage.pivot_mm),
+            }
+        ),
+        "part": _hash(part.model_dump(mode="json", exclude=of_part)),
+        "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
+        "options": chosen,
+    }
+
+
+def _hash(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,174 @@
+"""Systematic deviations: what good parts have in common and the model lacks, learned place by place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lightopt.inspection._arrays import Bool, Float32
+from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._score import SCALES_PX, smoothed_deviations
+
+LEAST_SHARE = 0.5
+"""At least this share of the good sets must show a pixel, else nothing is learned of it."""
+
+POOLED_PX = 3.0
+"""The spread of a pixel is that of its surroundings, Gaussian of this width: few sets say little of one pixel."""
+
+GREATEST_Z = 100.0
+"""Deviations are clipped here: a single outlier does not outweigh the other sets."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SystematicDeviations:
+    """What good parts have in common, in the image of the part where its file has it.
+
+    mean: of the deviations of good parts, in standard deviations of the noise model, shape (lights, H, W).
+    spread: by how much sums of deviations scatter around that more than noise makes them, at least 1, same shape.
+    """
+
+    mean: Float32
+    spread: Float32
+
+
+@dataclass(frozen=True)
+class PackedDeviations:
+    """Deviations of one set in one posture, at the pixels that can be judged: small enough to store those of all sets.
+
+    own, nominal: flat index of each pixel in the set's images, and in those of the part where its file has it (−1
+        outside of them), shape (n,).
+    z: float16, shape (lights, n).
+    usable, lit: same shape.
+    """
+
+    shape: tuple[int, int]
+    own: NDArray[np.int32]
+    nominal: NDArray[np.int32]
+    z: NDArray[np.float16]
+    usable: Bool
+    lit: Bool
+
+    @staticmethod
+    def of(found: Deviations, nominal: NDArray[np.int32]) -> PackedDeviations:
+        """Those of a posture, `nominal` from :func:`nominal_pixels`."""
+        own = np.flatnonzero(found.usable.any(axis=0)).astype(np.int32)
+        lights, rows, columns = found.z.shape
+        z = np.clip(found.z.reshape(lights, -1)[:, own], -GREATEST_Z, GREATEST_Z)
+        usable, lit = (flags.reshape(lights, -1)[:, own] for flags in (found.usable, found.lit))
+        return PackedDeviations((rows, columns), own, nominal.ravel()[own], z.astype(np.float16), usable, lit)
+
+    def in_own_image(self) -> Deviations:
+        """As they were, scales apart."""
+        return self._scattered(self.own, np.ones(len(self.own), np.bool_))
+
+    def in_nominal_image(self) -> Deviations:
+        """Each at the pixel that shows its place where the part's file has it."""
+        return self._scattered(self.nominal, self.nominal >= 0)
+
+    def _scattered(self, to: NDArray[np.int32], which: Bool) -> Deviations:
+        flat = (len(self.z), self.shape[0] * self.shape[1])
+        z = np.zeros(flat, np.float32)
+        usable, lit = np.zeros(flat, np.bool_), np.zeros(flat, np.bool_)
+        z[:, to[which]] = np.where(self.usable, self.z, 0.0)[:, which]
+        usable[:, to[which]] = self.usable[:, which]
+        lit[:, to[which]] = self.lit[:, which]
+        whole = (len(self.z), *self.shape)
+        return Deviations(
+            z.reshape(whole), np.ones(whole, np.float32), usable.reshape(whole), lit.reshape(whole)
+        )
+
+    def nominal_image(self) -> NDArray[np.int32]:
+        """Flat index as :func:`nominal_pixels` gives it, shape (H, W); −1 where nothing was usable."""
+        height, width = self.shape
+        index = np.full(height * width, -1, np.int32)
+        index[self.own] = self.nominal
+        return index.reshape(height, width)
+
+    def save(self, path: Path) -> None:
+        """Write to a file."""
+        flags: dict[str, Any] = {name: np.packbits(getattr(self, name), axis=1) for name in ("usable", "lit")}
+        np.savez(path, shape=np.array(self.shape), own=self.own, nominal=self.nominal, z=self.z, **flags)
+
+    @staticmethod
+    def load(path: Path) -> PackedDeviations:
+        """Read what :meth:`save` wrote."""
+        with np.load(path) as arrays:
+            own = arrays["own"]
+            rows, columns = (int(side) for side in arrays["shape"])
+            usable, lit = (
+                np.unpackbits(arrays[name], axis=1, count=len(own)).astype(np.bool_)
+                for name in ("usable", "lit")
+            )
+            return PackedDeviations((rows, columns), own, arrays["nominal"], arrays["z"], usable, lit)
+
+
+def subtract_systematic(
+    found: Deviations, systematic: SystematicDeviations, nominal: NDArray[np.int32]
+) -> Deviations:
+    """Deviations without what good parts have in common.
+
+    Parameters
+    ----------
+    systematic
+        Of good parts in that posture, under the same lights.
+    """
+    known = nominal >= 0
+    at = np.where(known, nominal, 0)
+    lights = len(found.z)
+    mean = np.where(known, systematic.mean.reshape(lights, -1)[:, at], np.float32(0.0))
+    spread = np.where(known, systematic.spread.reshape(lights, -1)[:, at], np.float32(1.0))
+    z = np.where(found.usable, (found.z - mean) / spread, np.float32(0.0))
+    return Deviations(z, found.scale * spread, found.usable, found.lit)
+
+
+class SystematicSums:
+    """Sums over good sets, from which what they have in common follows, with or without one of them."""
+
+    def __init__(self) -> None:
+        self.sets = 0
+        self._sums: list[
+            Float32
+        ] = []  # of counts, of deviations, and by scale of their sums and these squared
+
+    def add(self, one: PackedDeviations) -> None:
+        """Count a set in."""
+        self._sums = self._with(one, 1.0)
+        self.sets += 1
+
+    def systematic(self, *, but: PackedDeviations | None = None) -> SystematicDeviations:
+        """What the sets have in common, without `but`, a set that was added."""
+        sets = self.sets if but is None else self.sets - 1
+        count, total, *by_scale = self._sums if but is None else self._with(but, -1.0)
+        sums, squares = by_scale[: len(SCALES_PX)], by_scale[len(SCALES_PX) :]
+        known = count >= max(2.0, LEAST_SHARE * sets)
+        n = np.where(known, count, 2.0)
+        variance = np.zeros_like(total)
+        for own, square in zip(sums, squares, strict=True):
+            scatter = (np.maximum(square - own * own / n, 0.0) / (n - 1.0)).astype(np.float32)
+            np.maximum(variance, _around(scatter, known), out=variance)
+        # of the mean of so many sets, too
+        spread = np.sqrt(np.maximum(variance, 1.0) * (1.0 + 1.0 / n))
+        return SystematicDeviations(
+            mean=np.where(known, total / n, 0.0).astype(np.float32),
+            spread=np.where(known, spread, 1.0).astype(np.float32),
+        )
+
+    def _with(self, one: PackedDeviations, sign: float) -> list[Float32]:
+        found = one.in_nominal_image()
+        smooth = [smoothed_deviations(found, scale)[0] for scale in SCALES_PX]
+        new = [found.usable.astype(np.float32), found.z, *smooth, *(np.square(s) for s in smooth)]
+        return [a + np.float32(sign) * b for a, b in zip(self._sums, new, strict=True)] if self._sums else new
+
+
+def _around(values: Float32, mask: Bool) -> Float32:
+    # mean of the surroundings of each pixel, light by light
+    result = np.zeros_like(values)
+    for i, (own, known) in enumerate(zip(values, mask, strict=True)):
+        share = ndimage.gaussian_filter(known.astype(np.float32), POOLED_PX)
+        result[i] = ndimage.gaussian_filter(np.where(known, own, 0.0), POOLED_PX) / np.maximum(share, 1e-3)
+    return result

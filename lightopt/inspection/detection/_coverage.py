@@ -1,0 +1,230 @@
+"""Which share of the surface that a posture shows was inspected, how sensitively, and why the rest was not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from lightopt.inspection._arrays import Float32
+from lightopt.inspection._image_blocks import in_row_blocks
+from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._score import disc_gain
+from lightopt.inspection.prediction._posture_view import PostureView
+
+CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
+"""Shares of the light that a defect takes away, for which the sensitivity is reported."""
+
+REFERENCE_DISC_PX = 5.0
+"""Diameter of the even disc that it is reported for."""
+
+
+class SurfaceState(IntEnum):
+    """What the inspection achieved at a place, the least first; over several postures the best counts.
+
+    What is seen at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`) is left out of all shares.
+
+    What is lit in fewer images than must show a defect, or is only reached by light and stays dark, is judged by these,
+    as :func:`lightopt.inspection.score_deviations` does it. No pixel is missing, only patches of the surface:
+    images show them at an edge at most, and a posture without images would show them better.
+    """
+
+    NO_PART = 0
+    GRAZING = 1
+    EDGE = 2
+    MISSING = 3
+    SHADOW = 4
+    SATURATED = 5
+    GLINTS = 6
+    FEWER = 7
+    INSPECTED = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shares:
+    """A surface by what each place of it can show, and why nothing where it can show nothing.
+
+    seen: by the camera, not at a grazing angle [mm²].
+    inspected: of it, judged [mm²]: the areas of :attr:`classes`.
+    glints: of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes
+        it darker does not.
+    fewer: of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
+        show in these alone.
+    saturated, shadow, edge: of what is seen, not judged: image and prediction are saturated under each light that
+        reaches it; no light does; next to silhouettes and creases [mm²].
+    grazing: seen at a grazing angle only, which is left out [mm²].
+    sensitivity: by contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that
+        share is found half of the time [mm²]. The rest is dark, or shows stronger ones.
+    """
+
+    seen: float
+    inspected: float
+    glints: float = 0.0
+    fewer: float = 0.0
+    saturated: float
+    shadow: float
+    edge: float
+    grazing: float = 0.0
+    sensitivity: dict[float, float]
+
+    @property
+    def share(self) -> float:
+        """Of what the camera sees, the share that was inspected."""
+        return self.inspected / self.seen if self.seen > 0.0 else 0.0
+
+    @property
+    def left_out(self) -> float:
+        """Of all that the camera sees, the share that it sees at a grazing angle only."""
+        return self.grazing / max(self.seen + self.grazing, 1e-9)
+
+    @property
+    def classes(self) -> tuple[float, ...]:
+        """Areas [mm²], of what was inspected.
+
+        Where a disc is found from each of :data:`CONTRASTS` on, the least first; where only stronger ones are; where
+        only glints show.
+        """
+        found = [self.sensitivity.get(contrast, 0.0) for contrast in CONTRASTS]
+        each = [more - less for less, more in zip([0.0, *found], found, strict=False)]
+        return (*each, self.inspected - self.glints - found[-1], self.glints)
+
+    def shares(self) -> dict[str, Any]:
+        """JSON form: shares of what the camera sees without what is left out; that as a share of all that it sees."""
+
+        def share(area: float) -> float:
+            return round(area / max(self.seen, 1e-9), 5)
+
+        return {
+            "inspected": share(self.inspected),
+            "finds_contrast": {f"{c:g}": share(a) for c, a in self.sensitivity.items()},
+            "only_stronger": share(self.classes[-2]),
+            "only_glints": share(self.glints),
+            "fewer_lights": share(self.fewer),
+            "saturated": share(self.saturated),
+            "shadow": share(self.shadow),
+            "edge": share(self.edge),
+            "left_out": round(self.left_out, 5),
+        }
+
+
+def class_areas(
+    areas: NDArray[np.floating[Any]], state: NDArray[np.uint8], least_contrast: NDArray[np.floating[Any]]
+) -> dict[str, Any]:
+    """The fields of :class:`Shares`, added up over places.
+
+    areas: of each place [mm²].
+    state: :class:`SurfaceState` of each, same shape.
+    least_contrast: share of the light that a disc of 5 pixels must change to be found there, same shape; infinite
+        where none is.
+    """
+
+    def of(which: NDArray[np.bool_]) -> float:
+        return float(areas[which].sum())
+
+    return {
+        "seen": of(state > SurfaceState.GRAZING),
+        "inspected": of(state >= SurfaceState.GLINTS),
+        "glints": of(state == SurfaceState.GLINTS),
+        "fewer": of(state == SurfaceState.FEWER),
+        "saturated": of(state == SurfaceState.SATURATED),
+        "shadow": of(state == SurfaceState.SHADOW),
+        "edge": of(state == SurfaceState.EDGE),
+        "grazing": of(state == SurfaceState.GRAZING),
+        "sensitivity": {contrast: of(least_contrast <= contrast) for contrast in CONTRASTS},
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureCoverage(Shares):
+    """The surface that the camera sees in a posture.
+
+    state: :class:`SurfaceState` of each pixel, shape (H, W).
+    least_contrast: share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W);
+        infinite where it is dark, or nothing was inspected.
+    """
+
+    state: NDArray[np.uint8] = field(compare=False, repr=False)
+    least_contrast: Float32 = field(compare=False, repr=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {"seen_mm2": round(self.seen, 3), **self.shares()}
+
+
+def measure_coverage(
+    view: PostureView, found: Deviations, *, seen_by: int, high: float, threads: int | None = None
+) -> PostureCoverage:
+    """The surface of a posture that was inspected, given the threshold of the score.
+
+    Worked out block by block of rows, since small arrays stay in a processor's cache.
+    """
+    blocks = in_row_blocks(
+        lambda rows: coverage_of_rows(view.in_rows(rows), found.in_box(rows), seen_by=seen_by, high=high),
+        len(view.clean),
+        threads,
+    )
+
+    def joined(values: Sequence[Any]) -> Any:
+        # areas add up, images stand one below the other
+        if isinstance(values[0], np.ndarray):
+            return np.concatenate(values)
+        if isinstance(values[0], dict):
+            return {key: sum(each[key] for each in values) for key in values[0]}
+        return sum(values)
+
+    names = [field.name for field in fields(PostureCoverage)]
+    return PostureCoverage(**{name: joined([getattr(block, name) for block in blocks]) for name in names})
+
+
+def coverage_of_rows(view: PostureView, found: Deviations, *, seen_by: int, high: float) -> PostureCoverage:
+    """As :func:`measure_coverage`, of all rows at once."""
+    area = view.prediction.area.astype(np.float64)
+    part = view.part & (area > 0.0)
+    lit = found.lit.sum(axis=0)
+    full = (view.saturated & (view.predicted >= view.limit)).any(axis=0)
+    state = np.zeros(part.shape, np.uint8)
+    state[part] = SurfaceState.EDGE
+    state[part & view.prediction.grazing] = SurfaceState.GRAZING
+    state[part & view.clean] = SurfaceState.SHADOW
+    state[part & view.clean & full] = SurfaceState.SATURATED
+    state[part & found.usable.any(axis=0)] = SurfaceState.GLINTS
+    state[part & (lit > 0)] = SurfaceState.FEWER
+    state[part & (lit >= seen_by)] = SurfaceState.INSPECTED
+    least = least_contrast(found, view.predicted, seen_by=seen_by, high=high)
+    least[state < SurfaceState.FEWER] = np.inf
+    return PostureCoverage(
+        **class_areas(area, state, least), state=state, least_contrast=least.astype(np.float32)
+    )
+
+
+def least_contrast(
+    found: Deviations, predicted: Float32, *, seen_by: int, high: float
+) -> NDArray[np.float64]:
+    """Share of the light that an even disc of 5 pixels must take away to be found half of the time, shape (H, W).
+
+    Infinite where no image is lit.
+
+    predicted: of the good part [grey level], shape (lights, H, W).
+    """
+    images = len(predicted)
+    k = np.clip(found.lit.sum(axis=0), 1, min(seen_by, images))
+    needed = _needed(images, min(seen_by, images), high)[found.usable.sum(axis=0), k]
+    share = np.where(found.lit, found.scale / np.maximum(predicted, 1e-6), np.inf)
+    weakest = np.take_along_axis(np.sort(share, axis=0), k[None] - 1, axis=0)[0]
+    return needed / disc_gain(REFERENCE_DISC_PX) * weakest
+
+
+def _needed(images: int, seen_by: int, high: float) -> NDArray[np.float64]:
+    # deviation that k of n images must show for the threshold, whatever the others do, all of them half of the time;
+    # by n and k
+    z = np.full((images + 1, seen_by + 1), np.inf)
+    for n in range(1, images + 1):
+        for k in range(1, min(n, seen_by) + 1):
+            each = (10.0**-high / float(special.binom(n, k))) ** (1.0 / k)
+            z[n, k] = float(special.ndtri(0.5 ** (1.0 / k)) - special.ndtri(0.5 * each))
+    return z

@@ -1,0 +1,1 @@
+"""Inspections compared with ground truth."""

@@ -1,0 +1,215 @@
+"""Evaluate an inspection against ground truth: recall, false alarms, ROC, probability of detection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lightopt.core.transforms import Posture
+from lightopt.defects import PlacedDefect
+from lightopt.images import ImageSet
+from lightopt.inspection._arrays import Bool, Float64
+from lightopt.inspection._results import InspectionResult
+from lightopt.inspection.evaluation._ground_truth import true_labels
+from lightopt.inspection.evaluation._probability_of_detection import fit_detection_curve
+
+SLACK_PX = 2
+"""A region that comes this near to a labelled pixel is that defect's."""
+
+MOST_TIMES = 10.0
+MOST_MORE_PX = 50
+"""A region finds a defect only if it has at most this many times the defect's pixels, and this many more: one all over
+the part finds nothing. Defects of few pixels look larger, since they are found in sums over Gaussians."""
+
+_DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) <= SLACK_PX + 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownDefect:
+    """A defect that the images show, and whether it was found.
+
+    name, kind: as the set's manifest has them.
+    size: square root of length times width of its outline [mm].
+    pixels: of it that can be judged, in the posture that shows most of them.
+    found: whether a region that is not far larger than it touches it in any posture.
+    """
+
+    name: str
+    kind: str
+    size: float
+    pixels: int
+    posture: Posture
+    found: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "size_mm": round(self.size, 5),
+            "pixels": self.pixels,
+            "posture": self.posture.as_dict(),
+            "found": self.found,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetEvaluation:
+    """The evaluation of one set of images against ground truth.
+
+    defects, hidden: those with a pixel that can be judged in some posture, and the names of the others.
+    false_alarms: regions that touch no defect, or are far larger than those they touch, over all postures.
+    areas: area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
+    labels: the source of ground truth.
+    """
+
+    defects: tuple[KnownDefect, ...]
+    hidden: tuple[str, ...]
+    false_alarms: int
+    postures: int
+    areas: tuple[float, ...]
+    labels: Literal["images", "part file", "no defects"] = "images"
+    name: str = ""
+
+
+def evaluate_set(
+    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect] | None = None
+) -> SetEvaluation:
+    """Compare an inspection with the labels of its images, or with `known` defects where these have none.
+
+    Raises
+    ------
+    InputError
+        Neither labels nor known defects.
+    """
+    labels = true_labels(image_set, result, known=known)
+    listed = labels.listed
+    pixels = np.zeros((len(result.postures), len(listed)), np.intp)
+    found = np.zeros(len(listed), np.bool_)
+    false_alarms = 0
+    areas: list[float] = []
+    for number, (posture, truth) in enumerate(zip(result.postures, labels.of_posture, strict=True)):
+        clean = posture.view.clean
+        mine = np.bincount(truth[clean & (truth >= 0)], minlength=len(listed))
+        pixels[number] = mine[: len(listed)]
+        for hit in region_hits(posture.labels, truth):
+            found[hit] = True
+            false_alarms += not len(hit)
+        if mine.any():
+            areas.append(area_under_roc(posture.score[clean].astype(np.float64), truth[clean] >= 0))
+    defects = [
+        KnownDefect(
+            name=str(one["name"]),
+            kind=str(one["kind"]),
+            size=defect_size(one),
+            pixels=int(pixels[:, i].max()),
+            posture=result.postures[int(pixels[:, i].argmax())].view.posture,
+            found=bool(found[i]),
+        )
+        for i, one in enumerate(listed)
+    ]
+    return SetEvaluation(
+        defects=tuple(d for d in defects if d.pixels),
+        hidden=tuple(d.name for d in defects if not d.pixels),
+        false_alarms=false_alarms,
+        postures=len(result.postures),
+        areas=tuple(areas),
+        labels=labels.source,
+        name=image_set.folder.resolve().name,
+    )
+
+
+def defect_size(one: Mapping[str, Any]) -> float:
+    """Size of a defect of a set's manifest, for curves of detection: square root of length times width [mm]."""
+    return float(np.sqrt(np.prod(one["size_mm"])))
+
+
+def region_hits(labels: NDArray[np.int32], truth: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+    """For each region the defects that it finds: those that it touches, unless it is far larger than all of them.
+
+    Parameters
+    ----------
+    labels
+        Number of the region of each pixel, from 1, 0 for none, shape (H, W).
+    truth
+        Index of the defect of each pixel, −1 for none, same shape.
+    """
+    hits: list[NDArray[np.int32]] = []
+    size = np.bincount(truth[truth >= 0], minlength=1)
+    for number, box in enumerate(ndimage.find_objects(labels), start=1):
+        if box is None:
+            continue
+        around = tuple(slice(max(0, side.start - SLACK_PX), side.stop + SLACK_PX) for side in box)
+        region = labels[around] == number
+        near = np.asarray(ndimage.binary_dilation(region, _DISC), np.bool_)
+        touched = np.unique(truth[around][near & (truth[around] >= 0)])
+        room = MOST_TIMES * float(size[touched].sum()) + MOST_MORE_PX
+        hits.append(touched if np.count_nonzero(region) <= room else touched[:0])
+    return hits
+
+
+def area_under_roc(score: Float64, positive: Bool) -> float:
+    """Probability that a positive scores more than a negative, ties counting half (Mann and Whitney).
+
+    Parameters
+    ----------
+    score
+        Shape (n,).
+    positive
+        Shape (n,), neither all true nor all false.
+    """
+    p = int(positive.sum())
+    q = len(positive) - p
+    _, which, times = np.unique(score, return_inverse=True, return_counts=True)
+    # equal scores share the mean of their ranks
+    ranks = (np.cumsum(times) - 0.5 * (times - 1))[which]
+    return (float(ranks[positive].sum()) - 0.5 * p * (p + 1)) / (p * q)
+
+
+def summarise(sets: Sequence[SetEvaluation]) -> dict[str, Any]:
+    """Recall by kind and size, false alarms per posture, ROC and detection curves over all sets; JSON form."""
+    defects = [defect for one in sets for defect in one.defects]
+    kinds = sorted({d.kind for d in defects})
+    postures = sum(one.postures for one in sets)
+    areas = [area for one in sets for area in one.areas]
+    return {
+        "defects": len(defects),
+        "found": sum(d.found for d in defects),
+        "labels": sorted({one.labels for one in sets}),
+        "hidden": [name for one in sets for name in one.hidden],
+        "false_alarms_per_posture": round(sum(one.false_alarms for one in sets) / max(postures, 1), 4),
+        "roc_auc": round(float(np.mean(areas)), 5) if areas else None,
+        "recall": [
+            {
+                "kind": kind,
+                "size_mm": size,
+                "defects": len(mine),
+                "found": sum(d.found for d in mine),
+            }
+            for kind in kinds
+            for size in sorted({round(d.size, 3) for d in defects if d.kind == kind})
+            for mine in [[d for d in defects if d.kind == kind and round(d.size, 3) == size]]
+        ],
+        "detection": {
+            kind: fit_detection_curve([d.size for d in mine], [d.found for d in mine]).as_dict()
+            for kind in ("all", *kinds)
+            for mine in [[d for d in defects if kind in ("all", d.kind)]]
+        },
+        "each": [{"set": one.name, **d.as_dict()} for one in sets for d in one.defects],
+        "sets": [
+            {
+                "set": one.name,
+                "labels": one.labels,
+                "defects": len(one.defects),
+                "found": sum(d.found for d in one.defects),
+                "hidden": list(one.hidden),
+                "false_alarms": one.false_alarms,
+            }
+            for one in sets
+        ],
+    }

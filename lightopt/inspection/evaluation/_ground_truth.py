@@ -1,0 +1,192 @@
+"""Ground truth: which defects are on the part of an image set, and which pixels show them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.config import PartConfig, load_part
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import file_sha256
+from lightopt.defects import PlacedDefect, mark_surface
+from lightopt.estimate.registration import Placement
+from lightopt.images import ImageSet
+from lightopt.inspection._arrays import Int32
+from lightopt.inspection._results import InspectedPosture, InspectionResult
+from lightopt.inspection.prediction._frames import world_to_mesh_file
+from lightopt.scene import defect_facts
+
+
+@dataclass(frozen=True)
+class TruthSource:
+    """The source of ground truth for a set of images.
+
+    part: whose defects are on the part; None where the set has labels, or it was rendered without defects.
+    """
+
+    part: PartConfig | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
+    """The source that determines which defects are on the part of a set.
+
+    Its labels; else, of a set that lightopt rendered, that there are none; else the part file that it was taken by,
+    which is `part`, or lies beside it with the content that it had. A set without the name of its part file, or taken
+    by this file before it was edited, has the defects that `part` names.
+
+    Parameters
+    ----------
+    part
+        That the images are inspected by.
+
+    Raises
+    ------
+    InputError
+        There is no source, or labels are listed and their images are not.
+    """
+    manifest = image_set.manifest
+    if isinstance(manifest.extra.get("defects"), list):
+        labelled = {entry.posture for entry in image_set.geometry}
+        lacking = {entry.posture: None for entry in image_set.images if entry.posture not in labelled}
+        if lacking:
+            raise InputError(
+                f"{image_set.folder}: no labels of defects for {', '.join(f'posture {p}' for p in lacking)}, though "
+                "the manifest lists defects; expected a geometry EXR with a channel defect; render the set anew"
+            )
+        return TruthSource()
+    if manifest.kind == "simulated" and manifest.lightopt is not None:
+        return TruthSource()
+    own = manifest.part
+    if own is not None and own.sha256 != part.source.sha256 and own.file != part.source.path.name:
+        beside = part.source.path.parent / own.file
+        if not beside.is_file() or file_sha256(beside) != own.sha256:
+            raise InputError(
+                f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, and were "
+                f"taken by {own.file}, which does not lie beside {part.source.path} as it was then; put it there, or "
+                "leave --truth out"
+            )
+        return _part_file_source(load_part(beside), own.file)
+    if own is not None and own.sha256 == part.source.sha256:
+        return _part_file_source(part, own.file)
+    if not part.defects:
+        raise InputError(
+            f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
+            f"render writes them, and {part.source.path}, by which they were not taken as it is now, names no defects; "
+            "give the part file whose defects: are those of the part in the images, or leave --truth out"
+        )
+    return TruthSource(part)
+
+
+def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSource]:
+    """The sources of ground truth of several sets, by :func:`truth_source`.
+
+    Raises
+    ------
+    InputError
+        The problems of all sets together.
+    """
+    problems: list[str] = []
+
+    def source(image_set: ImageSet) -> TruthSource:
+        try:
+            return truth_source(image_set, part)
+        except InputError as error:
+            problems.extend(error.messages)
+            return TruthSource()
+
+    sources = [source(image_set) for image_set in sets]
+    if problems:
+        raise InputError(*problems)
+    return sources
+
+
+def _part_file_source(part: PartConfig, name: str) -> TruthSource:
+    if part.defects:
+        return TruthSource(part)
+    return TruthSource(
+        part, warnings=(f"--truth: {name}, by which it was taken, names no defects: held to be a good part",)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueLabels:
+    """Ground truth of the images of a set.
+
+    listed: of each defect what :func:`lightopt.scene.defect_facts` gives.
+    of_posture: per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H,
+        W).
+    source: ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was
+        found; ``no defects``: none is on the part.
+    """
+
+    listed: tuple[Mapping[str, Any], ...]
+    of_posture: tuple[Int32, ...]
+    source: Literal["images", "part file", "no defects"]
+
+
+def true_labels(
+    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect] | None = None
+) -> TrueLabels:
+    """The labels of a set; of one without labels those of known defects where the inspection found the part.
+
+    known: defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`);
+        an empty sequence where it is known to have none, None where nothing is known.
+
+    Raises InputError: the set has no labels and nothing is known, or its labels are those of images of another size.
+    """
+    listed = image_set.manifest.extra.get("defects")
+    if isinstance(listed, list):
+        arrays = tuple(_stored(image_set, posture) for posture in result.postures)
+        return TrueLabels(listed=tuple(listed), of_posture=arrays, source="images")
+    if known is None:
+        raise InputError(
+            f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
+            "render writes them for a part whose file names defects; give the part file whose defects: are those of "
+            "the part in the images"
+        )
+    return TrueLabels(
+        listed=tuple(defect_facts(known, result.nominal.placement)),
+        of_posture=tuple(_cast(posture, result, known) for posture in result.postures),
+        source="part file" if known else "no defects",
+    )
+
+
+def _stored(image_set: ImageSet, posture: InspectedPosture) -> Int32:
+    entries = [g for g in image_set.geometry if g.posture == posture.view.posture]
+    channels = image_set.load_geometry(entries[0]) if entries else {}
+    if "defect" not in channels:
+        raise InputError(
+            f"{image_set.folder}: no labels of defects for posture {posture.view.posture}, though the manifest lists "
+            "defects; expected a geometry EXR with a channel defect; render the set anew"
+        )
+    labels = channels["defect"]
+    if labels.shape != posture.labels.shape:
+        raise InputError(
+            f"{image_set.path(entries[0].exr)}: labels of {labels.shape[1]} × {labels.shape[0]} px for images of "
+            f"{posture.labels.shape[1]} × {posture.labels.shape[0]} px"
+        )
+    return labels.astype(np.int32)
+
+
+def _cast(posture: InspectedPosture, result: InspectionResult, known: Sequence[PlacedDefect]) -> Int32:
+    # what the prediction's rays met, taken back to where the part's file has it
+    geometry, nominal = posture.view.prediction.images.geometry, result.nominal
+    placement, file = result.placement or Placement(), nominal.placement
+    row, column = np.nonzero(geometry.hit)
+
+    def to_mesh_file(vectors: NDArray[np.float32], *, direction: bool) -> NDArray[np.float64]:
+        own = vectors[row, column].astype(np.float64)
+        return world_to_mesh_file(own, nominal, placement, posture.view.posture, direction=direction)
+
+    points = to_mesh_file(geometry.points, direction=False) @ file.rotation.T + file.translation
+    normals = to_mesh_file(geometry.normals, direction=True) @ file.rotation.T
+    labels = np.full(geometry.hit.shape, -1, np.int32)
+    marks = mark_surface(known, points, normals)
+    if marks is not None:
+        labels[row[marks.index], column[marks.index]] = marks.label
+    return labels

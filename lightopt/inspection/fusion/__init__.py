@@ -1,0 +1,1 @@
+"""Fuse the images of a posture into one without highlights."""

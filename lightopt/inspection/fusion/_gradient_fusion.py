@@ -1,0 +1,236 @@
+"""From the gradients of several images of a posture to those of one without highlights.
+
+A highlight is where it is in one image only, and so are its steep flanks; what belongs to the surface is seen in
+others, too. Rules differ in how they separate the two. All use the images that show the surface at a place, no others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial, reduce
+
+import numpy as np
+
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import in_threads
+from lightopt.inspection._arrays import Bool, Float32, Float64
+from lightopt.inspection._image_blocks import in_row_blocks
+from lightopt.inspection._options import FUSIONS, Fusion
+from lightopt.inspection.fusion._pixel_weights import LIT
+
+Gradients = list[Float64]
+"""Differences to the pixel to the right, shape (H, W − 1), and to the one below, shape (H − 1, W)."""
+
+LEAST_WEIGHT_SHARE = 0.25
+"""An image with less than this share of the weight of the best one at a place is not used there."""
+
+SUPPORT = 0.5
+"""The paper's rule keeps a gradient where another image has one of at least this share of its size nearby."""
+
+NOISE_SLACK = 2.0
+"""Gradients count as equal within this many standard deviations of noise."""
+
+REACH_PX = 1
+"""How far away the other image's gradient may be."""
+
+
+@dataclass(frozen=True)
+class Edges:
+    """The differences between neighbouring pixels of several images, and which of them show the surface.
+
+    axis: 1 for edges to the pixel to the right, 0 for those to the pixel below.
+    usable: which images are used at each edge, shape (images, H, W − 1) or (images, H − 1, W).
+    noise: standard deviation of each difference, same shape.
+    """
+
+    axis: int
+    usable: Bool
+    noise: Float32
+
+    @staticmethod
+    def of(weights: Float32, deviations: Float32, axis: int) -> Edges:
+        """Edges of images of such :func:`pixel_weights` and standard deviations of noise, shape (images, H, W)."""
+        edge = np.minimum(*_ends(weights, axis))
+        usable = (edge > 0.0) & (edge >= LEAST_WEIGHT_SHARE * edge.max(axis=0))
+        return Edges(axis, usable, np.hypot(*_ends(deviations, axis)))
+
+    @property
+    def unknown(self) -> Bool:
+        """Edges at which no image is used, shape (H, W − 1) or (H − 1, W)."""
+        return np.asarray(~self.usable.any(axis=0), np.bool_)
+
+
+def _ends(images: Float32, axis: int) -> tuple[Float32, Float32]:
+    # the two pixels of each edge
+    if axis == 1:
+        return images[:, :, :-1], images[:, :, 1:]
+    return images[:, :-1], images[:, 1:]
+
+
+def fuse_gradients(levels: Float32, edges: Edges, *, fusion: Fusion, threads: int | None = None) -> Float64:
+    """Differences between neighbouring pixels of the fused image; 0 where no image is used.
+
+    levels: the images of a posture, shape (images, H, W).
+    fusion: ``paper``: a gradient is kept where another image has one at the same place, of whatever sign, and those
+        kept are averaged; ``median`` (Weiss 2001, doi:10.1109/ICCV.2001.937606); ``minimum``: the one of least
+        magnitude; ``second-largest``: the one of second largest magnitude.
+    """
+    fused = np.empty(edges.usable.shape[1:])
+
+    def fuse_rows(rows: slice) -> None:
+        first = max(0, rows.start - REACH_PX)
+        around = slice(first, rows.stop + REACH_PX)
+        inner = slice(rows.start - first, rows.stop - first)
+        pixels = levels[:, first : around.stop + 1 - edges.axis]
+        gradients = np.where(edges.usable[:, around], np.diff(pixels, axis=1 + edges.axis), np.float32(0.0))
+        # contiguous, so that the kernels are compiled for one layout
+        usable, own = (np.ascontiguousarray(a) for a in (edges.usable[:, rows], gradients[:, inner]))
+        if fusion == "paper":
+            nearby = np.ascontiguousarray(_largest_nearby(np.abs(gradients))[:, inner])
+            noise = np.ascontiguousarray(edges.noise[:, rows])
+            _average_supported(own, nearby, noise, usable, fused[rows])
+        else:
+            _choose(own, usable, FUSIONS.index(fusion), fused[rows])
+
+    in_row_blocks(fuse_rows, len(fused), threads)
+    return fused
+
+
+def _largest_nearby(size: Float32) -> Float32:
+    # a maximum filter, a third of the time of SciPy's
+    height, width = size.shape[1:]
+    padded = np.pad(size, ((0, 0), (REACH_PX, REACH_PX), (REACH_PX, REACH_PX)))
+    shifts = range(2 * REACH_PX + 1)
+    across = reduce(np.maximum, (padded[:, :, k : k + width] for k in shifts))
+    return reduce(np.maximum, (across[:, k : k + height] for k in shifts))
+
+
+@kernel
+def _average_supported(
+    gradients: Float32, nearby: Float32, noise: Float32, usable: Bool, fused: Float64
+) -> None:
+    images, height, width = gradients.shape
+    for y in range(height):
+        for x in range(width):
+            largest, runner_up, who, count = np.float32(-1.0), np.float32(-1.0), -1, 0
+            for i in range(images):
+                if not usable[i, y, x]:
+                    continue
+                count += 1
+                size = nearby[i, y, x]
+                if size > largest:
+                    largest, runner_up, who = size, largest, i
+                else:
+                    runner_up = max(runner_up, size)
+            total, supported = 0.0, 0
+            for i in range(images):
+                if not usable[i, y, x]:
+                    continue
+                others = runner_up if i == who else largest
+                own = abs(gradients[i, y, x])
+                # a single image needs no support
+                if count == 1 or others >= SUPPORT * own - NOISE_SLACK * noise[i, y, x]:
+                    total += gradients[i, y, x]
+                    supported += 1
+            fused[y, x] = total / max(supported, 1)
+
+
+@kernel
+def _choose(gradients: Float32, usable: Bool, rule: int, fused: Float64) -> None:
+    # by the rule of that number among FUSIONS: ordered by value for the median, else by magnitude
+    images, height, width = gradients.shape
+    ordered = np.empty(images, np.float32)
+    for y in range(height):
+        for x in range(width):
+            count = 0
+            for i in range(images):
+                if not usable[i, y, x]:
+                    continue
+                own = gradients[i, y, x]
+                k = count
+                while k > 0 and (ordered[k - 1] > own if rule == 1 else abs(ordered[k - 1]) > abs(own)):
+                    ordered[k] = ordered[k - 1]
+                    k -= 1
+                ordered[k] = own
+                count += 1
+            if count == 0:
+                fused[y, x] = 0.0
+            elif rule == 1:
+                fused[y, x] = 0.5 * (float(ordered[(count - 1) // 2]) + float(ordered[count // 2]))
+            elif rule == 2:
+                fused[y, x] = ordered[0]
+            else:
+                fused[y, x] = ordered[max(count - 2, 0)]
+
+
+@dataclass(frozen=True)
+class FusionRule:
+    """A rule of fusion for the images of a posture.
+
+    edges: to the right, and to the pixel below.
+    deviations: standard deviation of the images' noise, shape (images, H, W).
+    """
+
+    fusion: Fusion
+    edges: tuple[Edges, Edges]
+    deviations: Float32
+
+    @staticmethod
+    def of(weights: Float32, deviations: Float32, fusion: Fusion) -> FusionRule:
+        """The rule for images of such weights and such noise, as :class:`Edges` has them."""
+        edges = Edges.of(weights, deviations, 1), Edges.of(weights, deviations, 0)
+        return FusionRule(fusion, edges, deviations)
+
+    @property
+    def unknown(self) -> list[Bool]:
+        """Edges at which no image is used."""
+        return [edges.unknown for edges in self.edges]
+
+    def fuse(self, images: Float32) -> Gradients:
+        """Gradients of the fused image, of images of shape (images, H, W)."""
+        return [fuse_gradients(images, edges, fusion=self.fusion, threads=1) for edges in self.edges]
+
+    def fuse_with_noise(self, images: Float32, rng: np.random.Generator) -> Gradients:
+        """The same of images to which noise is added."""
+        noisy = rng.standard_normal(images.shape, dtype=np.float32)
+        noisy *= self.deviations
+        noisy += images
+        return self.fuse(noisy)
+
+
+@dataclass(frozen=True)
+class FusedGradients:
+    """Gradients of a fused image.
+
+    missing: shading of the good part that they lack where an image is not used.
+    bias: what noise makes of them beside scatter.
+    """
+
+    fused: Gradients
+    missing: Gradients
+    bias: Gradients
+
+
+def fuse_with_prediction(
+    rule: FusionRule, levels: Float32, diffuse: Float32, *, draws: int, seed: int, threads: int | None = None
+) -> FusedGradients:
+    """Fuse the gradients of images, and find from those of the predicted good part what the rule gets wrong.
+
+    levels, diffuse: of the images and of the good part, predicted highlights taken off [grey level], shape (images, H,
+        W).
+    draws: how many times noise is added to the good part's to find the bias; 0 for a bias of 0.
+    """
+    lit = (diffuse >= LIT * rule.deviations).astype(np.float32)
+    tasks = [
+        partial(rule.fuse, levels),
+        partial(rule.fuse, diffuse),
+        lambda: FusionRule.of(lit, rule.deviations, rule.fusion).fuse(diffuse),
+        # each draw has random numbers of its own, so that their order does not matter
+        *(partial(rule.fuse_with_noise, diffuse, np.random.default_rng((seed, 0, i))) for i in range(draws)),
+    ]
+    fused, here, everywhere, *noisy = in_threads(lambda number: tasks[number](), range(len(tasks)), threads)
+    missing = [a - b for a, b in zip(everywhere, here, strict=True)]
+    if not draws:
+        return FusedGradients(fused, missing, [np.zeros(h.shape) for h in here])
+    bias = [sum(many) / draws - h for *many, h in zip(*noisy, here, strict=True)]
+    return FusedGradients(fused, missing, bias)

@@ -1,0 +1,165 @@
+"""An image from its gradients: weighted least squares over the edges between pixels of a mask.
+
+The minimum of Σ w·(u_j − u_i − g_ij)² over all edges is the solution of Poisson's equation with the natural boundary
+condition: nothing is said about what lies beyond the mask, holes included. It is found by conjugate gradients,
+preconditioned by a cycle of multigrid on blocks of pixels (Braess 1995, doi:10.1007/BF02238484), so that the number of
+steps hardly depends on the size of the image or on the outline of the mask.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lightopt.core.errors import LightoptError
+from lightopt.inspection._arrays import Bool, Float32, Float64
+from lightopt.inspection._image_blocks import mask_window
+from lightopt.inspection.fusion._multigrid import (
+    add_coarse,
+    advance,
+    coarser,
+    divergence,
+    laplacian,
+    next_direction,
+    product,
+    reciprocal_sums,
+    relax,
+    residual,
+)
+
+TOLERANCE = 1e-10
+"""Residual that is left, as a share of the right side's."""
+
+MOST_STEPS = 400
+SMALLEST_SIDE = 3
+COARSEST_SWEEPS = 12
+SWEEPS = 2
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Weights of the edges between blocks of one size, and one over their sums at each block; with a border of zeros.
+
+    Single precision will do for a preconditioner.
+    """
+
+    wx: Float32
+    wy: Float32
+    reciprocal: Float32
+
+
+@dataclass(frozen=True)
+class PoissonGrid:
+    """Edges of a mask with their weights, at every size of blocks; made by :func:`poisson_grid`, serves many gradients.
+
+    mask: pixels of the image, shape (H, W).
+    components: number of each pixel's connected component of the mask, 0 outside of it, shape (H, W).
+    window: rows and columns that hold the mask.
+    """
+
+    mask: Bool
+    components: NDArray[np.int32]
+    count: int
+    window: tuple[slice, slice]
+    _wx: Float64
+    _wy: Float64
+    _levels: tuple[_Level, ...]
+
+    def integrate(self, gx: Float64, gy: Float64, *, level: Float64, tolerance: float = TOLERANCE) -> Float64:
+        """The image with the gradients given, float64 of shape (H, W); 0 outside of the mask.
+
+        Gradients say nothing of the level of a component of the mask: each one gets the mean that `level` has over it.
+
+        gx, gy: differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
+        level: shape (H, W).
+
+        Raises LightoptError: gradients that are not finite.
+        """
+        b = divergence(_edges(gx, self.window, 1), _edges(gy, self.window, 0), self._wx, self._wy)
+        u = np.zeros(self.mask.shape)
+        u[self.window] = self._solve(b, tolerance)[1:-1, 1:-1]
+        label = self.components.ravel()
+        size = np.maximum(np.bincount(label, minlength=self.count + 1), 1)
+        shift = np.bincount(label, weights=(level - u).ravel(), minlength=self.count + 1) / size
+        return np.where(self.mask, u + shift[self.components], 0.0)
+
+    def _solve(self, b: Float64, tolerance: float) -> Float64:
+        # preconditioned conjugate gradients; L is singular on each component, but b has nothing there
+        u, r = np.zeros_like(b), b.copy()
+        goal = tolerance * math.sqrt(float(np.vdot(b, b)))
+        if goal == 0.0:
+            return u
+        if not math.isfinite(goal):
+            raise LightoptError("gradients that are not finite numbers have no image")
+        p, q = np.zeros_like(b), np.zeros_like(b)
+        scaled = np.empty(b.shape, np.float32)
+        size = float(np.abs(b).max())
+        before = math.inf
+        for _ in range(MOST_STEPS):
+            np.multiply(r, 1.0 / size, out=scaled, casting="unsafe")
+            z = self._cycle(0, scaled)
+            now = size * product(r, z)
+            next_direction(p, z, size, now / before)
+            before = now
+            square, size = advance(u, r, p, q, now / laplacian(p, self._wx, self._wy, q))
+            if math.sqrt(square) <= goal:
+                return u
+        raise LightoptError(f"gradients were not integrated within {MOST_STEPS} steps")
+
+    def _cycle(self, depth: int, b: Float32) -> Float32:
+        # one symmetric V-cycle from 0
+        level = self._levels[depth]
+        u = np.zeros_like(b)
+        if depth + 1 == len(self._levels):
+            for sweep in range(2 * COARSEST_SWEEPS):
+                relax(u, b, level.wx, level.wy, level.reciprocal, int(sweep >= COARSEST_SWEEPS))
+            return u
+        for _ in range(SWEEPS):
+            relax(u, b, level.wx, level.wy, level.reciprocal, 0)
+        coarse = np.empty_like(self._levels[depth + 1].wx)
+        residual(u, b, level.wx, level.wy, coarse)
+        add_coarse(u, self._cycle(depth + 1, coarse), level.reciprocal)
+        for _ in range(SWEEPS):
+            relax(u, b, level.wx, level.wy, level.reciprocal, 1)
+        return u
+
+
+def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
+    """Prepare the integration over a mask.
+
+    Parameters
+    ----------
+    mask
+        Pixels of the image, shape (H, W).
+    wx, wy
+        Weight of the differences to the pixel to the right, shape (H, W − 1), and below, (H − 1, W); above 0. Those
+        of edges that leave the mask do not matter.
+    """
+    components = np.zeros(mask.shape, np.int32)
+    count = ndimage.label(mask, output=components)
+    window = mask_window(mask)
+    wx = _edges(np.where(mask[:, 1:] & mask[:, :-1], wx, 0.0), window, 1)
+    wy = _edges(np.where(mask[1:] & mask[:-1], wy, 0.0), window, 0)
+    level = [(wx.astype(np.float32), wy.astype(np.float32))]
+    while min(level[-1][0].shape) - 2 > SMALLEST_SIDE:
+        level.append(coarser(*level[-1]))
+    levels = tuple(_Level(x, y, reciprocal_sums(x, y)) for x, y in level)
+    return PoissonGrid(mask, components, cast(int, count), window, wx, wy, levels)
+
+
+def _edges(values: NDArray[Any], window: tuple[slice, slice], axis: int) -> Float64:
+    # those within the window, with the border that kernels want
+    rows, columns = window
+    shape = (rows.stop - rows.start + 2, columns.stop - columns.start + 2)
+    inside = [rows, columns]
+    # the last pixel of the window has no edge beyond it
+    inside[axis] = slice(inside[axis].start, max(inside[axis].start, inside[axis].stop - 1))
+    part = values[inside[0], inside[1]]
+    bordered = np.zeros(shape)
+    bordered[1 : 1 + part.shape[0], 1 : 1 + part.shape[1]] = part
+    return bordered

@@ -1,0 +1,131 @@
+"""The good part as predicted for a posture: its images, the pixels that can be judged, its surface patches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
+from lightopt.inspection._arrays import Bool, Float32, Float64
+from lightopt.rendering import (
+    GRAZING_COSINE,
+    Geometry,
+    LightImage,
+    PostureImages,
+    build_patches,
+    patch_positions,
+    render_posture,
+    trace_pixels,
+)
+from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
+
+Images = TypeVar("Images", LightImage, Geometry)
+
+TRACE = 1e-6
+"""Least R_d that is rendered: far below what a camera detects."""
+
+PATCHES = 50_000
+"""About so many patches that the camera sees stand for the surface, whatever the resolution of the images."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """The good part in a posture: its images, and which pixels can be judged.
+
+    images: under each light, with the specular component apart.
+    clean: pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
+    grazing: pixels that see the part at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (H, W).
+    area: of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
+    """
+
+    images: PostureImages
+    clean: Bool
+    grazing: Bool
+    area: Float32
+
+    def in_rows(self, rows: slice) -> Prediction:
+        """Some rows of the images, and of what their pixels look at; counts stay those of the whole."""
+        images = replace(
+            self.images,
+            lights=tuple(_in_rows(light, rows) for light in self.images.lights),
+            geometry=_in_rows(self.images.geometry, rows),
+        )
+        return Prediction(
+            images=images, clean=self.clean[rows], grazing=self.grazing[rows], area=self.area[rows]
+        )
+
+
+def _in_rows(one: Images, rows: slice) -> Images:
+    # every array of an image's or a geometry's, none left whole
+    values = {field.name: getattr(one, field.name) for field in fields(one)}
+    return replace(one, **{name: v[rows] for name, v in values.items() if isinstance(v, np.ndarray)})
+
+
+def predict(
+    scene: Scene, posture: Posture, caster: RayCaster, *, lights: Sequence[str], threads: int | None = None
+) -> Prediction:
+    """Render the good part in a posture.
+
+    Parameters
+    ----------
+    scene
+        With the part where it lies.
+    caster
+        Of the scene's part.
+    """
+    chosen = tuple(light for light in scene.lights if light.name in lights)
+    # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
+    reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))
+    lit = replace(scene, lights=chosen, reflectance=reflectance)
+    images = render_posture(lit, posture, caster=caster, layers=True, threads=threads)
+    pixels = trace_pixels(scene, posture, caster, threads=threads)
+    clean = np.zeros(pixels.shape, np.bool_)
+    clean[pixels.row, pixels.column] = pixels.clean
+    grazing = np.zeros(pixels.shape, np.bool_)
+    facing = np.einsum("ij,ij->i", pixels.surface.normals, pixels.surface.views)
+    # back faces are no grazing views: they are black, and counted
+    grazing[pixels.row, pixels.column] = pixels.surface.front & (facing < GRAZING_COSINE)
+    cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
+    area = np.zeros(pixels.shape, np.float32)
+    view = view_from_part(scene, posture).camera
+    distance = np.linalg.norm(pixels.surface.points - view.position, axis=1)
+    angle = _solid_angle(view, pixels.column, pixels.row)
+    area[pixels.row, pixels.column] = angle * distance**2 / np.maximum(np.abs(cosine), 0.02)
+    return Prediction(images=images, clean=clean & images.geometry.hit, grazing=grazing, area=area)
+
+
+def _solid_angle(camera: PinholeCamera, column: NDArray[np.int32], row: NDArray[np.int32]) -> Float64:
+    # of pixels [sr]: (side / image distance)² · cos³ of the angle to the optical axis
+    x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
+    directions = pixel_directions(camera, x, y)
+    cosine = 1.0 / np.linalg.norm(directions, axis=1)
+    return (camera.pixel_size / camera.image_distance) ** 2 * cosine**3
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMap:
+    """Patches of the surface, and the pixel that sees each in each posture.
+
+    areas: of the patches [mm²], shape (n,).
+    seen: by posture: indices of the patches that the camera sees, and raveled indices of the pixels that they lie in,
+        −1 where it sees them at a grazing angle: these are left out.
+    """
+
+    areas: Float64
+    seen: dict[Posture, tuple[NDArray[np.intp], NDArray[np.intp]]]
+
+
+def map_surface(scene: Scene, caster: RayCaster) -> SurfaceMap:
+    """Divide the surface into patches and find the pixel that sees each in each posture of `scene`."""
+    table = build_patches(scene, caster=caster, budget=PATCHES)
+    seen: dict[Posture, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
+    for posture, visible, grazing in zip(table.postures, table.visible, table.grazing, strict=True):
+        patch = np.flatnonzero(visible)
+        columns, rows = (np.floor(a[patch]).astype(np.intp) for a in patch_positions(table, scene, posture))
+        seen[posture] = patch, np.where(grazing[patch], -1, rows * scene.camera.width + columns)
+    return SurfaceMap(areas=table.patches.areas, seen=seen)

@@ -1,0 +1,157 @@
+"""A set of images with its part registered: for each posture the images beside the predicted good part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import (
+    Observation,
+    Placement,
+    Registration,
+    observed_postures,
+    place_part,
+    read_observations,
+    register,
+)
+from lightopt.images import ImageSet
+from lightopt.inspection._options import InspectOptions
+from lightopt.inspection.prediction._posture_view import PostureView, posture_view
+from lightopt.inspection.prediction._prediction_cache import PredictionCache, observed_lights
+from lightopt.rendering import cast_rays_at
+from lightopt.scene import Scene, build_scene
+
+Progress = Callable[[str, float], None]
+"""Called with what is going on and the share of it that is done, 0 to 1."""
+
+ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
+"""By light the exposure and the number of frames of each image."""
+
+
+@dataclass(frozen=True)
+class RegisteredSet:
+    """A set of images with its part registered.
+
+    nominal: the scene with the part where its file has it.
+    scene: the predicted scene: the part lies where it was found, or nearly there.
+    views: of each posture, in the set's order, made one at a time; with the exposures of its images.
+    registration: that found the part, or the part that it lies near; None for a part that is not searched for.
+    """
+
+    nominal: Scene
+    placement: Placement
+    scene: Scene
+    views: Iterator[tuple[PostureView, ExposuresByLight]]
+    registration: Registration | None = None
+
+
+def register_set(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    *,
+    options: InspectOptions,
+    cache: PredictionCache,
+    progress: Progress | None = None,
+) -> RegisteredSet:
+    """Find the part of a set, and predict the good part for its images; takes what :func:`inspect_set` takes."""
+    nominal, observations = nominal_scene(
+        rig, part, image_set, scenes=cache.nominal_scenes, threads=options.threads
+    )
+    scene, placement, offset = _find(nominal, observations, cache, options, progress)
+
+    def views() -> Iterator[tuple[PostureView, ExposuresByLight]]:
+        for number, posture in enumerate(scene.postures):
+            if progress is not None:
+                progress(f"posture {posture}", number / len(scene.postures))
+            mine = [o for o in observations if o.posture == posture]
+            lights = observed_lights(scene, mine)
+            prediction = cache.prediction(scene, posture, lights, threads=options.threads)
+            if offset is not None:
+                prediction = cache.shifted_prediction(scene, posture, lights, offset, threads=options.threads)
+            where = str(image_set.folder)
+            view = posture_view(scene, mine, prediction, where=where, threads=options.threads)
+            yield view, _exposures_by_light(mine, view.lights)
+        if options.shift and offset is None:
+            cache.measure_misfit(scene, observations)
+
+    return RegisteredSet(nominal, placement, scene, views(), cache.registration if options.shift else None)
+
+
+def nominal_scene(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    *,
+    scenes: dict[tuple[tuple[Posture, ...], tuple[str, ...]], Scene] | None = None,
+    threads: int | None = None,
+) -> tuple[Scene, tuple[Observation, ...]]:
+    """The part without defects where its file has it, under the lights and in the postures of a set, and the images.
+
+    Parameters
+    ----------
+    scenes
+        Of the same rig and part by postures and lights, to reuse and to add to: reading a mesh takes time.
+    """
+    observations = read_observations(image_set, rig, part, threads=threads)
+    used = {o.light for o in observations}
+    names = tuple(light.name for light in rig.lights if light.name in used)
+    key = observed_postures(image_set), names
+    scenes = {} if scenes is None else scenes
+    if key not in scenes:
+        scenes[key] = build_scene(rig, part, postures=key[0], lights=names, defects=False)
+    return scenes[key], observations
+
+
+def register_part(
+    scene: Scene,
+    observations: Sequence[Observation],
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Scene, Registration]:
+    """A nominal scene with its part where the images show it, and how far that is from where its file has it."""
+    found = register(scene, observations, caster=cast_rays_at(scene), threads=threads, progress=progress)
+    return place_part(scene, found.placement), found
+
+
+def _find(
+    nominal: Scene,
+    observations: Sequence[Observation],
+    cache: PredictionCache,
+    options: InspectOptions,
+    progress: Progress | None,
+) -> tuple[Scene, Placement, NDArray[np.float64] | None]:
+    # the scene to predict with, where the part lies, and its offset from that scene in steps of the derivatives
+    if not options.shift:
+        return *cache.use_placement(nominal, Placement()), None
+    nearby = cache.nearby_placement(nominal, observations, threads=options.threads)
+    if nearby is not None:
+        return nearby
+    scene, found = register_part(nominal, observations, threads=options.threads, progress=progress)
+    scene, placement = cache.use_placement(scene, found.placement)
+    cache.registration = found
+    return scene, placement, None
+
+
+def _exposures_by_light(observations: Sequence[Observation], lights: Sequence[str]) -> ExposuresByLight:
+    return {
+        light: tuple(sorted((o.exposure, o.frames) for o in observations if o.light == light))
+        for light in lights
+    }
+
+
+def exposures_text(exposures: ExposuresByLight) -> str:
+    """Exposures and numbers of frames for a message."""
+
+    def one(exposure: float, frames: int) -> str:
+        return f"×{exposure:g}" + (f" of {frames} frames" if frames > 1 else "")
+
+    return "; ".join(
+        f"{light} {', '.join(one(*shot) for shot in images)}" for light, images in exposures.items()
+    )
