@@ -253,7 +253,7 @@ def _options(
     write_noise: bool,
 ) -> FitOptions:
     from lightopt.config import points_problem
-    from lightopt.estimate.reflectance import OPTION_NAMES, FitOptions, PaperOptions
+    from lightopt.estimate.reflectance import PAPER_OPTION_FLAGS, FitOptions, PaperOptions
 
     problems: list[str] = []
     if method not in METHODS:
@@ -274,7 +274,7 @@ def _options(
     problems += paper.problems()
     if method == "likelihood":
         usual = PaperOptions().as_dict()
-        changed = [OPTION_NAMES[name] for name, value in paper.as_dict().items() if value != usual[name]]
+        changed = [PAPER_OPTION_FLAGS[name] for name, value in paper.as_dict().items() if value != usual[name]]
         problems += [f"{name}: belongs to --method paper, which was not asked for" for name in changed]
     if method == "paper" and (free or joint):
         problems.append("--method paper: takes neither --free nor --joint")
@@ -318,13 +318,13 @@ def _keep_pictures(folder: FitFolder, bit_depth: int, saturation: float | None) 
 
 
 def _show(result: FitResult) -> None:
-    from lightopt.estimate.reflectance import interval_words
+    from lightopt.estimate.reflectance import format_interval
 
     rows = []
     for value in result.values:
         held = "as in the file" if value.name not in (*result.fitted, "half_angle_rad") else ""
         error = f"{value.standard_error:.2g}" if value.standard_error else ""
-        interval = "" if value.interval is None else interval_words(value.interval)
+        interval = "" if value.interval is None else format_interval(value.interval)
         rows.append([value.name, f"{value.value:.6g}", error, interval or held])
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:

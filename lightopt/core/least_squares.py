@@ -48,13 +48,9 @@ _TINY = 1e-12
 class Problem(Protocol):
     """Residuals and their slopes; n rows, K parameters.
 
-    Attributes
-    ----------
-    weight
-        How much each row counts, shape (n,).
-    correlated
-        Rows whose errors are alike, so that `weight` and not their scatter says what they tell; shape (n,). Their
-        residuals are in units of their own spread.
+    weight: How much each row counts, shape (n,).
+    correlated: Rows whose errors are alike, so that `weight` and not their scatter says what they tell; shape (n,).
+        Their residuals are in units of their own spread.
     """
 
     @property
@@ -80,22 +76,14 @@ class Problem(Protocol):
 class Limits:
     """Where parameters may go; arrays of shape (K,).
 
-    Attributes
-    ----------
-    nominal
-        Where a parameter stays that the residuals do not determine.
-    reach
-        Greatest distance from there.
-    step
-        Greatest change in one iteration.
-    prior
-        Standard deviation with which the nominal value is known beforehand; infinite where it is not.
-    resolution
-        A direction in the space of these parameters is determined where its standard error is below one of these
-        units; infinite for parameters that are adjusted along and of no interest.
-    undetermined
-        Directions that the residuals do not determine whatever their slopes say, rows in units of the parameters, shape
-        (u, K).
+    nominal: Where a parameter stays that the residuals do not determine.
+    reach: Greatest distance from there.
+    step: Greatest change in one iteration.
+    prior: Standard deviation with which the nominal value is known beforehand; infinite where it is not.
+    resolution: A direction in the space of these parameters is determined where its standard error is below one of
+        these units; infinite for parameters that are adjusted along and of no interest.
+    undetermined: Directions that the residuals do not determine whatever their slopes say, rows in units of the
+        parameters, shape (u, K).
     """
 
     nominal: Float64
@@ -110,29 +98,18 @@ class Limits:
 class Solution:
     """Where the robust cost is least; everything is finite.
 
-    Attributes
-    ----------
-    x
-        Parameters, shape (K,).
-    covariance
-        Of an M-estimate, each row with the variance that it shows, shape (K, K).
-    errors
-        Standard errors, at most the reach of a parameter, shape (K,).
-    undetermined
-        Directions that the residuals do not determine, in units of the limits' resolution, orthonormal rows, shape
-        (u, K).
-    at_limit
-        Parameters at their greatest distance from nominal, shape (K,).
-    converged
-        Whether the next step would change nothing.
-    iterations
-        Steps tried.
-    rows
-        Rows that had a prediction at the start.
-    spread
-        Robust standard deviation of the residuals at the end.
-    cost_before, cost_after
-        Robust cost per row with that spread: at the start, undetermined directions at nominal, and at the end.
+    x: Parameters, shape (K,).
+    covariance: Of an M-estimate, each row with the variance that it shows, shape (K, K).
+    errors: Standard errors, at most the reach of a parameter, shape (K,).
+    undetermined: Directions that the residuals do not determine, in units of the limits' resolution, orthonormal rows,
+        shape (u, K).
+    at_limit: Parameters at their greatest distance from nominal, shape (K,).
+    converged: Whether the next step would change nothing.
+    iterations: Steps tried.
+    rows: Rows that had a prediction at the start.
+    spread: Robust standard deviation of the residuals at the end.
+    cost_before, cost_after: Robust cost per row with that spread: at the start, undetermined directions at nominal, and
+        at the end.
     """
 
     x: Float64

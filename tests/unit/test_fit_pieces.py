@@ -14,10 +14,10 @@ from scipy.special import ndtr
 from lightopt import build_scene, render
 from lightopt.estimate.reflectance._cross_validation import compare_image
 from lightopt.estimate.reflectance._likelihood import Likelihood, lagrange, predicted
-from lightopt.estimate.reflectance._likelihood_criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._quality import Quality, words
-from lightopt.estimate.reflectance._samples import collect_samples, thinned
-from lightopt.estimate.reflectance._wrong_images import _explained
+from lightopt.estimate.reflectance._samples import collect_samples, subsample
+from lightopt.estimate.reflectance._mismatch_causes import _explained
 from lightopt.estimate.registration import Observation
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at
@@ -90,7 +90,7 @@ def test_the_gradient_is_the_slope_of_the_value(likelihood, x):
 
 
 def test_pieces_of_the_image_add_up(likelihood, x):
-    scores, curvatures = likelihood.by_piece(x)
+    scores, curvatures = likelihood.by_block(x)
     assert len(scores) > 50
     whole = likelihood.evaluate(x)
     np.testing.assert_allclose(scores.sum(axis=0), whole.gradient, rtol=1e-9, atol=1e-6)
@@ -122,8 +122,8 @@ def test_lagrange_reproduces_polynomials():
 
 
 def test_thinning_keeps_only_what_was_kept(samples):
-    first = samples.keep(samples.image == 0)
-    few = thinned(first, 20)
+    first = samples.select(samples.image == 0)
+    few = subsample(first, 20)
     assert 0 < len(few.diffuse) < len(samples.diffuse)
     assert set(few.image.tolist()) == {0}
     rows = np.concatenate([g.row for g in few.groups])[few.sample]
@@ -135,11 +135,11 @@ def test_thinning_keeps_only_what_was_kept(samples):
 
 
 def test_pixels_are_chosen_without_looking_at_the_images(samples):
-    other = samples.remeasured(
+    other = samples.with_levels(
         [np.zeros_like(o.levels) for o in samples.images],
         [np.zeros_like(o.saturated) for o in samples.images],
     )
-    np.testing.assert_array_equal(thinned(samples, 50).diffuse, thinned(other, 50).diffuse)
+    np.testing.assert_array_equal(subsample(samples, 50).diffuse, subsample(other, 50).diffuse)
     assert not other.level.any()
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._likelihood import lagrange
-from lightopt.estimate.reflectance._likelihood_criterion import (
+from lightopt.estimate.reflectance._criterion import (
     FIRST_GAIN,
     LOG_SIGMA,
     Evaluation,
@@ -22,8 +21,9 @@ from lightopt.estimate.reflectance._likelihood_criterion import (
     image_factors,
     mirror_curvature,
     specular_and_slope,
-    sum_pieces,
+    sum_in_chunks,
 )
+from lightopt.estimate.reflectance._likelihood import lagrange
 from lightopt.estimate.reflectance._samples import Samples
 
 Float64 = NDArray[np.float64]
@@ -38,19 +38,11 @@ WINDOW = 5
 LEAST_MEAN_SQUARE = 1.0 / 12.0
 """That of rounding to whole levels: no model can be nearer."""
 
-_PIECE = 65_536
+_CHUNK = 65_536
 
 
 class SpecularTable:
-    """Light per unit of R_s of some pixels over ln σ, worked out at nodes as they are needed.
-
-    Parameters
-    ----------
-    samples
-        The pixels (n); observations do not matter.
-    threads
-        Number of threads; the result does not depend on it.
-    """
+    """Light per unit of R_s of some pixels over ln σ, worked out at nodes as they are needed."""
 
     nodes = np.linspace(math.log(LEAST_SIGMA), math.log(MOST_SIGMA), NODES)
     """ln σ."""
@@ -81,16 +73,7 @@ class SpecularTable:
 class LeastSquares:
     """The criterion of least squares over samples.
 
-    Parameters
-    ----------
-    samples
-        What was measured.
-    table
-        The specular light of the samples' pixels.
-    fixed
-        ln σ and the light there, shape (n,), of a criterion that is only asked there.
-    threads
-        Number of threads; the result does not depend on it.
+    fixed: ln σ and the light there, shape (n,), of a criterion that is only asked there.
     """
 
     def __init__(
@@ -121,7 +104,7 @@ class LeastSquares:
 
     def without(self, left_out: NDArray[np.bool_]) -> LeastSquares:
         """The same of other samples: those not marked in `left_out`, shape (N,)."""
-        return LeastSquares(self.samples.keep(~left_out), self.table, threads=self.threads)
+        return LeastSquares(self.samples.select(~left_out), self.table, threads=self.threads)
 
     def light(self, x: Float64) -> Float64:
         """Specular light per unit of R_s at the σ of `x`, shape (n,)."""
@@ -155,7 +138,7 @@ class LeastSquares:
                 s.facts.light, s.sensor.black_level, top, x, gradient, curvature,
             )  # fmt: skip
 
-        return sum_pieces(add, len(s.sample), self.size, piece=_PIECE, threads=self.threads)
+        return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=self.threads)
 
 
 @kernel

@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.estimate.reflectance._estimate import Estimate, Freed
-from lightopt.estimate.reflectance._quality import appraise, poor_fit
-from lightopt.estimate.reflectance._samples import Samples, evenly_lit, thinned
-from lightopt.estimate.reflectance._search import estimate, refine
-from lightopt.estimate.reflectance._setup import World
-from lightopt.estimate.reflectance._wrong_images import refuse_other_images
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
+from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
+from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
+from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample
+from lightopt.estimate.reflectance._search import fit_reflectance, refit
+from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.geometry import RayCaster
 
 BUDGET = 250
@@ -26,39 +26,27 @@ LEAST_PAPER_DIFFERENCE = 0.05
 """Of ln R_s or ln σ; the paper's σ is a multiple of a step."""
 
 
-def evenly_lit_words(
+def evenly_lit_warnings(
     samples: Samples,
     found: Estimate,
     *,
-    freed: Freed,
+    freed: FreeParameters,
     held: NDArray[np.float64],
     caster: RayCaster,
     threads: int | None = None,
 ) -> tuple[str, ...]:
-    """What to say where ``points: auto`` describes the images better than the point lights that were fitted with.
-
-    Parameters
-    ----------
-    samples, found
-        The fit.
-    freed, held
-        As it was made.
-    caster
-        Of the scene's part.
-    threads
-        Number of threads; the result does not depend on it.
-    """
+    """What to say where ``points: auto`` describes the images better than the point lights that were fitted with."""
     lights = [group.layer.light for group in samples.groups if group.layer is not None]
     if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
         return ()
-    few = thinned(samples, BUDGET)
+    few = subsample(samples, BUDGET)
     even = evenly_lit(few, caster, threads=threads)
     # the fit itself was the best of all σ; what evenly lit panels would give may lie far from it
-    panels = estimate(even, freed=freed, held=held, threads=threads)
+    panels = fit_reflectance(even, freed=freed, held=held, threads=threads)
     points = (
-        refine(few, found, threads=threads)
+        refit(few, found, threads=threads)
         if found.describes
-        else estimate(few, freed=freed, held=held, threads=threads)
+        else fit_reflectance(few, freed=freed, held=held, threads=threads)
     )
     count = len(few.level)
     ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
@@ -75,8 +63,8 @@ def evenly_lit_words(
     return (text,)
 
 
-def paper_words(
-    world: World,
+def paper_warnings(
+    setup: FitSetup,
     samples: Samples,
     *,
     R_d: float | None,
@@ -85,27 +73,16 @@ def paper_words(
 ) -> tuple[str, ...]:
     """What the likelihood of all pixels says of the paper's answer, which comes from a mean, a count and a sum.
 
-    Parameters
-    ----------
-    world, samples
-        Those that the answer comes from.
-    R_d
-        As section 4.2 has it [grey level]; None where it was not asked for.
-    specular
-        R_s [grey level] and σ [rad] as section 4.3 has them; None where they were not asked for.
-    threads
-        Number of threads; the result does not depend on it.
+    R_d: As section 4.2 has it [grey level]; None where it was not asked for.
+    specular: R_s [grey level] and σ [rad] as section 4.3 has them; None where they were not asked for.
 
-    Raises
-    ------
-    InputError
-        The images do not look like the part.
+    Raises InputError: the images do not look like the part.
     """
-    few = thinned(samples, BUDGET)
-    whole = estimate(few, freed=Freed(), threads=threads)
-    quality = appraise(few, whole, threads=threads)
-    placed = refuse_other_images(world, few, whole, quality, threads=threads)
-    said = [*poor_fit(whole, quality, placed=placed)]
+    few = subsample(samples, BUDGET)
+    whole = fit_reflectance(few, freed=FreeParameters(), threads=threads)
+    quality = assess_quality(few, whole, threads=threads)
+    placed = refuse_unexplained_images(setup, few, whole, quality, threads=threads)
+    said = [*poor_fit_warnings(whole, quality, placed=placed)]
     pairs = [("R_d", R_d, whole.R_d)]
     if specular is not None:
         pairs += [("R_s", specular[0], whole.R_s), ("σ", specular[1], whole.sigma)]

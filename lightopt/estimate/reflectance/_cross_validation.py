@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._predict import predict_images
-from lightopt.estimate.reflectance._samples import Samples, thinned
-from lightopt.estimate.reflectance._search import refine
+from lightopt.estimate.reflectance._samples import Samples, subsample
+from lightopt.estimate.reflectance._search import refit
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Sensor
@@ -35,21 +35,13 @@ Keep = Callable[[Observation, NDArray[np.float32]], None]
 class Comparison:
     """A predicted image against the measured one.
 
-    Attributes
-    ----------
-    image
-        Its name.
-    rms
-        Of measured minus predicted level on the part's pixels, both clipped as by the camera
-        [grey level at exposure 1].
-    rms_sensor
-        The same in the image as it was delivered [sensor level].
-    iou
-        Intersection over union of the saturated areas; None where neither image has any.
-    border
-        Mean distance between the borders of the saturated areas [px]; None where one image has none.
-    area, predicted_area
-        Saturated pixels of the measured and of the predicted image.
+    image: Its name.
+    rms: Of measured minus predicted level on the part's pixels, both clipped as by the camera [grey level at exposure
+        1].
+    rms_sensor: The same in the image as it was delivered [sensor level].
+    iou: Intersection over union of the saturated areas; None where neither image has any.
+    border: Mean distance between the borders of the saturated areas [px]; None where one image has none.
+    area, predicted_area: Saturated pixels of the measured and of the predicted image.
     """
 
     image: str
@@ -77,16 +69,10 @@ class Comparison:
 class LeftOut:
     """A light whose images were predicted from those of the others.
 
-    Attributes
-    ----------
-    light
-        Its name.
-    R_d, R_s, sigma
-        As fitted to the other lights.
-    images
-        Of the light.
-    converged
-        Whether the fit to the others did.
+    light: Its name.
+    R_d, R_s, sigma: As fitted to the other lights.
+    images: Of the light.
+    converged: Whether the fit to the others did.
     """
 
     light: str
@@ -121,30 +107,15 @@ def leave_lights_out(
     """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
 
     A gain or a dark level that was freed stays as all images have it, since the others cannot tell that of a light.
-
-    Parameters
-    ----------
-    scene
-        With the lights and postures of the images.
-    samples, found
-        The fit to all images.
-    caster
-        Of the scene's part.
-    threads
-        Number of threads; the result does not depend on it.
-    keep
-        Called with each image and its prediction.
-    progress
-        Called as lights are done.
     """
     used = sorted(set(samples.facts.light.tolist()))
     if len(used) < 2:
         return ()
-    few = thinned(samples, BUDGET)
+    few = subsample(samples, BUDGET)
     results: list[LeftOut] = []
     for done, light in enumerate(used):
-        others = few.keep(few.facts.light[few.image] != light)
-        fitted = refine(others, found, only_reflectance=True, threads=threads)
+        others = few.select(few.facts.light[few.image] != light)
+        fitted = refit(others, found, only_reflectance=True, threads=threads)
         mine = [o for o in samples.images if o.light == samples.lights[light]]
         comparisons: list[Comparison] = []
         for seen, levels, hit in predict_images(scene, fitted.x, mine, caster=caster, threads=threads):
@@ -195,18 +166,8 @@ def compare_image(
 ) -> Comparison:
     """Compare a measured image with the sensor levels predicted for it.
 
-    Parameters
-    ----------
-    seen
-        The image.
-    levels
-        Predicted, not clipped, shape (height, width).
-    hit
-        Where the part is, same shape.
-    sensor
-        Of the camera.
-    full_scale
-        Of the reflectance, that grey levels are counted in.
+    levels: Predicted, not clipped, shape (height, width).
+    hit: Where the part is, same shape.
     """
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))

@@ -10,7 +10,7 @@ from lightopt.config import PartConfig, RigConfig, Source, copied_text, input_ha
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.estimate.reflectance._result import FitResult
-from lightopt.estimate.registration import PlacementInFile
+from lightopt.estimate.registration import PartFilePlacement
 from lightopt.images import ImageSet, ResultFolder
 
 PART_NAME = "part.fitted.yaml"
@@ -36,8 +36,6 @@ class FitFolder(ResultFolder):
         Made where it does not exist.
     made_from
         From :func:`fit_provenance`.
-    force
-        Whether files of a fit of other inputs are replaced.
 
     Raises
     ------
@@ -83,7 +81,7 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     return copied_text(part, folder, values)
 
 
-def _placement_values(part: PartConfig, found: PlacementInFile) -> dict[tuple[str | int, ...], str]:
+def _placement_values(part: PartConfig, found: PartFilePlacement) -> dict[tuple[str | int, ...], str]:
     vectors = {"rotate_deg": found.rotate_deg, "translate_mm": found.translate_mm}
     lists = {
         key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()

@@ -10,36 +10,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.estimate.reflectance._comparisons import evenly_lit_words
+from lightopt.estimate.reflectance._comparisons import evenly_lit_warnings
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._cross_validation import leave_lights_out, unseen
-from lightopt.estimate.reflectance._estimate import Freed
+from lightopt.estimate.reflectance._estimate import FreeParameters
 from lightopt.estimate.reflectance._highlights import LEAST_R_S, WIDENINGS, diffuse_only
-from lightopt.estimate.reflectance._likelihood_criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
-from lightopt.estimate.reflectance._noise import measure_noise, noise_words
+from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
+from lightopt.estimate.reflectance._noise import measure_noise, noise_warnings
 from lightopt.estimate.reflectance._options import FitOptions, Points, Progress
 from lightopt.estimate.reflectance._paper import paper_diffuse, paper_specular
 from lightopt.estimate.reflectance._paper_results import paper_result
-from lightopt.estimate.reflectance._quality import appraise, mean_levels, poor_fit, words
+from lightopt.estimate.reflectance._quality import assess_quality, mean_levels, poor_fit_warnings, words
 from lightopt.estimate.reflectance._result import (
     FitResult,
     FittedValue,
-    below_zero,
     fitted_dark,
     fitted_gains,
     fitted_values,
-    joined_regions,
+    negative_black_level_warnings,
+    separate_region_warnings,
 )
 from lightopt.estimate.reflectance._samples import Samples
 from lightopt.estimate.reflectance._saturated_regions import PointsRow, compare_regions
-from lightopt.estimate.reflectance._search import estimate
-from lightopt.estimate.reflectance._setup import World, collect, open_world
+from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._setup import FitSetup, collect, prepare_fit
 from lightopt.estimate.reflectance._warnings import (
-    held_r_d,
+    convergence_warnings,
+    held_r_d_warnings,
     refuse_no_highlight,
     refuse_out_of_range,
-    unconverged,
 )
-from lightopt.estimate.reflectance._wrong_images import refuse_other_images
 from lightopt.estimate.registration import Observation
 from lightopt.images import ImageSet
 from lightopt.scene import coarse_points
@@ -68,8 +68,6 @@ def fit_diffuse(
         Rendered or captured.
     options
         How to fit; the first number of points counts.
-    progress
-        Called as the fit goes on.
 
     Raises
     ------
@@ -78,52 +76,57 @@ def fit_diffuse(
     """
     options = options or FitOptions()
     points = options.points[0] if options.points else None
-    world = open_world(rig, part, image_set, points, options, progress)
+    setup = prepare_fit(rig, part, image_set, points, options, progress)
     if options.method == "paper":
-        samples = collect(world, options, progress, uniform=True)
+        samples = collect(setup, options, progress, uniform=True)
         record = paper_diffuse(samples, options.paper)
-        return paper_result("diffuse", world, samples, record.R_d, None, options, paper=record)
-    samples = collect(world, options, progress)
-    freed = Freed(gain=options.gain, dark=options.dark)
-    whole = estimate(samples, freed=freed, threads=options.threads, progress=progress)
+        return paper_result("diffuse", setup, samples, record.R_d, None, options, paper=record)
+    samples = collect(setup, options, progress)
+    freed = FreeParameters(gain=options.gain, dark=options.dark)
+    whole = fit_reflectance(samples, freed=freed, threads=options.threads, progress=progress)
     threads = options.threads
-    first_quality = appraise(samples, whole, threads=threads)
-    placed = refuse_other_images(world, samples, whole, first_quality, threads=threads)
+    first_quality = assess_quality(samples, whole, threads=threads)
+    placed = refuse_unexplained_images(setup, samples, whole, first_quality, threads=threads)
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
-    found = estimate(
+    found = fit_reflectance(
         plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
     )
-    quality = appraise(plain, found, threads=threads)
-    first = [f"where the highlights are: {text}" for text in unconverged(whole)]
-    said = [*world.warnings, *first, *unconverged(found), *poor_fit(found, quality, placed=placed)]
+    quality = assess_quality(plain, found, threads=threads)
+    first = [f"where the highlights are: {text}" for text in convergence_warnings(whole)]
+    said = [
+        *setup.warnings,
+        *first,
+        *convergence_warnings(found),
+        *poor_fit_warnings(found, quality, placed=placed),
+    ]
     if widening < max(WIDENINGS):
         said.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
             "the lobe that was found, and heavier tails than a Gaussian's would raise it"
         )
-    values = fitted_values(found, full_scale=world.scene.reflectance.full_scale)[:1]
+    values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale)[:1]
     kept = (
-        FittedValue(name="R_s", value=world.scene.reflectance.R_s),
-        FittedValue(name="sigma_rad", value=world.scene.reflectance.sigma),
+        FittedValue(name="R_s", value=setup.scene.reflectance.R_s),
+        FittedValue(name="sigma_rad", value=setup.scene.reflectance.sigma),
     )
-    dark = fitted_dark(world.scene, found) if options.dark else None
-    said += below_zero(dark)
+    dark = fitted_dark(setup.scene, found) if options.dark else None
+    said += negative_black_level_warnings(dark)
     noise = measure_noise(plain, mean_levels(plain, found, threads=threads), describes=quality.describes)
     if options.write_noise:
-        said += noise_words(noise)
+        said += noise_warnings(noise)
     return FitResult(
         kind="diffuse",
         method="likelihood",
-        points=world.scene.lights[0].points,
+        points=setup.scene.lights[0].points,
         values=(*values, *kept),
         fitted=("R_d",),
-        gains=fitted_gains(world.scene, found) if options.gain else None,
+        gains=fitted_gains(setup.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
         write_noise=options.write_noise,
-        registration=world.registration,
-        in_file=world.in_file,
+        registration=setup.registration,
+        in_file=setup.in_file,
         first=whole,
         observations=len(found.criterion.samples.sample),
         pixels=len(np.unique(found.criterion.samples.sample)),
@@ -147,8 +150,8 @@ def fit_specular(
     Parameters
     ----------
     rig, part, image_set, options, progress
-        As in :func:`fit_diffuse`. With several numbers of points each is fitted, and the one under which
-        the images are likeliest is kept.
+        As in :func:`fit_diffuse`. With several numbers of points each is fitted, and the one under which the images are
+        likeliest is kept.
     keep
         Called with each image that validation predicted without having seen it, and its prediction.
 
@@ -158,55 +161,55 @@ def fit_specular(
         Images that are not the rig's or not the part's, or that do not tell R_s and σ.
     """
     options = options or FitOptions()
-    tried: list[tuple[FitResult, World, Samples, PointsRow | None]] = []
+    tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
     choices: tuple[Points | None, ...] = options.points or (None,)
     for points in choices:
-        world = open_world(rig, part, image_set, points, options, progress)
-        result, samples = _fit_one(world, options, progress)
+        setup = prepare_fit(rig, part, image_set, points, options, progress)
+        result, samples = _fit_one(setup, options, progress)
         row = None
         if len(choices) > 1:
             row = compare_regions(
-                world.scene,
-                _parameters(result, world),
-                world.observations,
-                points=world.scene.lights[0].points,
-                caster=world.caster,
+                setup.scene,
+                _parameters(result, setup),
+                setup.observations,
+                points=setup.scene.lights[0].points,
+                caster=setup.caster,
                 likelihood=None if result.estimate is None else result.estimate.mean_log_likelihood,
                 threads=options.threads,
             )
-        tried.append((result, world, samples, row))
-    result, world, samples, _ = max(tried, key=lambda one: _rank(one[3]))
+        tried.append((result, setup, samples, row))
+    result, setup, samples, _ = max(tried, key=lambda one: _rank(one[3]))
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
     if result.estimate is not None and "auto" not in options.points:
-        even = evenly_lit_words(
+        even = evenly_lit_warnings(
             samples,
             result.estimate,
             freed=options.freed,
-            held=world.held,
-            caster=world.caster,
+            held=setup.held,
+            caster=setup.caster,
             threads=options.threads,
         )
         result = replace(result, words=(*result.words, *even))
     if options.validate and result.estimate is not None:
         left_out = leave_lights_out(
-            world.scene,
+            setup.scene,
             samples,
             result.estimate,
-            caster=world.caster,
+            caster=setup.caster,
             threads=options.threads,
             keep=keep,
             progress=None if progress is None else lambda share: progress("validating", share),
         )
         result = replace(
-            result, left_out=left_out, words=(*result.words, *unseen(left_out, world.scene.sensor))
+            result, left_out=left_out, words=(*result.words, *unseen(left_out, setup.scene.sensor))
         )
     return result
 
 
-def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tuple[FitResult, Samples]:
-    reflectance = world.scene.reflectance
+def _fit_one(setup: FitSetup, options: FitOptions, progress: Progress | None) -> tuple[FitResult, Samples]:
+    reflectance = setup.scene.reflectance
     if options.method == "paper":
-        samples = collect(world, options, progress, uniform=True)
+        samples = collect(setup, options, progress, uniform=True)
         record = paper_specular(
             samples,
             options.paper,
@@ -215,43 +218,43 @@ def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tu
             progress=None if progress is None else lambda share: progress("sweeping σ", share),
         )
         pair = record.R_s, record.sigma
-        return paper_result("specular", world, samples, None, pair, options, paper=record), samples
-    samples = collect(world, options, progress)
-    found = estimate(
-        samples, freed=options.freed, held=world.held, threads=options.threads, progress=progress
+        return paper_result("specular", setup, samples, None, pair, options, paper=record), samples
+    samples = collect(setup, options, progress)
+    found = fit_reflectance(
+        samples, freed=options.freed, held=setup.held, threads=options.threads, progress=progress
     )
-    quality = appraise(samples, found, threads=options.threads)
-    placed = refuse_other_images(world, samples, found, quality, threads=options.threads)
+    quality = assess_quality(samples, found, threads=options.threads)
+    placed = refuse_unexplained_images(setup, samples, found, quality, threads=options.threads)
     refuse_no_highlight(samples, found, threads=options.threads)
     refuse_out_of_range(found)
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
-    exposures = {o.exposure for o in world.observations}
-    said = [*world.warnings, *unconverged(found)]
-    said += joined_regions(values)
+    exposures = {o.exposure for o in setup.observations}
+    said = [*setup.warnings, *convergence_warnings(found)]
+    said += separate_region_warnings(values)
     said += words(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
-    said += held_r_d(found)
+    said += held_r_d_warnings(found)
     noise = measure_noise(
         samples, mean_levels(samples, found, threads=options.threads), describes=quality.describes
     )
     if options.write_noise:
-        said += noise_words(noise)
-    panels = (coarse_points(light, found.sigma) for light in world.scene.lights)
+        said += noise_warnings(noise)
+    panels = (coarse_points(light, found.sigma) for light in setup.scene.lights)
     said += [text for text in panels if text is not None]
-    dark = fitted_dark(world.scene, found) if options.dark else None
-    said += below_zero(dark)
+    dark = fitted_dark(setup.scene, found) if options.dark else None
+    said += negative_black_level_warnings(dark)
     result = FitResult(
         kind="specular",
         method="likelihood",
-        points=world.scene.lights[0].points,
+        points=setup.scene.lights[0].points,
         values=values,
         fitted=("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad"),
-        gains=fitted_gains(world.scene, found) if options.gain else None,
+        gains=fitted_gains(setup.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
         write_noise=options.write_noise,
-        registration=world.registration,
-        in_file=world.in_file,
+        registration=setup.registration,
+        in_file=setup.in_file,
         correlation=found.correlation(LOG_R_S, LOG_SIGMA),
         # least squares have done with fewer
         observations=len(found.criterion.samples.sample),
@@ -270,10 +273,10 @@ def _rank(row: PointsRow | None) -> float:
     return -row.misfit if row.likelihood is None else row.likelihood
 
 
-def _parameters(result: FitResult, world: World) -> Float64:
+def _parameters(result: FitResult, setup: FitSetup) -> Float64:
     if result.estimate is not None:
         return result.estimate.x
-    x = np.zeros(FIRST_GAIN + len(world.scene.lights))
+    x = np.zeros(FIRST_GAIN + len(setup.scene.lights))
     x[R_D] = result.value("R_d")
     x[LOG_R_S] = math.log(max(result.value("R_s"), LEAST_R_S))
     x[LOG_SIGMA] = math.log(result.value("sigma_rad"))

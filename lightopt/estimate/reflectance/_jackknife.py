@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares
-from lightopt.estimate.reflectance._likelihood_criterion import FIRST_GAIN
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples
 
@@ -33,16 +33,10 @@ UNDETERMINED = 1e3
 class Jackknife:
     """Scatter of the estimates without one group of images each.
 
-    Attributes
-    ----------
-    covariance
-        Shape (k, k); that of parameters that nothing determines where there is but one group.
-    of
-        Number of groups and what they are, such as "12 lights"; of the pieces, too, where these tell as well.
-    quantile
-        Student's t of a two-sided 95 % interval for so many groups.
-    refits
-        Where the fits without one group each ended.
+    covariance: Shape (k, k); that of parameters that nothing determines where there is but one group.
+    of: Number of groups and what they are, such as "12 lights"; of the blocks, too, where these tell as well.
+    quantile: Student's t of a two-sided 95 % interval for so many groups.
+    refits: Where the fits without one group each ended.
     """
 
     covariance: Float64
@@ -52,29 +46,20 @@ class Jackknife:
 
 
 def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -> Jackknife:
-    """Fit again without each group of images.
-
-    Parameters
-    ----------
-    criterion, x
-        The fit.
-    free
-        Places of the parameters that were fitted. A light that is left out tells nothing of its own gain, nor do the
-        others of what theirs are relative to: where gains are free, pieces of the images tell as well.
-    """
-    by_light, by_piece = _by_light(criterion.samples), _by_piece(criterion.samples)
-    label, of = next((one for one in (*by_light, by_piece) if _count(one[0]) >= LEAST_GROUPS), by_piece)
+    """Fit again without each group of images."""
+    by_light, by_block = _by_light(criterion.samples), _by_block(criterion.samples)
+    label, of = next((one for one in (*by_light, by_block) if _count(one[0]) >= LEAST_GROUPS), by_block)
     covariance, count, of, refits = _scatter(criterion, x, free, label, of)
-    if any(place >= FIRST_GAIN for place in free) and label is not by_piece[0]:
-        pieces, _, of_pieces, more = _scatter(criterion, x, free, *by_piece)
+    if any(place >= FIRST_GAIN for place in free) and label is not by_block[0]:
+        blocks, _, of_blocks, more = _scatter(criterion, x, free, *by_block)
         refits += more
-        of = f"{of} and {of_pieces}"
-        covariance = at_least(covariance, pieces)
+        of = f"{of} and {of_blocks}"
+        covariance = upper_covariance(covariance, blocks)
     quantile = float(stdtrit(max(count - 1, 1), 0.975))
     return Jackknife(covariance=covariance, of=of, quantile=quantile, refits=refits)
 
 
-def at_least(covariance: Float64, other: Float64) -> Float64:
+def upper_covariance(covariance: Float64, other: Float64) -> Float64:
     """A covariance that is no smaller than either of two in any direction: the first, and by what the second is larger.
 
     Standard errors alone would leave the correlations of the first: the lights move R_s and σ along their ridge, pieces
@@ -87,7 +72,7 @@ def at_least(covariance: Float64, other: Float64) -> Float64:
     return covariance + 0.5 * (more + more.T) * scale
 
 
-def with_errors(covariance: Float64, errors: Float64) -> Float64:
+def rescaled_covariance(covariance: Float64, errors: Float64) -> Float64:
     """A covariance with the same correlations and other standard errors."""
     spread = np.maximum(np.sqrt(np.diag(covariance)), 1e-100)
     correlation = covariance / np.outer(spread, spread)
@@ -127,7 +112,7 @@ def _by_light(samples: Samples) -> list[tuple[NDArray[np.intp], str]]:
     return [(_numbered(light), "lights"), (_numbered(both), "lights and postures")]
 
 
-def _by_piece(samples: Samples) -> tuple[NDArray[np.intp], str]:
+def _by_block(samples: Samples) -> tuple[NDArray[np.intp], str]:
     return _numbered(samples.block[samples.sample].astype(np.intp)), "pieces of the images"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._likelihood_criterion import (
+from lightopt.estimate.reflectance._criterion import (
     FIRST_GAIN,
     LOG_R_S,
     LOG_SIGMA,
@@ -45,18 +45,11 @@ LONGEST_STEP = 1.5
 class Maximum:
     """Where a climb ended.
 
-    Attributes
-    ----------
-    x
-        Parameters, shape (K,).
-    evaluation
-        There.
-    converged
-        Whether no step promises anything more.
-    unsettled
-        Places of the parameters along which the criterion still rises; none where it converged.
-    steps
-        Number of evaluations.
+    x: Parameters, shape (K,).
+    evaluation: There.
+    converged: Whether no step promises anything more.
+    unsettled: Places of the parameters along which the criterion still rises; none where it converged.
+    steps: Number of evaluations.
     """
 
     x: Float64
@@ -90,18 +83,8 @@ def maximise(
 ) -> Maximum:
     """Climb from `x` along the free parameters.
 
-    Parameters
-    ----------
-    criterion
-        To maximise.
-    x
-        Where to start, shape (K,).
-    free
-        Places of the parameters that may change.
-    most_steps
-        Evaluations after which to give up.
-    tolerance
-        Promise of a step that is not worth taking [nat].
+    x: Where to start, shape (K,).
+    tolerance: Promise of a step that is not worth taking [nat].
     """
     low, high = bounds(criterion)
     can_change = np.zeros(len(x), np.bool_)
@@ -151,14 +134,7 @@ def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
 
     A clipped level bends the criterion of least squares at single pixels, where what a step promises tells little.
 
-    Parameters
-    ----------
-    top
-        Where it ended.
-    free
-        Places of the parameters that were fitted.
-    errors
-        Their standard errors, shape (k,).
+    errors: Their standard errors, shape (k,).
     """
     if top.converged:
         return True

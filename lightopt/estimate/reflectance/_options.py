@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from lightopt.estimate.reflectance._estimate import Freed
+from lightopt.estimate.reflectance._estimate import FreeParameters
 from lightopt.estimate.reflectance._paper import PaperOptions
 
 Points: TypeAlias = "int | Literal['auto']"
@@ -18,26 +18,14 @@ Progress = Callable[[str, float], None]
 class FitOptions:
     """How to fit.
 
-    Attributes
-    ----------
-    method
-        ``"likelihood"`` or ``"paper"``.
-    joint
-        Whether a specular fit fits R_d along instead of keeping the part file's.
-    gain, dark, shift
-        What else is freed; `shift` is the part's place on the stage.
-    points
-        Point lights per panel to try; the rig's own where empty.
-    pixels
-        About how many pixels to look at, over all images.
-    validate
-        Whether to leave each light out in turn.
-    write_noise
-        Whether the noise that the images show belongs into the rig file.
-    paper
-        Of the paper's procedure.
-    threads
-        Number of threads; all the machine's by default. The result does not depend on it.
+    method: ``"likelihood"`` or ``"paper"``.
+    joint: Whether a specular fit fits R_d along instead of keeping the part file's.
+    gain, dark, shift: What else is freed; `shift` is the part's place on the stage.
+    points: Point lights per panel to try; the rig's own where empty.
+    pixels: About how many pixels to look at, over all images.
+    validate: Whether to leave each light out in turn.
+    write_noise: Whether the noise that the images show belongs into the rig file.
+    paper: Of the paper's procedure.
     """
 
     method: Literal["likelihood", "paper"] = "likelihood"
@@ -53,6 +41,6 @@ class FitOptions:
     threads: int | None = None
 
     @property
-    def freed(self) -> Freed:
+    def freed(self) -> FreeParameters:
         """What a specular fit may change."""
-        return Freed(diffuse=self.joint, gain=self.gain, dark=self.dark)
+        return FreeParameters(diffuse=self.joint, gain=self.gain, dark=self.dark)

@@ -24,7 +24,7 @@ MOST_ITERATIONS = 500
 MOST_R_S = 1e15
 MOST_STEPS = 1000
 
-OPTION_NAMES = {
+PAPER_OPTION_FLAGS = {
     "lambda_d": "--lambda-d",
     "lambda_s1": "--lambda-s1",
     "lambda_s2": "--lambda-s2",
@@ -43,22 +43,13 @@ WIDE_RANGE = 1.5
 class PaperOptions:
     """Thresholds and starting values; the paper prints no threshold and no step.
 
-    Attributes
-    ----------
-    lambda_d
-        λ_d: difference of the mean brightness that is small enough [grey level].
-    lambda_s1
-        λ_s1: difference of the saturated pixels that is small enough, as a share of the measured number.
-    lambda_s2
-        λ_s2: difference of the total specular brightness that is small enough, as a share of the measured one.
-    sigma_step
-        σ_step [rad]; the rows of Table 1 are multiples of 0.0025.
-    sigma_start, sigma_least, sigma_most
-        Where the sweep starts, and its range [rad] (section 4.3).
-    R_d_start, R_s_start
-        Starting values [grey level]; R_s starts at the saturation level.
-    away
-        Pixels whose normal is at least this far from all half vectors count as diffuse only [rad].
+    lambda_d: λ_d: difference of the mean brightness that is small enough [grey level].
+    lambda_s1: λ_s1: difference of the saturated pixels that is small enough, as a share of the measured number.
+    lambda_s2: λ_s2: difference of the total specular brightness that is small enough, as a share of the measured one.
+    sigma_step: σ_step [rad]; the rows of Table 1 are multiples of 0.0025.
+    sigma_start, sigma_least, sigma_most: Where the sweep starts, and its range [rad] (section 4.3).
+    R_d_start, R_s_start: Starting values [grey level]; R_s starts at the saturation level.
+    away: Pixels whose normal is at least this far from all half vectors count as diffuse only [rad].
     """
 
     lambda_d: float = 0.01
@@ -79,7 +70,7 @@ class PaperOptions:
     def problems(self) -> tuple[str, ...]:
         """What is wrong with the values, by the names of the command line's options."""
         found = [
-            f"{OPTION_NAMES.get(name, name)}: expected a number above 0, found {value:g}"
+            f"{PAPER_OPTION_FLAGS.get(name, name)}: expected a number above 0, found {value:g}"
             for name, value in vars(self).items()
             if not (math.isfinite(value) and value > 0.0)
         ]
@@ -105,16 +96,10 @@ class PaperOptions:
 class PaperDiffuse:
     """R_d by section 4.2.
 
-    Attributes
-    ----------
-    R_d
-        [grey level].
-    image
-        The image used.
-    pixels
-        Number of diffuse-only pixels.
-    iterations
-        (R_d, B_r, D) of each [grey level].
+    R_d: [grey level].
+    image: The image used.
+    pixels: Number of diffuse-only pixels.
+    iterations: (R_d, B_r, D) of each [grey level].
     """
 
     R_d: float
@@ -136,18 +121,11 @@ class PaperDiffuse:
 class SigmaStep:
     """One σ of the sweep.
 
-    Attributes
-    ----------
-    sigma
-        [rad].
-    R_s
-        Where N_s came close enough to N_m [grey level].
-    reached
-        Whether it did.
-    brightness
-        Total specular brightness of the simulated image over the measured one.
-    iterations
-        (R_s, N_s) of each.
+    sigma: [rad].
+    R_s: Where N_s came close enough to N_m [grey level].
+    reached: Whether it did.
+    brightness: Total specular brightness of the simulated image over the measured one.
+    iterations: (R_s, N_s) of each.
     """
 
     sigma: float
@@ -161,20 +139,12 @@ class SigmaStep:
 class PaperSpecular:
     """R_s and σ by section 4.3.
 
-    Attributes
-    ----------
-    R_s
-        [grey level].
-    sigma
-        [rad].
-    image
-        The image used.
-    saturated
-        N_m [px].
-    steps
-        The sweep, in its order.
-    alike
-        The σ at which both the count and the brightness come as close as was asked for, ascending [rad].
+    R_s: [grey level].
+    sigma: [rad].
+    image: The image used.
+    saturated: N_m [px].
+    steps: The sweep, in its order.
+    alike: The σ at which both the count and the brightness come as close as was asked for, ascending [rad].
     """
 
     R_s: float
@@ -219,17 +189,7 @@ class PaperSpecular:
 def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     """R_d from the mean brightness of the pixels without specular reflection (paper, section 4.2).
 
-    Parameters
-    ----------
-    samples
-        Uniformly chosen.
-    options
-        Thresholds and starting values.
-
-    Raises
-    ------
-    InputError
-        No image has a pixel that is diffuse only, or the iteration does not end.
+    Raises InputError: no image has a pixel that is diffuse only, or the iteration does not end.
     """
     if problems := options.problems():
         raise InputError(*problems)
@@ -279,23 +239,10 @@ def paper_specular(
 ) -> PaperSpecular:
     """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3).
 
-    Parameters
-    ----------
-    samples
-        Uniformly chosen.
-    options
-        Thresholds and starting values.
-    R_d
-        Diffuse coefficient [grey level].
-    threads
-        Number of threads; the result does not depend on it.
-    progress
-        Called as σ are done.
+    R_d: Diffuse coefficient [grey level].
 
-    Raises
-    ------
-    InputError
-        Impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as bright.
+    Raises InputError: impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as
+        bright.
     """
     if problems := options.problems():
         raise InputError(*problems)
@@ -307,7 +254,7 @@ def paper_specular(
             "no saturated pixel in any image: the paper's method compares saturated areas. Expose longer, or use the "
             "default method"
         )
-    mine = samples.keep(samples.image == image)
+    mine = samples.select(samples.image == image)
     factor = float(mine.facts.factor[image])
     diffuse = factor * R_d * mine.diffuse[mine.sample]
     room = mine.sensor.saturated_from - mine.sensor.black_level

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.estimate.reflectance._likelihood_criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
@@ -29,18 +29,7 @@ def predict_images(
 ) -> Iterator[tuple[Observation, NDArray[np.float32], NDArray[np.bool_]]]:
     """Per observation: itself, the sensor levels predicted for it, not clipped, and where the part is.
 
-    Parameters
-    ----------
-    scene
-        With the lights and postures of the observations.
-    x
-        Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
-    observations
-        The images to predict; those of one posture are rendered together.
-    caster
-        Of the scene's part.
-    threads
-        Number of threads; the images do not depend on it.
+    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
     """
     names = [light.name for light in scene.lights]
     reflectance = Reflectance(

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import predicted
-from lightopt.estimate.reflectance._likelihood_criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import Samples
 
@@ -27,30 +27,20 @@ STRONG_CORRELATION = 0.95
 class Quality:
     """Residuals of the pixels that a fit looked at, in sensor levels of the images as they were delivered.
 
-    Attributes
-    ----------
-    rms
-        Of the unsaturated pixels [sensor level].
-    typical
-        Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
-    noise
-        What the rig's noise figures make of a typical pixel of a mean of so many frames, and the quantisation of its
+    rms: Of the unsaturated pixels [sensor level].
+    typical: Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
+    noise: What the rig's noise figures make of a typical pixel of a mean of so many frames, and the quantisation of its
         levels [sensor level].
-    image_noise
-        What the images show: how far pixels are off the plane through their neighbours, typically [sensor level].
-    explained
-        Share of the variance of the unsaturated pixels beyond the noise that the model explains, 1 for all of it.
-    epsilon
-        Share of the pixels that the model would have left out if it could.
-    tau
-        Deviation beside the sensor's noise [sensor level].
-    saturated
-        Share of the observations that are saturated.
-    misfit
-        Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not looked at.
-    describes
-        Whether the model describes the images within that: else values are those of least squares, and intervals come
-        from the scatter between lights.
+    image_noise: What the images show: how far pixels are off the plane through their neighbours, typically [sensor
+        level].
+    explained: Share of the variance of the unsaturated pixels beyond the noise that the model explains, 1 for all of
+        it.
+    epsilon: Share of the pixels that the model would have left out if it could.
+    tau: Deviation beside the sensor's noise [sensor level].
+    saturated: Share of the observations that are saturated.
+    misfit: Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not looked at.
+    describes: Whether the model describes the images within that: else values are those of least squares, and intervals
+        come from the scatter between lights.
     """
 
     rms: float
@@ -82,7 +72,7 @@ class Quality:
         }
 
 
-def appraise(samples: Samples, found: Estimate, *, threads: int | None = None) -> Quality:
+def assess_quality(samples: Samples, found: Estimate, *, threads: int | None = None) -> Quality:
     """Compare a fit with the pixels that it was made from; the result does not depend on the number of threads."""
     sensor = samples.sensor
     mean = mean_levels(samples, found, threads=threads)
@@ -119,18 +109,10 @@ def words(
 ) -> tuple[str, ...]:
     """What a person should know about a fit of R_s and σ beside its numbers.
 
-    Parameters
-    ----------
-    found, quality
-        The fit.
-    interval
-        95 % of R_s [grey level].
-    shorter
-        Whether the images have more than one exposure already.
-    placed
-        As for :func:`poor_fit`.
+    interval: 95 % of R_s [grey level].
+    shorter: Whether the images have more than one exposure already.
     """
-    said: list[str] = list(poor_fit(found, quality, placed=placed))
+    said: list[str] = list(poor_fit_warnings(found, quality, placed=placed))
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
         low, high = interval or (found.R_s, found.R_s)
         width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
@@ -156,15 +138,10 @@ def words(
     return tuple(said)
 
 
-def poor_fit(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
+def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
     """What to say where the model does not describe the images, or the rig file their noise.
 
-    Parameters
-    ----------
-    found, quality
-        The fit.
-    placed
-        Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
+    placed: Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
     """
     said: list[str] = []
     if quality.image_noise > MORE_NOISE * quality.noise:

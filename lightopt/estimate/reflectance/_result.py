@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._cross_validation import LeftOut
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
-from lightopt.estimate.reflectance._likelihood_criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._noise import MeasuredNoise
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
 from lightopt.estimate.reflectance._profile_intervals import profile_regions
 from lightopt.estimate.reflectance._quality import Quality
 from lightopt.estimate.reflectance._saturated_regions import PointsRow
-from lightopt.estimate.reflectance._warnings import unconverged
-from lightopt.estimate.registration import Placement, PlacementInFile, Registration
+from lightopt.estimate.reflectance._warnings import convergence_warnings
+from lightopt.estimate.registration import PartFilePlacement, Placement, Registration
 from lightopt.scene import Scene
 
 
@@ -24,20 +24,13 @@ from lightopt.scene import Scene
 class FittedValue:
     """A coefficient with what is known of it.
 
-    Attributes
-    ----------
-    name
-        ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light stops
-        being saturated.
-    value
-        In the part file's unit.
-    standard_error
-        0, null in the JSON form, for a value that was held or by a method that knows none.
-    interval
-        95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value that was
-        held or by a method that knows none.
-    regions
-        Those that the interval joins where values between them are excluded; none where there is only one.
+    name: ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light
+        stops being saturated.
+    value: In the part file's unit.
+    standard_error: 0, null in the JSON form, for a value that was held or by a method that knows none.
+    interval: 95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value
+        that was held or by a method that knows none.
+    regions: Those that the interval joins where values between them are excluded; none where there is only one.
     """
 
     name: str
@@ -65,44 +58,25 @@ def _rounded(interval: Interval) -> list[float | None]:
 class FitResult:
     """Fitted reflectance.
 
-    Attributes
-    ----------
-    kind
-        Which coefficients were asked for.
-    method
-        How.
-    points
-        Point lights per panel, or ``"auto"``.
-    values
-        R_d, R_s, σ and the saturated half-angle.
-    fitted
-        Names of those that were fitted and belong into the part file.
-    gains
-        Gain of each light as it belongs into the rig file, where gains were freed; the first light's is held.
-    dark
-        Black level as it belongs into the rig file [sensor level], where it was freed.
-    noise, write_noise
-        As the images show it, and whether it belongs into the rig file.
-    registration, in_file
-        Where the part was found to lie, where that was freed, and the same as it belongs into the part file.
-    first
-        A diffuse fit's first one, of the whole model, by which it knew where the highlights are; None in other fits.
-    correlation
-        Of ln R_s and ln σ; None where they were not both fitted.
-    observations, pixels
-        Number of levels looked at, and of pixels that they belong to.
-    quality
-        Residuals.
-    words
-        What a person should know.
-    estimate
-        Of the default method.
-    left_out
-        Validation, one entry per light.
-    rows
-        One per number of points that was tried.
-    paper
-        Record of the paper's procedure.
+    kind: Which coefficients were asked for.
+    method: How.
+    points: Point lights per panel, or ``"auto"``.
+    values: R_d, R_s, σ and the saturated half-angle.
+    fitted: Names of those that were fitted and belong into the part file.
+    gains: Gain of each light as it belongs into the rig file, where gains were freed; the first light's is held.
+    dark: Black level as it belongs into the rig file [sensor level], where it was freed.
+    noise, write_noise: As the images show it, and whether it belongs into the rig file.
+    registration, in_file: Where the part was found to lie, where that was freed, and the same as it belongs into the
+        part file.
+    first: A diffuse fit's first one, of the whole model, by which it knew where the highlights are; None in other fits.
+    correlation: Of ln R_s and ln σ; None where they were not both fitted.
+    observations, pixels: Number of levels looked at, and of pixels that they belong to.
+    quality: Residuals.
+    words: What a person should know.
+    estimate: Of the default method.
+    left_out: Validation, one entry per light.
+    rows: One per number of points that was tried.
+    paper: Record of the paper's procedure.
     """
 
     kind: Literal["diffuse", "specular"]
@@ -115,7 +89,7 @@ class FitResult:
     noise: MeasuredNoise | None = None
     write_noise: bool = False
     registration: Registration | None = None
-    in_file: PlacementInFile | None = None
+    in_file: PartFilePlacement | None = None
     first: Estimate | None = None
     correlation: float | None = None
     observations: int = 0
@@ -137,7 +111,7 @@ class FitResult:
         fits = [found for found in (self.first, self.estimate) if found is not None]
         placed = self.registration is None or self.registration.converged
         validated = all(left.converged for left in self.left_out)
-        return placed and validated and not any(unconverged(found) for found in fits)
+        return placed and validated and not any(convergence_warnings(found) for found in fits)
 
     @property
     def placement(self) -> Placement | None:
@@ -212,7 +186,7 @@ def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Inter
     return low, high
 
 
-def interval_words(interval: Interval) -> str:
+def format_interval(interval: Interval) -> str:
     """An interval in words."""
     low, high = interval
     if low is None and high is None:
@@ -224,9 +198,9 @@ def interval_words(interval: Interval) -> str:
     return f"{low:.6g} to {high:.6g}"
 
 
-def joined_regions(values: Iterable[FittedValue]) -> tuple[str, ...]:
+def separate_region_warnings(values: Iterable[FittedValue]) -> tuple[str, ...]:
     """What to say of values whose interval joins regions between which the images do not decide."""
-    several = [f"{v.name} {' or '.join(map(interval_words, v.regions))}" for v in values if v.regions]
+    several = [f"{v.name} {' or '.join(map(format_interval, v.regions))}" for v in values if v.regions]
     if not several:
         return ()
     text = (
@@ -251,15 +225,7 @@ def _fitted(
 
 
 def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
-    """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals.
-
-    Parameters
-    ----------
-    found
-        The estimate.
-    full_scale
-        Grey level of a saturated pixel; the half-angle is that of a point light.
-    """
+    """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals."""
     values: list[FittedValue] = []
     for name, place, log in (("R_d", R_D, False), ("R_s", LOG_R_S, True), ("sigma_rad", LOG_SIGMA, True)):
         value = math.exp(found.x[place]) if log else float(found.x[place])
@@ -297,7 +263,7 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
     return gains
 
 
-def below_zero(dark: FittedValue | None) -> tuple[str, ...]:
+def negative_black_level_warnings(dark: FittedValue | None) -> tuple[str, ...]:
     """What to say of a black level that a rig file cannot hold."""
     if dark is None or dark.value >= 0.0:
         return ()

@@ -46,18 +46,11 @@ Progress = Callable[[float], None]
 class SampleGroup:
     """Pixels of one posture under one light.
 
-    Attributes
-    ----------
-    light
-        Index in the scene.
-    posture
-        Of the part.
-    layer
-        Their light per unit of reflectance; None for pixels that no light reaches.
-    row, column
-        Shape (n,).
-    weight
-        Pixels of the image that each stands for, shape (n,).
+    light: Index in the scene.
+    posture: Of the part.
+    layer: Their light per unit of reflectance; None for pixels that no light reaches.
+    row, column: Shape (n,).
+    weight: Pixels of the image that each stands for, shape (n,).
     """
 
     light: int
@@ -75,16 +68,10 @@ class SampleGroup:
 class ImageFacts:
     """What the kernels must know of each image; arrays of shape (images,).
 
-    Attributes
-    ----------
-    factor
-        Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
-    light
-        Index of the light in the scene.
-    half_width
-        How far from a level the signal may have been [sensor level].
-    frames
-        Number of frames that the image is the mean of, as float64.
+    factor: Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
+    light: Index of the light in the scene.
+    half_width: How far from a level the signal may have been [sensor level].
+    frames: Number of frames that the image is the mean of, as float64.
     """
 
     factor: Float64
@@ -97,34 +84,19 @@ class ImageFacts:
 class Samples:
     """Pixels (n) and what was measured there (N observations: a pixel has one per exposure).
 
-    Attributes
-    ----------
-    groups
-        The pixels, group after group.
-    diffuse
-        Light per unit of R_d, 0 where none arrives, shape (n,).
-    deflection
-        Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
-    weight
-        Pixels of the image that each stands for, shape (n,).
-    block
-        Piece of the image that each pixel lies in, one number per posture and piece, shape (n,).
-    sample
-        Pixel of each observation, shape (N,).
-    image
-        Image of each observation, shape (N,).
-    level
-        Sensor level, shape (N,).
-    saturated
-        Where `level` is only a lower bound, shape (N,).
-    images
-        The images.
-    facts
-        Of the images.
-    lights
-        Names of the scene's lights.
-    sensor
-        Of the camera.
+    groups: The pixels, group after group.
+    diffuse: Light per unit of R_d, 0 where none arrives, shape (n,).
+    deflection: Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
+    weight: Pixels of the image that each stands for, shape (n,).
+    block: Piece of the image that each pixel lies in, one number per posture and piece, shape (n,).
+    sample: Pixel of each observation, shape (N,).
+    image: Image of each observation, shape (N,).
+    level: Sensor level, shape (N,).
+    saturated: Where `level` is only a lower bound, shape (N,).
+    images: The images.
+    facts: Of the images.
+    lights: Names of the scene's lights.
+    sensor: Of the camera.
     """
 
     groups: tuple[SampleGroup, ...]
@@ -141,7 +113,7 @@ class Samples:
     lights: tuple[str, ...]
     sensor: Sensor
 
-    def keep(self, where: NDArray[np.bool_]) -> Samples:
+    def select(self, where: NDArray[np.bool_]) -> Samples:
         """Only the observations marked in `where`, shape (N,); the pixels stay."""
         return replace(
             self,
@@ -151,7 +123,7 @@ class Samples:
             saturated=self.saturated[where],
         )
 
-    def remeasured(
+    def with_levels(
         self, levels: Sequence[NDArray[np.float32]], saturated: Sequence[NDArray[np.bool_]]
     ) -> Samples:
         """The same pixels of other images of the same lights, postures and exposures; one array per image."""
@@ -185,27 +157,9 @@ def collect_samples(
 ) -> Samples:
     """Choose pixels by their geometry alone and look up what was measured there.
 
-    Parameters
-    ----------
-    scene
-        With the postures and lights of the observations.
-    observations
-        The images.
-    caster
-        Of the scene's part.
-    budget
-        Most pixels per octave of the deflection, per light and posture.
-    uniform
-        Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
-    threads
-        Number of threads; the result does not depend on it.
-    progress
-        Called as postures and lights are done.
+    uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
 
-    Raises
-    ------
-    InputError
-        No pixel is left.
+    Raises InputError: no pixel is left.
     """
     names = [light.name for light in scene.lights]
     groups: list[SampleGroup] = []
@@ -220,7 +174,7 @@ def collect_samples(
     return _assemble(scene, groups, observations)
 
 
-def thinned(samples: Samples, budget: int) -> Samples:
+def subsample(samples: Samples, budget: int) -> Samples:
     """At most `budget` of the pixels per octave, light and posture, with the observations that there are of them."""
     groups: list[SampleGroup] = []
     kept: list[NDArray[np.intp]] = []
@@ -243,7 +197,7 @@ def thinned(samples: Samples, budget: int) -> Samples:
     pixels = np.concatenate(kept)
     place = np.full(start, -1, np.int32)
     place[pixels] = np.arange(len(pixels), dtype=np.int32)
-    left = samples.keep(place[samples.sample] >= 0)
+    left = samples.select(place[samples.sample] >= 0)
     return replace(
         left,
         groups=tuple(groups),
@@ -256,17 +210,7 @@ def thinned(samples: Samples, budget: int) -> Samples:
 
 
 def evenly_lit(samples: Samples, caster: RayCaster, *, threads: int | None = None) -> Samples:
-    """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again.
-
-    Parameters
-    ----------
-    samples
-        Under point lights.
-    caster
-        Of the part that the samples are of.
-    threads
-        Number of threads; the light does not depend on it.
-    """
+    """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
     groups = tuple(
         group
         if group.layer is None

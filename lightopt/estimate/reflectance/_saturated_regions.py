@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._predict import predict_images
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
@@ -21,21 +21,14 @@ from lightopt.scene import Scene
 class PointsRow:
     """The fit with one number of points per panel: a row of the paper's Table 1.
 
-    Attributes
-    ----------
-    points
-        m, or ``"auto"``.
-    R_d, R_s
-        [grey level].
-    sigma
-        [rad].
-    area, measured_area
-        Saturated pixels of all images together, predicted and measured [px].
-    perimeter, measured_perimeter
-        Of the saturated regions of all images together [px].
-    likelihood
-        Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the greatest
-        reproduces the images best: area and perimeter of a noisy image hardly tell two numbers of points apart.
+    points: m, or ``"auto"``.
+    R_d, R_s: [grey level].
+    sigma: [rad].
+    area, measured_area: Saturated pixels of all images together, predicted and measured [px].
+    perimeter, measured_perimeter: Of the saturated regions of all images together [px].
+    likelihood: Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the
+        greatest reproduces the images best: area and perimeter of a noisy image hardly tell two numbers of points
+        apart.
     """
 
     points: int | Literal["auto"]
@@ -83,22 +76,7 @@ def compare_regions(
 
     Both are taken from whole levels, since the camera delivers no others.
 
-    Parameters
-    ----------
-    scene
-        With the lights and postures of the images.
-    x
-        Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
-    observations
-        The images.
-    points
-        Of the panels.
-    caster
-        Of the scene's part.
-    likelihood
-        Mean log-likelihood of a level, for the row.
-    threads
-        Number of threads; the row does not depend on it.
+    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
     """
     top = scene.sensor.saturated_from
     areas, perimeters = np.zeros(2), np.zeros(2)

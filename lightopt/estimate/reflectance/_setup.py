@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.estimate.reflectance._estimate import Freed
+from lightopt.estimate.reflectance._estimate import FreeParameters
 from lightopt.estimate.reflectance._options import FitOptions, Points, Progress
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
-from lightopt.estimate.reflectance._search import rough_reflectance
+from lightopt.estimate.reflectance._search import least_squares_reflectance
 from lightopt.estimate.registration import (
     Observation,
+    PartFilePlacement,
     Placement,
-    PlacementInFile,
     Registration,
     observed_postures,
+    part_file_placement,
     place_part,
-    placement_in_file,
     read_observations,
     register,
 )
@@ -39,19 +39,14 @@ PAPER_PIXELS = 150_000
 
 
 @dataclass(frozen=True)
-class World:
+class FitSetup:
     """What is fitted to what: a scene, the rays of its part, the images, and where the part was found to lie.
 
-    Attributes
-    ----------
-    part
-        The part file.
-    scene, caster
-        With the part where it lies.
-    observations
-        The images.
-    registration, in_file
-        Where that is, as a move and in the words of the part file; None where the part was not registered.
+    part: The part file.
+    scene, caster: With the part where it lies.
+    observations: The images.
+    registration, in_file: Where that is, as a move and in the words of the part file; None where the part was not
+        registered.
     """
 
     part: PartConfig
@@ -59,7 +54,7 @@ class World:
     caster: RayCaster
     observations: tuple[Observation, ...]
     registration: Registration | None = None
-    in_file: PlacementInFile | None = None
+    in_file: PartFilePlacement | None = None
 
     @property
     def placement(self) -> Placement | None:
@@ -78,115 +73,90 @@ class World:
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
 
 
-def open_world(
+def prepare_fit(
     rig: RigConfig,
     part: PartConfig,
     image_set: ImageSet,
     points: Points | None,
     options: FitOptions,
     progress: Progress | None,
-) -> World:
+) -> FitSetup:
     observations = read_observations(image_set, rig, part, threads=options.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(
         rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
     )
-    world = World(part, scene, cast_rays_at(scene), observations)
+    setup = FitSetup(part, scene, cast_rays_at(scene), observations)
     if not options.shift:
-        return world
-    return _registered(world, options, progress)
+        return setup
+    return _registered(setup, options, progress)
 
 
-def find_part(
+def register_with_fit(
     scene: Scene,
     observations: Sequence[Observation],
     *,
     caster: RayCaster,
-    freed: Freed | None = None,
-    rough: bool = False,
+    freed: FreeParameters | None = None,
+    reduced: bool = False,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Registration:
     """Register the part, its place refined with a first fit of the reflectance.
 
-    Parameters
-    ----------
-    scene
-        The part where its file has it.
-    observations
-        The images.
-    caster
-        Of the scene's part.
-    freed
-        What the first fit may change.
-    rough
-        Whether a part of the pixels is enough.
-    threads
-        Number of threads; the result does not depend on it.
-    progress
-        Called as the search goes on.
+    reduced: Whether a part of the pixels is enough.
     """
 
     def first_reflectance(moved: Scene) -> Reflectance:
         samples = collect_samples(
             moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
         )
-        return rough_reflectance(samples, moved.reflectance, freed=freed, threads=threads)
+        return least_squares_reflectance(samples, moved.reflectance, freed=freed, threads=threads)
 
     return register(
         scene,
         observations,
         caster=caster,
         reflectance_at=first_reflectance,
-        rough=rough,
+        reduced=reduced,
         threads=threads,
         progress=progress,
     )
 
 
-def _registered(world: World, options: FitOptions, progress: Progress | None = None) -> World:
-    """The same images, with the part where they show it; its place refined with a first fit of the reflectance.
-
-    Parameters
-    ----------
-    world
-        With the part where its file has it.
-    options
-        How to fit.
-    progress
-        Called as the search goes on.
-    """
-    found = find_part(
-        world.scene,
-        world.observations,
-        caster=world.caster,
-        freed=Freed(gain=options.gain, dark=options.dark),
+def _registered(setup: FitSetup, options: FitOptions, progress: Progress | None = None) -> FitSetup:
+    """The same images, with the part where they show it; its place refined with a first fit of the reflectance."""
+    found = register_with_fit(
+        setup.scene,
+        setup.observations,
+        caster=setup.caster,
+        freed=FreeParameters(gain=options.gain, dark=options.dark),
         threads=options.threads,
         progress=progress,
     )
-    moved = place_part(world.scene, found.placement)
-    placement = world.part.placement
-    in_file = placement_in_file(
-        world.scene.mesh.vertices,
+    moved = place_part(setup.scene, found.placement)
+    placement = setup.part.placement
+    in_file = part_file_placement(
+        setup.scene.mesh.vertices,
         found.placement,
         anchor=placement.anchor,
         rotate_deg=placement.rotate_deg,
         translate_mm=placement.translate_mm,
-        pivot=world.scene.pivot,
+        pivot=setup.scene.pivot,
     )
-    return replace(world, scene=moved, caster=cast_rays_at(moved), registration=found, in_file=in_file)
+    return replace(setup, scene=moved, caster=cast_rays_at(moved), registration=found, in_file=in_file)
 
 
 def collect(
-    world: World, options: FitOptions, progress: Progress | None, *, uniform: bool = False
+    setup: FitSetup, options: FitOptions, progress: Progress | None, *, uniform: bool = False
 ) -> Samples:
-    pairs = len({(o.light, o.posture) for o in world.observations})
+    pairs = len({(o.light, o.posture) for o in setup.observations})
     budget = max(20, min(MOST_PER_OCTAVE, options.pixels // (pairs * OCTAVES)))
     return collect_samples(
-        world.scene,
-        world.observations,
-        caster=world.caster,
+        setup.scene,
+        setup.observations,
+        caster=setup.caster,
         budget=PAPER_PIXELS if uniform else budget,
         uniform=uniform,
         threads=options.threads,

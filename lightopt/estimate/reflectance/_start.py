@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._likelihood_criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._samples import Samples
 
 Float64 = NDArray[np.float64]
@@ -24,10 +24,7 @@ START_DEVIATION = 4.0
 def first_guess(samples: Samples) -> float:
     """R_d [grey level] as the median over the half of the usable pixels that is furthest from any highlight.
 
-    Raises
-    ------
-    InputError
-        Every pixel is saturated or black.
+    Raises InputError: every pixel is saturated or black.
     """
     diffuse = samples.diffuse[samples.sample]
     away = samples.deflection[samples.sample]
@@ -57,14 +54,8 @@ def saturating_r_s(samples: Samples, specular: Float64, r_d: float) -> float:
 
     Without any saturated pixel, that of a least-squares line through what R_d leaves.
 
-    Parameters
-    ----------
-    samples
-        The observations.
-    specular
-        Per unit of R_s, shape (n,).
-    r_d
-        Diffuse coefficient [grey level].
+    specular: Per unit of R_s, shape (n,).
+    r_d: Diffuse coefficient [grey level].
     """
     factor = samples.facts.factor[samples.image]
     light = factor * specular[samples.sample]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.estimate.reflectance._criterion import R_D
 from lightopt.estimate.reflectance._likelihood import Likelihood
-from lightopt.estimate.reflectance._likelihood_criterion import R_D
 from lightopt.estimate.reflectance._newton import bounds
 
 Float64 = NDArray[np.float64]
@@ -29,17 +29,10 @@ BY_CHANCE, SURELY = 3.0, 6.0
 model begins to count, and counts wholly."""
 
 
-def told_by_images(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
+def determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
     """The free parameters without a noise τ that is nothing and a share ε of no pixels.
 
     Those sit at their bounds, where the likelihood has no maximum: neither information nor scores mean anything there.
-
-    Parameters
-    ----------
-    likelihood, x
-        The maximum.
-    free
-        Places of the parameters that were fitted.
     """
     low, high = bounds(likelihood)
     curvature = np.diag(likelihood.evaluate(x).curvature)
@@ -77,22 +70,15 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
     for clusters of observations) over that of the first. A few dozen pieces carry a highlight, so that this ratio
     scatters by tenths even where the model is right: only what is beyond that scatter counts.
 
-    Parameters
-    ----------
-    likelihood, x
-        The maximum.
-    free
-        Places of the parameters that were fitted.
-
     Returns
     -------
     tuple of numpy.ndarray
         Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise that the images do not tell.
     """
-    told = told_by_images(likelihood, x, free)
+    told = determined_parameters(likelihood, x, free)
     rows = [list(free).index(place) for place in told]
     inner = _inverse(information(likelihood, x, told))
-    gradients, curvatures = likelihood.by_piece(x)
+    gradients, curvatures = likelihood.by_block(x)
     moves = gradients[:, told] @ inner
     pieces = len(moves)
     measured = np.sum(moves**2, axis=0) * (pieces / max(1, pieces - len(told)))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._criterion import R_D, parameter_name
 from lightopt.estimate.reflectance._estimate import Estimate
-from lightopt.estimate.reflectance._likelihood_criterion import R_D, parameter_name
 from lightopt.estimate.reflectance._samples import Samples
 
 SIGMA_RANGE = 0.001, 0.2
@@ -22,17 +22,7 @@ EDGE = 1.01
 def refuse_no_highlight(samples: Samples, found: Estimate, *, threads: int | None = None) -> None:
     """Refuse images that tell nothing of R_s and σ.
 
-    Parameters
-    ----------
-    samples, found
-        The fit.
-    threads
-        Number of threads; the result does not depend on it.
-
-    Raises
-    ------
-    InputError
-        No pixel is brighter by a level for a highlight.
+    Raises InputError: no pixel is brighter by a level for a highlight.
     """
     light = found.R_s * samples.specular(found.sigma, threads=threads)
     if float(light.max()) < 1.0:
@@ -45,10 +35,7 @@ def refuse_no_highlight(samples: Samples, found: Estimate, *, threads: int | Non
 def refuse_out_of_range(found: Estimate) -> None:
     """Refuse values that no real surface has.
 
-    Raises
-    ------
-    InputError
-        σ at an edge of its range or beyond, or an R_s that runs away.
+    Raises InputError: σ at an edge of its range or beyond, or an R_s that runs away.
     """
     low, high = SIGMA_RANGE
     if found.sigma < low * EDGE:
@@ -70,7 +57,7 @@ def refuse_out_of_range(found: Estimate) -> None:
         )
 
 
-def unconverged(found: Estimate) -> tuple[str, ...]:
+def convergence_warnings(found: Estimate) -> tuple[str, ...]:
     """What to say where the optimiser did not come to an end."""
     said: list[str] = []
     if not found.maximum.converged:
@@ -97,7 +84,7 @@ def unconverged(found: Estimate) -> tuple[str, ...]:
     return tuple(said)
 
 
-def held_r_d(found: Estimate) -> list[str]:
+def held_r_d_warnings(found: Estimate) -> list[str]:
     """What to say where R_d was held at a value that the slope of the likelihood is against."""
     if R_D in found.free:
         return []

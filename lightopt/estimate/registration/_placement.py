@@ -1,11 +1,13 @@
-"""How a part lies on the stage: shifted by a millimetre, turned by a degree from where its file has it."""
+"""The placement of a part on the stage relative to its part file, and as the part file's own values."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.transforms import rotation_z
 from lightopt.scene import Scene, move_part
@@ -15,17 +17,11 @@ from lightopt.scene import Scene, move_part
 class Placement:
     """How a part lies on the stage, from where rig and part file have it.
 
-    Attributes
-    ----------
-    x, y
-        Shift in the plane of the stage's plate, world axes at posture (0, 0) [mm].
-    turn
-        About the stage's own axis [rad].
-    errors
-        Standard errors of the three, in the same order; 0 where not known.
-    observable
-        Whether the images determine each of the three; what they do not is as in the part file. Where they leave a
-        direction between two of them open, these have large errors.
+    x, y: Shift in the plane of the stage's plate, world axes at posture (0, 0) [mm].
+    turn: About the stage's own axis [rad].
+    errors: Standard errors of the three, in the same order; 0 where not known.
+    observable: Whether the images determine each of the three; what they do not is as in the part file. Where they
+        leave a direction between two of them open, these have large errors.
     """
 
     x: float = 0.0
@@ -49,7 +45,61 @@ class Placement:
 
 
 def place_part(scene: Scene, placement: Placement) -> Scene:
-    """The scene with its part where it really lies."""
+    """Move the part of a scene to its placement."""
     turn = rotation_z(placement.turn)
     shift = scene.pivot - turn @ scene.pivot + np.array([placement.x, placement.y, 0.0])
     return move_part(scene, turn, shift)
+
+
+@dataclass(frozen=True)
+class PartFilePlacement:
+    """Values of ``placement`` in a part file that put the part at its measured placement.
+
+    rotate_deg: About the fixed X, then Y, then Z axis, before the anchor [°].
+    translate_mm: After the anchor [mm].
+    """
+
+    rotate_deg: tuple[float, float, float]
+    translate_mm: tuple[float, float, float]
+
+
+def part_file_placement(
+    vertices: NDArray[np.float64],
+    placement: Placement,
+    *,
+    anchor: Literal["as_modelled", "rest_on_table", "centred"],
+    rotate_deg: tuple[float, float, float],
+    translate_mm: tuple[float, float, float],
+    pivot: NDArray[np.float64],
+) -> PartFilePlacement:
+    """Express a placement as the rotation and translation of a part file.
+
+    The anchor uses the bounding box of the rotated part, so that the translation takes back what the anchor moves.
+
+    Parameters
+    ----------
+    vertices
+        Of the part at its current file placement, world frame at posture (0, 0), shape (n, 3) [mm].
+    placement
+        Relative to the current file placement.
+    anchor, rotate_deg, translate_mm
+        Current values of the file.
+    pivot
+        Of the stage, shape (3,) [mm].
+    """
+    turn = rotation_z(placement.turn)
+    turned = vertices @ turn.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    middle = 0.5 * (low + high)
+    if anchor == "rest_on_table":
+        anchored = np.array([middle[0], middle[1], low[2]])
+    elif anchor == "centred":
+        anchored = middle
+    else:
+        anchored = turn @ np.array(translate_mm, dtype=np.float64)
+    shift = pivot - turn @ pivot + np.array([placement.x, placement.y, 0.0]) + anchored
+    about_z = rotate_deg[2] + math.degrees(placement.turn)
+    return PartFilePlacement(
+        rotate_deg=(rotate_deg[0], rotate_deg[1], math.remainder(about_z, 360.0)),
+        translate_mm=(float(shift[0]), float(shift[1]), float(shift[2])),
+    )

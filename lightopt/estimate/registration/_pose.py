@@ -1,4 +1,4 @@
-"""The pose that registration searches: shift of the part's own middle, and turn about it."""
+"""The pose that registration searches: shift of the part's own middle, and rotation about it."""
 
 from __future__ import annotations
 
@@ -16,28 +16,23 @@ Float64 = NDArray[np.float64]
 GREATEST_SHIFT_MM = 5.0
 GREATEST_TURN_RAD = math.radians(6.0)
 GREATEST_SHIFT_PX = 16.0
-"""A part is looked for up to so far from where its file has it, along x, along y (the larger of both), and turned."""
+"""Reach of the search from the file placement: along x and y the larger of both, and about the vertical axis."""
 
 MOST_ERROR_PX = 1.0
 MOST_TURN_ERROR_RAD = math.radians(0.5)
-"""A shift or a turn is determined where its standard error is below this."""
+"""A shift or a rotation is determined where its standard error is below this."""
 
 
 @dataclass(frozen=True)
 class PoseFrame:
-    """Poses are shifts in x and y of the part's middle [mm] and a turn about it [rad], from nominal; shape (3,).
+    """Poses are shifts in x and y of the part's middle [mm] and a rotation about it [rad], from nominal; shape (3,).
 
-    A placement turns the part about the stage's axis. About the part's own middle shift and turn hardly depend on each
-    other: of a body of revolution that stands off the axis, its turn alone is undetermined.
+    A placement rotates the part about the stage's axis. About the part's own middle shift and rotation hardly depend on
+    each other: of a body of revolution that stands off the axis, the rotation alone is undetermined.
 
-    Attributes
-    ----------
-    middle
-        Of the part from the stage's axis, x and y [mm], shape (2,).
-    radius
-        Of the part about its middle [mm].
-    pixel
-        Side of a pixel's footprint [mm].
+    middle: Of the part from the stage's axis, x and y [mm], shape (2,).
+    radius: Of the part about its middle [mm].
+    pixel: Side of a pixel's footprint [mm].
     """
 
     middle: Float64
@@ -46,7 +41,7 @@ class PoseFrame:
 
     @staticmethod
     def of(scene: Scene) -> PoseFrame:
-        """That of a scene's part where its file has it."""
+        """The frame of a scene's part at its file placement."""
         flat = scene.mesh.vertices[:, :2] - scene.pivot[:2]
         middle = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
         radius = float(np.sqrt(np.max(np.sum(np.square(flat - middle), axis=1))))

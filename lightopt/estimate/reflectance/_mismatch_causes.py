@@ -15,9 +15,9 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
 from lightopt.estimate.reflectance._quality import Quality
-from lightopt.estimate.reflectance._samples import Samples, collect_samples, thinned
-from lightopt.estimate.reflectance._search import estimate
-from lightopt.estimate.reflectance._setup import World, find_part
+from lightopt.estimate.reflectance._samples import Samples, collect_samples, subsample
+from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._setup import FitSetup, register_with_fit
 from lightopt.estimate.registration import FLIPS, Agreement, Observation, PoseFrame, agreement, place_part
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
@@ -53,14 +53,9 @@ MOST_LIGHTS = 8
 class Displacement:
     """Where else the part may lie.
 
-    Attributes
-    ----------
-    pixels, mm, turn
-        Shift of its middle, in the image [px] and on the stage [mm], and its turn [rad].
-    explains
-        Share of the mean squared residual beyond the noise that is gone with the part there.
-    posture
-        Whose images alone say so; None where those of all postures do.
+    pixels, mm, turn: Shift of its middle, in the image [px] and on the stage [mm], and its turn [rad].
+    explains: Share of the mean squared residual beyond the noise that is gone with the part there.
+    posture: Whose images alone say so; None where those of all postures do.
     """
 
     pixels: float
@@ -84,8 +79,8 @@ class Displacement:
         )
 
 
-def refuse_other_images(
-    world: World,
+def refuse_unexplained_images(
+    setup: FitSetup,
     samples: Samples,
     found: Estimate,
     quality: Quality,
@@ -94,30 +89,18 @@ def refuse_other_images(
 ) -> bool:
     """Refuse images that do not show this part on this rig where its file has it.
 
-    Parameters
-    ----------
-    world
-        What was fitted to what.
-    samples, found, quality
-        The fit.
-    threads
-        Number of threads; the result does not depend on it.
-
     Returns
     -------
     bool
         Whether the part's place is no reason for a poor fit: it was fitted, or no other place explains what is missed.
 
-    Raises
-    ------
-    InputError
-        With what would fit better: the part displaced, mirrored or turned images, exchanged lights.
+    Raises InputError: with what would fit better: the part displaced, mirrored or turned images, exchanged lights.
     """
     if quality.describes and not quality.poor:
-        return world.registration is not None
+        return setup.registration is not None
     excluded = True
-    if world.registration is None:
-        shift, excluded = find_displacement(world, samples, quality, threads=threads)
+    if setup.registration is None:
+        shift, excluded = find_displacement(setup, samples, quality, threads=threads)
         if shift is not None:
             raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
     own = _agreement(samples, found, threads)
@@ -135,22 +118,22 @@ def refuse_other_images(
 
 
 def find_displacement(
-    world: World, samples: Samples, quality: Quality, *, threads: int | None = None
+    setup: FitSetup, samples: Samples, quality: Quality, *, threads: int | None = None
 ) -> tuple[Displacement | None, bool]:
     """Where else the part may lie; None where that explains too little of the residual, or nothing for certain.
 
     And whether no other place explains it, which nobody knows where the search did not converge.
 
     Where no place explains the images of all postures, those of the first are looked at alone: a camera or a stage that
-    is off moves the part in each posture another way. Parameters as for :func:`refuse_other_images`.
+    is off moves the part in each posture another way. Parameters as for :func:`refuse_unexplained_images`.
     """
-    found, excluded = _displacement(world.scene, world.observations, samples, quality, threads)
-    postures = list(dict.fromkeys(o.posture for o in world.observations))
+    found, excluded = _displacement(setup.scene, setup.observations, samples, quality, threads)
+    postures = list(dict.fromkeys(o.posture for o in setup.observations))
     if found is not None or len(postures) < 2:
         return found, excluded
-    mine = [o for o in world.observations if o.posture == postures[0]]
+    mine = [o for o in setup.observations if o.posture == postures[0]]
     alike = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
-    found, _ = _displacement(world.scene, mine, samples.keep(alike), quality, threads)
+    found, _ = _displacement(setup.scene, mine, samples.select(alike), quality, threads)
     return None if found is None else replace(found, posture=postures[0]), excluded
 
 
@@ -160,8 +143,8 @@ def _displacement(
     # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one. And
     # whether the place is excluded as a reason
     try:
-        registration = find_part(
-            scene, _of_some_lights(observations), caster=cast_rays_at(scene), rough=True, threads=threads
+        registration = register_with_fit(
+            scene, _of_some_lights(observations), caster=cast_rays_at(scene), reduced=True, threads=threads
         )
     except InputError:  # a trial: those few lights show nothing
         return None, False
@@ -177,7 +160,7 @@ def _displacement(
     moved = place_part(scene, place)
     there = collect_samples(moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads)
     # the same fit at both places: what another reflectance explains is not blamed on the place
-    here = thinned(samples, BUDGET)
+    here = subsample(samples, BUDGET)
     noise = quality.floor**2
     before, after = (_missed(some, noise, threads) for some in (here, there))
     explains = _explained(before, after, noise)
@@ -208,7 +191,7 @@ def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
     no highlight, that takes those of the images for dust. Over all pixels alike, since flipped images have their
     highlights where few pixels were chosen.
     """
-    found = estimate(samples, threads=threads)
+    found = fit_reflectance(samples, threads=threads)
     weight = samples.weight[samples.sample]
     square = np.square(np.subtract(*_levels(samples, found, threads)))
     none = np.zeros(len(samples.diffuse))
@@ -235,7 +218,7 @@ def _agreement(samples: Samples, found: Estimate, threads: int | None) -> Agreem
 
 
 def _what_fits_better(samples: Samples, noise: float, threads: int | None) -> str | None:
-    few = thinned(samples, FLIP_BUDGET)
+    few = subsample(samples, FLIP_BUDGET)
     own = _missed(few, noise, threads)
     gone = {
         f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise, threads), noise)
@@ -252,7 +235,7 @@ def _what_fits_better(samples: Samples, noise: float, threads: int | None) -> st
 def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
     levels = [image.levels[flip] for image in samples.images]
     saturated = [image.saturated[flip] for image in samples.images]
-    return samples.remeasured(levels, saturated)
+    return samples.with_levels(levels, saturated)
 
 
 def _swaps(
@@ -284,4 +267,4 @@ def _exchanged(samples: Samples, pairs: list[tuple[str, str]]) -> Samples:
         by_key.get((other.get(image.light, image.light), image.posture, image.exposure), image)
         for image in samples.images
     ]
-    return samples.remeasured([image.levels for image in taken], [image.saturated for image in taken])
+    return samples.with_levels([image.levels for image in taken], [image.saturated for image in taken])

@@ -24,14 +24,9 @@ R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
 class Evaluation:
     """A criterion at a vector of parameters.
 
-    Attributes
-    ----------
-    value
-        Log-likelihood [nat].
-    gradient
-        Shape (K,).
-    curvature
-        Positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K).
+    value: Log-likelihood [nat].
+    gradient: Shape (K,).
+    curvature: Positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K).
     """
 
     value: float
@@ -67,35 +62,26 @@ def parameter_name(place: int, lights: tuple[str, ...]) -> str:
     return names[place]
 
 
-def sum_pieces(
+def sum_in_chunks(
     add: Callable[[int, int, Float64, Float64], float],
     count: int,
     size: int,
     *,
-    piece: int,
+    chunk: int,
     threads: int | None,
 ) -> tuple[float, Float64, Float64]:
     """Value, gradient and curvature of all observations, worked out in pieces side by side.
 
-    Parameters
-    ----------
-    add
-        Returns the value of the observations from one number to another, and adds to the gradient, shape (K,), and the
+    add: Returns the value of the observations from one number to another, and adds to the gradient, shape (K,), and the
         curvature, shape (K, K), that it is given.
-    count, size
-        Number of observations, and of parameters K.
-    piece
-        Observations at a time.
-    threads
-        Number of threads; the result does not depend on it.
     """
 
     def one(start: int) -> tuple[float, Float64, Float64]:
         gradient, curvature = np.zeros(size), np.zeros((size, size))
-        value = add(start, min(start + piece, count), gradient, curvature)
+        value = add(start, min(start + chunk, count), gradient, curvature)
         return value, gradient, curvature
 
-    parts = in_threads(one, range(0, count, piece), threads)
+    parts = in_threads(one, range(0, count, chunk), threads)
     if len(parts) == 1:
         return parts[0]
     return (
@@ -109,12 +95,8 @@ def sum_pieces(
 def image_factors(factors: Float64, lights: NDArray[np.int32], x: Float64) -> Float64:
     """Levels per unit of light in each image at the gains of the parameters `x`, shape (M,).
 
-    Parameters
-    ----------
-    factors, lights
-        Exposure by gain as the rig has it, and the light, shape (M,).
-    x
-        Parameters, shape (K,).
+    factors, lights: Exposure by gain as the rig has it, and the light, shape (M,).
+    x: Parameters, shape (K,).
     """
     return np.array([factors[m] * math.exp(x[4 + lights[m]]) for m in range(len(factors))])
 
@@ -123,14 +105,8 @@ def image_factors(factors: Float64, lights: NDArray[np.int32], x: Float64) -> Fl
 def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tuple[float, float]:
     """Specular light of pixel `i` per unit of R_s, and its slope by ln σ.
 
-    Parameters
-    ----------
-    i
-        Number of the pixel.
-    specular
-        At the nodes of ln σ, shape (n, w).
-    c, dc
-        Weights of the nodes for the light and for its slope, shape (w,).
+    specular: At the nodes of ln σ, shape (n, w).
+    c, dc: Weights of the nodes for the light and for its slope, shape (w,).
     """
     s = ds = 0.0
     for k in range(len(c)):
@@ -145,16 +121,7 @@ def add_curvature(
 ) -> None:
     """Add what one observation bends the criterion by to the upper triangle of the curvature.
 
-    Parameters
-    ----------
-    bend
-        Minus the second derivative by the level.
-    gain
-        Place of the gain of its light.
-    r_d, r_s, sigma, signal
-        Slopes of the level by R_d, ln R_s, ln σ and ln gain; that by the dark level is 1.
-    curvature
-        Shape (K, K).
+    curvature: Shape (K, K).
     """
     by_r_d, by_r_s, by_sigma = bend * r_d, bend * r_s, bend * sigma
     curvature[0, 0] += by_r_d * r_d
