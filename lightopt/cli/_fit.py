@@ -41,12 +41,10 @@ Pixels = Annotated[
     int, typer.Option(metavar="N", help="About how many pixels to look at, over all images. [1500000]")
 ]
 WriteNoise = Annotated[
-    bool,
-    typer.Option("--write-noise", help="Write the noise that the images show into rig.fitted.yaml."),
+    bool, typer.Option("--write-noise", help="Write the noise that the images show into rig.fitted.yaml.")
 ]
 AllowUnconverged = Annotated[
-    bool,
-    typer.Option("--allow-unconverged", help="Exit with 0 even where the optimiser did not converge."),
+    bool, typer.Option("--allow-unconverged", help="Exit with 0 even where the optimiser did not converge.")
 ]
 Threads = Annotated[
     int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
@@ -274,7 +272,9 @@ def _options(
     problems += paper.problems()
     if method == "likelihood":
         usual = PaperOptions().as_dict()
-        changed = [PAPER_OPTION_FLAGS[name] for name, value in paper.as_dict().items() if value != usual[name]]
+        changed = [
+            PAPER_OPTION_FLAGS[name] for name, value in paper.as_dict().items() if value != usual[name]
+        ]
         problems += [f"{name}: belongs to --method paper, which was not asked for" for name in changed]
     if method == "paper" and (free or joint):
         problems.append("--method paper: takes neither --free nor --joint")

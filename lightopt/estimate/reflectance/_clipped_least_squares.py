@@ -47,9 +47,8 @@ class SpecularTable:
     nodes = np.linspace(math.log(LEAST_SIGMA), math.log(MOST_SIGMA), NODES)
     """ln σ."""
 
-    def __init__(self, samples: Samples, *, threads: int | None = None) -> None:
+    def __init__(self, samples: Samples) -> None:
         self._samples = samples
-        self._threads = threads
         self._columns: dict[int, Float64] = {}
         self._window: tuple[int, Float64] = (-1, np.zeros((0, 0)))
 
@@ -57,7 +56,7 @@ class SpecularTable:
         """At a node, shape (n,)."""
         if node not in self._columns:
             sigma = math.exp(self.nodes[node])
-            self._columns[node] = self._samples.specular(sigma, threads=self._threads)
+            self._columns[node] = self._samples.specular(sigma)
         return self._columns[node]
 
     def around(self, log_sigma: float) -> tuple[Float64, Float64]:
@@ -77,16 +76,10 @@ class LeastSquares:
     """
 
     def __init__(
-        self,
-        samples: Samples,
-        table: SpecularTable,
-        *,
-        fixed: tuple[float, Float64] | None = None,
-        threads: int | None = None,
+        self, samples: Samples, table: SpecularTable, *, fixed: tuple[float, Float64] | None = None
     ) -> None:
         self.samples = samples
         self.table = table
-        self.threads = threads
         self.size = FIRST_GAIN + len(samples.lights) + 2
         self._fixed = None if fixed is None else (np.array([fixed[0]]), fixed[1][:, None])
         weight = samples.weight[samples.sample]
@@ -104,7 +97,7 @@ class LeastSquares:
 
     def without(self, left_out: NDArray[np.bool_]) -> LeastSquares:
         """The same of other samples: those not marked in `left_out`, shape (N,)."""
-        return LeastSquares(self.samples.select(~left_out), self.table, threads=self.threads)
+        return LeastSquares(self.samples.select(~left_out), self.table)
 
     def light(self, x: Float64) -> Float64:
         """Specular light per unit of R_s at the σ of `x`, shape (n,)."""
@@ -138,7 +131,7 @@ class LeastSquares:
                 s.facts.light, s.sensor.black_level, top, x, gradient, curvature,
             )  # fmt: skip
 
-        return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=self.threads)
+        return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads)
 
 
 @kernel

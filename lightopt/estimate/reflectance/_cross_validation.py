@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.estimate.reflectance._estimate import Estimate
-from lightopt.estimate.reflectance._predict import predict_images
+from lightopt.estimate.reflectance._predicted_images import predict_images
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._search import refit
 from lightopt.estimate.registration import Observation
@@ -100,7 +100,6 @@ def leave_lights_out(
     found: Estimate,
     *,
     caster: RayCaster,
-    threads: int | None = None,
     keep: Keep | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[LeftOut, ...]:
@@ -115,10 +114,12 @@ def leave_lights_out(
     results: list[LeftOut] = []
     for done, light in enumerate(used):
         others = few.select(few.facts.light[few.image] != light)
-        fitted = refit(others, found, only_reflectance=True, threads=threads)
+        fitted = refit(others, found, only_reflectance=True)
         mine = [o for o in samples.images if o.light == samples.lights[light]]
         comparisons: list[Comparison] = []
-        for seen, levels, hit in predict_images(scene, fitted.x, mine, caster=caster, threads=threads):
+        for seen, levels, hit in predict_images(
+            scene, fitted.x, mine, caster=caster, threads=samples.threads
+        ):
             comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
             if keep is not None:
                 keep(seen, levels)
@@ -158,11 +159,7 @@ def unseen(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
 
 
 def compare_image(
-    seen: Observation,
-    levels: NDArray[np.float32],
-    hit: NDArray[np.bool_],
-    sensor: Sensor,
-    full_scale: float,
+    seen: Observation, levels: NDArray[np.float32], hit: NDArray[np.bool_], sensor: Sensor, full_scale: float
 ) -> Comparison:
     """Compare a measured image with the sensor levels predicted for it.
 

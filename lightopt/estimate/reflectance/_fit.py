@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.estimate.reflectance._comparisons import evenly_lit_warnings
+from lightopt.estimate.reflectance._comparisons import evenly_lit_warnings, paper_result
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._cross_validation import leave_lights_out, unseen
 from lightopt.estimate.reflectance._estimate import FreeParameters
 from lightopt.estimate.reflectance._highlights import LEAST_R_S, WIDENINGS, diffuse_only
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._noise import measure_noise, noise_warnings
-from lightopt.estimate.reflectance._options import FitOptions, Points, Progress
 from lightopt.estimate.reflectance._paper import paper_diffuse, paper_specular
-from lightopt.estimate.reflectance._paper_results import paper_result
+from lightopt.estimate.reflectance._predicted_images import PointsRow, compare_regions
 from lightopt.estimate.reflectance._quality import assess_quality, mean_levels, poor_fit_warnings, words
 from lightopt.estimate.reflectance._result import (
     FitResult,
@@ -31,9 +30,8 @@ from lightopt.estimate.reflectance._result import (
     separate_region_warnings,
 )
 from lightopt.estimate.reflectance._samples import Samples
-from lightopt.estimate.reflectance._saturated_regions import PointsRow, compare_regions
 from lightopt.estimate.reflectance._search import fit_reflectance
-from lightopt.estimate.reflectance._setup import FitSetup, collect, prepare_fit
+from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, Progress, collect, prepare_fit
 from lightopt.estimate.reflectance._warnings import (
     convergence_warnings,
     held_r_d_warnings,
@@ -83,16 +81,13 @@ def fit_diffuse(
         return paper_result("diffuse", setup, samples, record.R_d, None, options, paper=record)
     samples = collect(setup, options, progress)
     freed = FreeParameters(gain=options.gain, dark=options.dark)
-    whole = fit_reflectance(samples, freed=freed, threads=options.threads, progress=progress)
-    threads = options.threads
-    first_quality = assess_quality(samples, whole, threads=threads)
-    placed = refuse_unexplained_images(setup, samples, whole, first_quality, threads=threads)
+    whole = fit_reflectance(samples, freed=freed, progress=progress)
+    first_quality = assess_quality(samples, whole)
+    placed = refuse_unexplained_images(setup, samples, whole, first_quality)
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
-    found = fit_reflectance(
-        plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
-    )
-    quality = assess_quality(plain, found, threads=threads)
+    found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, progress=progress)
+    quality = assess_quality(plain, found)
     first = [f"where the highlights are: {text}" for text in convergence_warnings(whole)]
     said = [
         *setup.warnings,
@@ -112,7 +107,7 @@ def fit_diffuse(
     )
     dark = fitted_dark(setup.scene, found) if options.dark else None
     said += negative_black_level_warnings(dark)
-    noise = measure_noise(plain, mean_levels(plain, found, threads=threads), describes=quality.describes)
+    noise = measure_noise(plain, mean_levels(plain, found), describes=quality.describes)
     if options.write_noise:
         said += noise_warnings(noise)
     return FitResult(
@@ -182,12 +177,7 @@ def fit_specular(
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
     if result.estimate is not None and "auto" not in options.points:
         even = evenly_lit_warnings(
-            samples,
-            result.estimate,
-            freed=options.freed,
-            held=setup.held,
-            caster=setup.caster,
-            threads=options.threads,
+            samples, result.estimate, freed=options.freed, held=setup.held, caster=setup.caster
         )
         result = replace(result, words=(*result.words, *even))
     if options.validate and result.estimate is not None:
@@ -196,7 +186,6 @@ def fit_specular(
             samples,
             result.estimate,
             caster=setup.caster,
-            threads=options.threads,
             keep=keep,
             progress=None if progress is None else lambda share: progress("validating", share),
         )
@@ -214,18 +203,15 @@ def _fit_one(setup: FitSetup, options: FitOptions, progress: Progress | None) ->
             samples,
             options.paper,
             R_d=reflectance.R_d,
-            threads=options.threads,
             progress=None if progress is None else lambda share: progress("sweeping σ", share),
         )
         pair = record.R_s, record.sigma
         return paper_result("specular", setup, samples, None, pair, options, paper=record), samples
     samples = collect(setup, options, progress)
-    found = fit_reflectance(
-        samples, freed=options.freed, held=setup.held, threads=options.threads, progress=progress
-    )
-    quality = assess_quality(samples, found, threads=options.threads)
-    placed = refuse_unexplained_images(setup, samples, found, quality, threads=options.threads)
-    refuse_no_highlight(samples, found, threads=options.threads)
+    found = fit_reflectance(samples, freed=options.freed, held=setup.held, progress=progress)
+    quality = assess_quality(samples, found)
+    placed = refuse_unexplained_images(setup, samples, found, quality)
+    refuse_no_highlight(samples, found)
     refuse_out_of_range(found)
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
@@ -234,9 +220,7 @@ def _fit_one(setup: FitSetup, options: FitOptions, progress: Progress | None) ->
     said += separate_region_warnings(values)
     said += words(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
     said += held_r_d_warnings(found)
-    noise = measure_noise(
-        samples, mean_levels(samples, found, threads=options.threads), describes=quality.describes
-    )
+    noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
     if options.write_noise:
         said += noise_warnings(noise)
     panels = (coarse_points(light, found.sigma) for light in setup.scene.lights)

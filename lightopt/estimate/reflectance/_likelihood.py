@@ -72,18 +72,10 @@ class Likelihood:
     specular: Per unit of R_s, shape (n, m).
     """
 
-    def __init__(
-        self,
-        samples: Samples,
-        log_sigmas: Float64,
-        specular: Float64,
-        *,
-        threads: int | None = None,
-    ) -> None:
+    def __init__(self, samples: Samples, log_sigmas: Float64, specular: Float64) -> None:
         self.samples = samples
         self.log_sigmas = log_sigmas
         self.specular = specular
-        self.threads = threads
         self.size = FIRST_GAIN + len(samples.lights) + 2
         self._sensor = sensor_numbers(samples.sensor)
 
@@ -121,7 +113,7 @@ class Likelihood:
                 curvature,
             )  # fmt: skip
 
-        return Evaluation(*sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=self.threads))
+        return Evaluation(*sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads))
 
     def by_block(self, x: Float64) -> tuple[Float64, Float64]:
         """Gradients and curvatures of the pieces of the images, (B, K) and (B, K, K); each sums up to the whole."""
@@ -143,10 +135,10 @@ class Likelihood:
         return gradients, curvatures
 
 
-def likelihood_at(samples: Samples, log_sigma: float, threads: int | None) -> Likelihood:
+def likelihood_at(samples: Samples, log_sigma: float) -> Likelihood:
     """The likelihood at one σ."""
-    light = samples.specular(math.exp(log_sigma), threads=threads)
-    return Likelihood(samples, np.array([log_sigma]), light[:, None], threads=threads)
+    light = samples.specular(math.exp(log_sigma))
+    return Likelihood(samples, np.array([log_sigma]), light[:, None])
 
 
 def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:

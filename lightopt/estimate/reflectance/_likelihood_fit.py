@@ -113,35 +113,29 @@ class Peak:
         return optimum_of(self.start_sigma, self.maximum, criterion)
 
 
-def likelihood_estimate(
-    samples: Samples, scan: SigmaScan, threads: int | None, report: Callable[[str, float], None]
-) -> Estimate:
+def likelihood_estimate(samples: Samples, scan: SigmaScan, report: Callable[[str, float], None]) -> Estimate:
     """Maximise the likelihood of all samples from what a scan by least squares found."""
     few = subsample(scan.samples, max(50, scan_budget(samples) // SUBSET_SHARE))
-    profile = _profile_on_subset(few, scan, threads, lambda share: report("scanning σ", 0.5 + 0.5 * share))
+    profile = _profile_on_subset(few, scan, lambda share: report("scanning σ", 0.5 + 0.5 * share))
     coarse: dict[int, Climb] = {}
 
     def climb_on_subset(x: Float64) -> Maximum:
-        ended = climb(few, x, scan.free, USUAL_TABLE, threads)
+        ended = climb(few, x, scan.free, USUAL_TABLE)
         coarse[id(ended.maximum)] = ended
         return ended.maximum
 
     tops = climb_from_peaks(profile, climb_on_subset)
     report("refining", 0.2)
-    best, peaks = best_first(
-        _climb_on_all(samples, [(start, coarse[id(top)]) for start, top in tops], threads)
-    )
+    best, peaks = best_first(_climb_on_all(samples, [(start, coarse[id(top)]) for start, top in tops]))
     report("refining", 0.9)
-    points, better = _profile_on_all(samples, few, profile, best, threads)
+    points, better = _profile_on_all(samples, few, profile, best)
     for _ in range(MOST_RESTARTS):
         if better is None:
             break
-        again = _final_climb(
-            samples, climb(few, better, scan.free, USUAL_TABLE, threads), threads, start=better
-        )
+        again = _final_climb(samples, climb(few, better, scan.free, USUAL_TABLE), start=better)
         start = math.exp(better[LOG_SIGMA])
         best, peaks = best_first([*peaks, Peak(start, again.maximum, again)])
-        points, better = _profile_on_all(samples, few, profile, best, threads)
+        points, better = _profile_on_all(samples, few, profile, best)
     found = best.as_estimate(())
     if better is not None:  # there is something better still: reported, and not passed for the best
         found = replace(found, maximum=replace(found.maximum, converged=False))
@@ -156,7 +150,7 @@ def likelihood_estimate(
     )
 
 
-def climb(samples: Samples, x: Float64, free: Sequence[int], width: float, threads: int | None) -> Climb:
+def climb(samples: Samples, x: Float64, free: Sequence[int], width: float) -> Climb:
     """Maximise the likelihood from `x`, the specular light tabulated around its σ.
 
     Where the climb leaves the table, a table is made around the place that it left for.
@@ -166,8 +160,8 @@ def climb(samples: Samples, x: Float64, free: Sequence[int], width: float, threa
         count = TABLE_NODES if width <= USUAL_TABLE else WIDE_TABLE_NODES
         offsets = width * np.linspace(-1.0, 1.0, count) if LOG_SIGMA in free else np.zeros(1)
         nodes = x[LOG_SIGMA] + offsets
-        table = np.stack([samples.specular(math.exp(node), threads=threads) for node in nodes], axis=1)
-        likelihood = Likelihood(samples, nodes, table, threads=threads)
+        table = np.stack([samples.specular(math.exp(node)) for node in nodes], axis=1)
+        likelihood = Likelihood(samples, nodes, table)
         maximum = maximise(likelihood, x, free)
         moves += 1
         inside = abs(float(maximum.x[LOG_SIGMA] - x[LOG_SIGMA])) <= 0.7 * width
@@ -190,9 +184,7 @@ def best_first(peaks: Sequence[Peak]) -> tuple[Climb, list[Peak]]:
     return best, distinct
 
 
-def _profile_on_subset(
-    few: Samples, scan: SigmaScan, threads: int | None, progress: Callable[[float], None]
-) -> list[Maximum]:
+def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Callable[[float], None]) -> list[Maximum]:
     def starts_at(number: int) -> list[Float64]:
         # what least squares leave at this σ, and the usual start with its wide shoulders
         at = scan.profile[number].x
@@ -203,7 +195,7 @@ def _profile_on_subset(
 
     values = [point.evaluation.value for point in scan.profile]
     return profile_outwards(
-        lambda at: likelihood_at(few, at, threads),
+        lambda at: likelihood_at(few, at),
         starts_at,
         scan.log_sigmas,
         scan.free,
@@ -212,50 +204,48 @@ def _profile_on_subset(
     )
 
 
-def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Climb]], threads: int | None) -> list[Peak]:
+def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Climb]]) -> list[Peak]:
     # optima of the subset, the best first, as optima of all samples. One that is far below stays where it is, with the
     # value that all samples have there, unless that is not far below
     best = tops[0][1].value
     close = [(start, top) for start, top in tops if best - top.value < CLOSE_CALL]
-    finals = [(start, _final_climb(samples, top, threads)) for start, top in close]
+    finals = [(start, _final_climb(samples, top)) for start, top in close]
     peaks = [Peak(start, final.maximum, final) for start, final in finals]
     least = max(final.value - final.relevant_drop for _, final in finals)
     for start, top in tops[len(close) :]:
-        there = _best_at(samples, top.maximum.x, top.free, threads)
+        there = _best_at(samples, top.maximum.x, top.free)
         if there.evaluation.value > least:
-            final = _final_climb(samples, top, threads)
+            final = _final_climb(samples, top)
             peaks.append(Peak(start, final.maximum, final))
         else:
             peaks.append(Peak(start, replace(there, converged=top.maximum.converged), None))
     return peaks
 
 
-def _final_climb(
-    samples: Samples, coarse: Climb, threads: int | None, *, start: Float64 | None = None
-) -> Climb:
+def _final_climb(samples: Samples, coarse: Climb, *, start: Float64 | None = None) -> Climb:
     # on all samples, with a table as wide as the maximum needs
     x = coarse.maximum.x if start is None else start
-    final = climb(samples, x, coarse.free, coarse.table_width, threads)
+    final = climb(samples, x, coarse.free, coarse.table_width)
     if not 0.5 * coarse.table_width <= final.table_width <= 1.5 * coarse.table_width:
-        final = climb(samples, final.maximum.x, coarse.free, final.table_width, threads)
+        final = climb(samples, final.maximum.x, coarse.free, final.table_width)
     return final
 
 
 def _profile_on_all(
-    samples: Samples, few: Samples, profile: Sequence[Maximum], final: Climb, threads: int | None
+    samples: Samples, few: Samples, profile: Sequence[Maximum], final: Climb
 ) -> tuple[tuple[ScanPoint, ...], Float64 | None]:
     # The profile of the subset with the estimate itself on it. Where the subset does not surely prefer the estimate,
     # all samples decide: they either have something better to climb from, or show how much worse it is.
     share = _share_of(few, samples)
     if LOG_SIGMA not in final.free:
         return scan_points([replace(profile[0], x=final.maximum.x)]), None
-    here = _best_at(few, final.maximum.x, final.free, threads)
+    here = _best_at(few, final.maximum.x, final.free)
     value = here.evaluation.value
     near = max(CLOSE_CALL, share * final.relevant_drop)
     shown: list[Maximum] = [replace(here, x=final.maximum.x)]
     for point in profile:
         if point.evaluation.value > value - near:
-            whole = _best_at(samples, point.x, final.free, threads)
+            whole = _best_at(samples, point.x, final.free)
             if whole.evaluation.value > final.value:
                 return (), whole.x
             worse = share * (final.value - whole.evaluation.value)
@@ -264,9 +254,9 @@ def _profile_on_all(
     return scan_points(shown, share=share), None
 
 
-def _best_at(samples: Samples, x: Float64, free: Sequence[int], threads: int | None) -> Maximum:
+def _best_at(samples: Samples, x: Float64, free: Sequence[int]) -> Maximum:
     # the best of all other parameters at the σ of `x`
-    likelihood = likelihood_at(samples, float(x[LOG_SIGMA]), threads)
+    likelihood = likelihood_at(samples, float(x[LOG_SIGMA]))
     return maximise(likelihood, x, [place for place in free if place != LOG_SIGMA])
 
 

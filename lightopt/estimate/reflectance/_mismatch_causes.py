@@ -79,14 +79,7 @@ class Displacement:
         )
 
 
-def refuse_unexplained_images(
-    setup: FitSetup,
-    samples: Samples,
-    found: Estimate,
-    quality: Quality,
-    *,
-    threads: int | None = None,
-) -> bool:
+def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate, quality: Quality) -> bool:
     """Refuse images that do not show this part on this rig where its file has it.
 
     Returns
@@ -100,14 +93,14 @@ def refuse_unexplained_images(
         return setup.registration is not None
     excluded = True
     if setup.registration is None:
-        shift, excluded = find_displacement(setup, samples, quality, threads=threads)
+        shift, excluded = find_displacement(setup, samples, quality)
         if shift is not None:
             raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
-    own = _agreement(samples, found, threads)
-    if not own.foreign:
+    own = _agreement(samples, found)
+    if not own.mismatch:
         return excluded
     hint = (
-        _what_fits_better(samples, quality.floor**2, threads)
+        _what_fits_better(samples, quality.floor**2)
         or "check that rig, part, placement and postures are those of the images"
     )
     raise InputError(
@@ -118,7 +111,7 @@ def refuse_unexplained_images(
 
 
 def find_displacement(
-    setup: FitSetup, samples: Samples, quality: Quality, *, threads: int | None = None
+    setup: FitSetup, samples: Samples, quality: Quality
 ) -> tuple[Displacement | None, bool]:
     """Where else the part may lie; None where that explains too little of the residual, or nothing for certain.
 
@@ -127,24 +120,28 @@ def find_displacement(
     Where no place explains the images of all postures, those of the first are looked at alone: a camera or a stage that
     is off moves the part in each posture another way. Parameters as for :func:`refuse_unexplained_images`.
     """
-    found, excluded = _displacement(setup.scene, setup.observations, samples, quality, threads)
+    found, excluded = _displacement(setup.scene, setup.observations, samples, quality)
     postures = list(dict.fromkeys(o.posture for o in setup.observations))
     if found is not None or len(postures) < 2:
         return found, excluded
     mine = [o for o in setup.observations if o.posture == postures[0]]
     alike = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
-    found, _ = _displacement(setup.scene, mine, samples.select(alike), quality, threads)
+    found, _ = _displacement(setup.scene, mine, samples.select(alike), quality)
     return None if found is None else replace(found, posture=postures[0]), excluded
 
 
 def _displacement(
-    scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality, threads: int | None
+    scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality
 ) -> tuple[Displacement | None, bool]:
     # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one. And
     # whether the place is excluded as a reason
     try:
         registration = register_with_fit(
-            scene, _of_some_lights(observations), caster=cast_rays_at(scene), reduced=True, threads=threads
+            scene,
+            _of_some_lights(observations),
+            caster=cast_rays_at(scene),
+            reduced=True,
+            threads=samples.threads,
         )
     except InputError:  # a trial: those few lights show nothing
         return None, False
@@ -158,11 +155,13 @@ def _displacement(
     if not certain.any() or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
         return None, excluded
     moved = place_part(scene, place)
-    there = collect_samples(moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads)
+    there = collect_samples(
+        moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=samples.threads
+    )
     # the same fit at both places: what another reflectance explains is not blamed on the place
     here = subsample(samples, BUDGET)
     noise = quality.floor**2
-    before, after = (_missed(some, noise, threads) for some in (here, there))
+    before, after = (_missed(some, noise) for some in (here, there))
     explains = _explained(before, after, noise)
     if explains <= LEAST_EXPLAINED:
         return None, excluded
@@ -176,14 +175,12 @@ def _of_some_lights(observations: Sequence[Observation]) -> list[Observation]:
     return [o for o in observations if lights.index(o.light) in some]
 
 
-def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Float64, Float64]:
+def _levels(samples: Samples, found: Estimate) -> tuple[Float64, Float64]:
     # measured and predicted, clipped where the camera clips
-    return clipped_levels(
-        samples, predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
-    )
+    return clipped_levels(samples, predicted(samples, samples.specular(found.sigma), found.x))
 
 
-def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
+def _missed(samples: Samples, noise: float) -> Float64:
     """Mean square of residuals beyond the noise's [sensor level²], shape (2,).
 
     Each up to a cap, which dust does not move, and whole, which highlights of few pixels do. Fitted anew, since a
@@ -191,9 +188,9 @@ def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
     no highlight, that takes those of the images for dust. Over all pixels alike, since flipped images have their
     highlights where few pixels were chosen.
     """
-    found = fit_reflectance(samples, threads=threads)
+    found = fit_reflectance(samples)
     weight = samples.weight[samples.sample]
-    square = np.square(np.subtract(*_levels(samples, found, threads)))
+    square = np.square(np.subtract(*_levels(samples, found)))
     none = np.zeros(len(samples.diffuse))
     dull = np.square(np.subtract(*clipped_levels(samples, predicted(samples, none, found.x))))
     cap = (LEVEL_CAP * samples.sensor.max_level) ** 2
@@ -209,22 +206,22 @@ def _explained(before: Float64, after: Float64, noise: float) -> float:
     return float(np.max(1.0 - after[worth] / before[worth], initial=0.0))
 
 
-def _agreement(samples: Samples, found: Estimate, threads: int | None) -> Agreement:
-    level, model = _levels(samples, found, threads)
+def _agreement(samples: Samples, found: Estimate) -> Agreement:
+    level, model = _levels(samples, found)
     black = samples.sensor.black_level
     frames = samples.facts.frames[samples.image]
     noise = np.sqrt(samples.sensor.noise_variance(model - black, frames=frames))
     return agreement(level - black, model - black, noise)
 
 
-def _what_fits_better(samples: Samples, noise: float, threads: int | None) -> str | None:
+def _what_fits_better(samples: Samples, noise: float) -> str | None:
     few = subsample(samples, FLIP_BUDGET)
-    own = _missed(few, noise, threads)
+    own = _missed(few, noise)
     gone = {
-        f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise, threads), noise)
+        f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise), noise)
         for name, (flip, remedy) in FLIPS.items()
     }
-    swaps, share = _swaps(few, own, noise, threads)
+    swaps, share = _swaps(few, own, noise)
     if swaps:
         exchanged = " and ".join(f"{a} and {b} exchanged" for a, b in swaps)
         gone[f"with {exchanged}: check which light is plugged in where"] = share
@@ -238,9 +235,7 @@ def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
     return samples.with_levels(levels, saturated)
 
 
-def _swaps(
-    samples: Samples, own: Float64, noise: float, threads: int | None
-) -> tuple[list[tuple[str, str]], float]:
+def _swaps(samples: Samples, own: Float64, noise: float) -> tuple[list[tuple[str, str]], float]:
     # pairs of lights whose images fit better exchanged, the best first, and the share of what is missed that is gone
     swaps: list[tuple[str, str]] = []
     gone = 0.0
@@ -248,7 +243,7 @@ def _swaps(
     lights = [light for light in samples.lights if light in seen]
     while 2 <= len(lights) <= MOST_LIGHTS:
         shares = {
-            pair: _explained(own, _missed(_exchanged(samples, [*swaps, pair]), noise, threads), noise)
+            pair: _explained(own, _missed(_exchanged(samples, [*swaps, pair]), noise), noise)
             for pair in itertools.combinations(lights, 2)
         }
         best = max(shares, key=lambda pair: shares[pair])

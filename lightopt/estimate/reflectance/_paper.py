@@ -230,12 +230,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
 
 
 def paper_specular(
-    samples: Samples,
-    options: PaperOptions,
-    *,
-    R_d: float,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    samples: Samples, options: PaperOptions, *, R_d: float, progress: Callable[[float], None] | None = None
 ) -> PaperSpecular:
     """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3).
 
@@ -263,7 +258,7 @@ def paper_specular(
     steps: list[SigmaStep] = []
     sigmas = _sweep(options)
     for sigma in sigmas:
-        light = factor * mine.specular(sigma, threads=threads)[mine.sample]
+        light = factor * mine.specular(sigma)[mine.sample]
         steps.append(_match_area(light, diffuse, room, measured, total, sigma, options))
         if progress is not None:
             progress(len(steps) / len(sigmas))

@@ -72,10 +72,10 @@ class Quality:
         }
 
 
-def assess_quality(samples: Samples, found: Estimate, *, threads: int | None = None) -> Quality:
-    """Compare a fit with the pixels that it was made from; the result does not depend on the number of threads."""
+def assess_quality(samples: Samples, found: Estimate) -> Quality:
+    """Compare a fit with the pixels that it was made from."""
     sensor = samples.sensor
-    mean = mean_levels(samples, found, threads=threads)
+    mean = mean_levels(samples, found)
     level = samples.level.astype(np.float64)
     seen = ~samples.saturated & (mean < sensor.saturated_from)
     residual = (level - np.maximum(mean, 0.0))[seen]
@@ -99,9 +99,9 @@ def assess_quality(samples: Samples, found: Estimate, *, threads: int | None = N
     )
 
 
-def mean_levels(samples: Samples, found: Estimate, *, threads: int | None = None) -> NDArray[np.float64]:
+def mean_levels(samples: Samples, found: Estimate) -> NDArray[np.float64]:
     """Sensor levels, not clipped, that a fit predicts for the observations, shape (N,)."""
-    return predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
+    return predicted(samples, samples.specular(found.sigma), found.x)
 
 
 def words(

@@ -12,9 +12,9 @@ from lightopt.estimate.reflectance._cross_validation import LeftOut
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._noise import MeasuredNoise
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
+from lightopt.estimate.reflectance._predicted_images import PointsRow
 from lightopt.estimate.reflectance._profile_intervals import profile_regions
 from lightopt.estimate.reflectance._quality import Quality
-from lightopt.estimate.reflectance._saturated_regions import PointsRow
 from lightopt.estimate.reflectance._warnings import convergence_warnings
 from lightopt.estimate.registration import PartFilePlacement, Placement, Registration
 from lightopt.scene import Scene
@@ -146,10 +146,7 @@ class FitResult:
             "values": {v.name: v.as_dict() for v in self.values},
             "highlights_by": None
             if self.highlights is None
-            else {
-                "R_s": float(f"{self.highlights[0]:.6g}"),
-                "sigma_rad": float(f"{self.highlights[1]:.6g}"),
-            },
+            else {"R_s": float(f"{self.highlights[0]:.6g}"), "sigma_rad": float(f"{self.highlights[1]:.6g}")},
             "correlation_ln_R_s_ln_sigma": self.correlation,
             "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
             "black_level": None if self.dark is None else self.dark.as_dict(),

@@ -84,7 +84,6 @@ class ImageFacts:
 class Samples:
     """Pixels (n) and what was measured there (N observations: a pixel has one per exposure).
 
-    groups: The pixels, group after group.
     diffuse: Light per unit of R_d, 0 where none arrives, shape (n,).
     deflection: Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
     weight: Pixels of the image that each stands for, shape (n,).
@@ -93,10 +92,8 @@ class Samples:
     image: Image of each observation, shape (N,).
     level: Sensor level, shape (N,).
     saturated: Where `level` is only a lower bound, shape (N,).
-    images: The images.
-    facts: Of the images.
     lights: Names of the scene's lights.
-    sensor: Of the camera.
+    threads: Number of threads that work on them; no result depends on it.
     """
 
     groups: tuple[SampleGroup, ...]
@@ -112,6 +109,7 @@ class Samples:
     facts: ImageFacts
     lights: tuple[str, ...]
     sensor: Sensor
+    threads: int | None = None
 
     def select(self, where: NDArray[np.bool_]) -> Samples:
         """Only the observations marked in `where`, shape (N,); the pixels stay."""
@@ -131,15 +129,13 @@ class Samples:
         columns = np.concatenate([group.column for group in self.groups])[self.sample]
         stack, flags = np.stack(levels), np.stack(saturated)
         return replace(
-            self,
-            level=stack[self.image, rows, columns],
-            saturated=flags[self.image, rows, columns],
+            self, level=stack[self.image, rows, columns], saturated=flags[self.image, rows, columns]
         )
 
-    def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
+    def specular(self, sigma: float) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
         parts = [
-            np.zeros(len(group)) if group.layer is None else group.layer.specular(sigma, threads=threads)
+            np.zeros(len(group)) if group.layer is None else group.layer.specular(sigma, threads=self.threads)
             for group in self.groups
         ]
         return np.concatenate(parts)
@@ -171,7 +167,7 @@ def collect_samples(
         groups += _choose(pixels, posture, light, caster, budget, uniform, threads)
         if progress is not None:
             progress((done + 1) / len(wanted))
-    return _assemble(scene, groups, observations)
+    return replace(_assemble(scene, groups, observations), threads=threads)
 
 
 def subsample(samples: Samples, budget: int) -> Samples:
@@ -209,7 +205,7 @@ def subsample(samples: Samples, budget: int) -> Samples:
     )
 
 
-def evenly_lit(samples: Samples, caster: RayCaster, *, threads: int | None = None) -> Samples:
+def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
     """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
     groups = tuple(
         group
@@ -217,7 +213,10 @@ def evenly_lit(samples: Samples, caster: RayCaster, *, threads: int | None = Non
         else replace(
             group,
             layer=light_layer(
-                group.layer.surface, replace(group.layer.light, points="auto"), caster, threads=threads
+                group.layer.surface,
+                replace(group.layer.light, points="auto"),
+                caster,
+                threads=samples.threads,
             ),
         )
         for group in samples.groups

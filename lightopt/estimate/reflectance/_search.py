@@ -39,7 +39,6 @@ def fit_reflectance(
     *,
     freed: FreeParameters | None = None,
     held: Float64 | None = None,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
     """Fit R_d, R_s and σ, and what else is freed, to samples.
@@ -50,36 +49,30 @@ def fit_reflectance(
     """
     report = progress or (lambda _stage, _share: None)
     scan = scan_sigma(
-        samples, freed or FreeParameters(), held, threads, lambda share: report("scanning σ", 0.5 * share)
+        samples, freed or FreeParameters(), held, lambda share: report("scanning σ", 0.5 * share)
     )
     if scan.lack_of_fit.significant:
         report("refining", 0.5)
-        return least_squares_estimate(samples, scan, threads)
-    found = likelihood_estimate(samples, scan, threads, report)
+        return least_squares_estimate(samples, scan)
+    found = likelihood_estimate(samples, scan, report)
     ratio = scan.criterion.mean_square(found.x) / scan.criterion.mean_square(scan.best.x)
     if ratio > WORSE_PREDICTION**2:
-        return least_squares_estimate(samples, scan, threads)
+        return least_squares_estimate(samples, scan)
     return found
 
 
 def least_squares_reflectance(
-    samples: Samples,
-    reflectance: Reflectance,
-    *,
-    freed: FreeParameters | None = None,
-    threads: int | None = None,
+    samples: Samples, reflectance: Reflectance, *, freed: FreeParameters | None = None
 ) -> Reflectance:
     """R_d, R_s and σ by least squares alone, without intervals: good enough to find a part by.
 
     Raises InputError: every pixel is saturated or black.
     """
-    x = scan_sigma(samples, freed or FreeParameters(), None, threads, lambda _share: None).best.x
+    x = scan_sigma(samples, freed or FreeParameters(), None, lambda _share: None).best.x
     return replace(reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
 
 
-def refit(
-    samples: Samples, start: Estimate, *, only_reflectance: bool = False, threads: int | None = None
-) -> Estimate:
+def refit(samples: Samples, start: Estimate, *, only_reflectance: bool = False) -> Estimate:
     """Fit the same parameters to other samples by the same criterion, from an estimate that cannot be far off.
 
     only_reflectance: Whether gains and dark level stay as they are.
@@ -87,10 +80,10 @@ def refit(
     size = start.criterion.size
     free = tuple(p for p in start.free if not only_reflectance or p < DARK or p >= size - 2)
     if start.describes:
-        return climb(samples, start.x, free, USUAL_TABLE, threads).as_estimate(start.scan)
+        return climb(samples, start.x, free, USUAL_TABLE).as_estimate(start.scan)
     # as many pixels as the estimate itself is from
     few = subsample(samples, scan_budget(samples))
-    criterion = LeastSquares(few, SpecularTable(few, threads=threads), threads=threads)
+    criterion = LeastSquares(few, SpecularTable(few))
     criterion = criterion.without(find_dust(few, predicted(few, criterion.light(start.x), start.x)))
     top = maximise(criterion, start.x, free)
     errors = np.array([start.standard_error(place) for place in free])

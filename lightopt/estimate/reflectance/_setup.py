@@ -1,16 +1,17 @@
-"""A rig, a part and images made ready: the scene as it was photographed, the part where it lies, the pixels."""
+"""What a fit is made from: its options, and rig, part and images made ready."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.estimate.reflectance._estimate import FreeParameters
-from lightopt.estimate.reflectance._options import FitOptions, Points, Progress
+from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
 from lightopt.estimate.reflectance._search import least_squares_reflectance
 from lightopt.estimate.registration import (
@@ -29,6 +30,43 @@ from lightopt.images import ImageSet
 from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
+
+Points: TypeAlias = "int | Literal['auto']"
+Progress = Callable[[str, float], None]
+"""Called with what is going on and the share of it that is done, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """How to fit.
+
+    method: ``"likelihood"`` or ``"paper"``.
+    joint: Whether a specular fit fits R_d along instead of keeping the part file's.
+    gain, dark, shift: What else is freed; `shift` is the part's place on the stage.
+    points: Point lights per panel to try; the rig's own where empty.
+    pixels: About how many pixels to look at, over all images.
+    validate: Whether to leave each light out in turn.
+    write_noise: Whether the noise that the images show belongs into the rig file.
+    paper: Of the paper's procedure.
+    """
+
+    method: Literal["likelihood", "paper"] = "likelihood"
+    joint: bool = False
+    gain: bool = False
+    dark: bool = False
+    shift: bool = False
+    points: tuple[Points, ...] = ()
+    pixels: int = 1_500_000
+    validate: bool = True
+    write_noise: bool = False
+    paper: PaperOptions = field(default_factory=PaperOptions)
+    threads: int | None = None
+
+    @property
+    def freed(self) -> FreeParameters:
+        """What a specular fit may change."""
+        return FreeParameters(diffuse=self.joint, gain=self.gain, dark=self.dark)
+
 
 Float64 = NDArray[np.float64]
 
@@ -112,7 +150,7 @@ def register_with_fit(
         samples = collect_samples(
             moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
         )
-        return least_squares_reflectance(samples, moved.reflectance, freed=freed, threads=threads)
+        return least_squares_reflectance(samples, moved.reflectance, freed=freed)
 
     return register(
         scene,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
 from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion
 from lightopt.estimate.reflectance._estimate import FreeParameters, Optimum, ScanPoint
@@ -20,7 +21,6 @@ from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_profile import peaks, profile_over_sigma
-from lightopt.estimate.reflectance._start import first_guess, start_at
 
 Float64 = NDArray[np.float64]
 
@@ -75,11 +75,7 @@ class SigmaScan:
 
 
 def scan_sigma(
-    samples: Samples,
-    freed: FreeParameters,
-    held: Float64 | None,
-    threads: int | None,
-    progress: Callable[[float], None],
+    samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Callable[[float], None]
 ) -> SigmaScan:
     """Fit a subset of the samples by least squares at each σ of the range, and climb from the peaks.
 
@@ -89,14 +85,14 @@ def scan_sigma(
     free = free_places(samples, freed)
     guess = first_guess(few)
     r_d = guess if freed.diffuse or held is None else float(held[0])
-    table = SpecularTable(few, threads=threads)
+    table = SpecularTable(few)
     log_r_s = None
     if freed.specular:
         log_sigmas = [float(node) for node in table.nodes[::SCAN_STRIDE]]
         columns = [table.column(number) for number in range(0, len(table.nodes), SCAN_STRIDE)]
     else:
         log_sigmas = [math.log(HELD_SIGMA if held is None else held[2])]
-        columns = [few.specular(math.exp(log_sigmas[0]), threads=threads)]
+        columns = [few.specular(math.exp(log_sigmas[0]))]
         log_r_s = None if held is None else math.log(max(held[1], 1e-6))
     starts = [
         start_at(few, column, math.exp(at), r_d) for at, column in zip(log_sigmas, columns, strict=True)
@@ -108,9 +104,9 @@ def scan_sigma(
     def search(
         some: Samples, starts_at: Callable[[int], list[Float64]]
     ) -> tuple[LeastSquares, list[Maximum], Climbs]:
-        criterion = LeastSquares(some, table, threads=threads)
+        criterion = LeastSquares(some, table)
         by_sigma = {
-            at: LeastSquares(some, table, fixed=(at, column), threads=threads)
+            at: LeastSquares(some, table, fixed=(at, column))
             for at, column in zip(log_sigmas, columns, strict=True)
         }
         profile = profile_over_sigma(by_sigma.__getitem__, starts_at, log_sigmas, fitted, progress=progress)
@@ -182,3 +178,72 @@ def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) ->
         converged=top.converged,
         criterion=criterion,
     )
+
+
+LEAST_DIFFUSE = 0.1
+"""R_d is guessed where at least this much light arrives per unit of it."""
+
+START_EPSILON = 0.03
+START_DEVIATION = 4.0
+"""A climb begins with wide shoulders [sensor level], so that pixels far from the first guess still pull at it."""
+
+
+def first_guess(samples: Samples) -> float:
+    """R_d [grey level] as the median over the half of the usable pixels that is furthest from any highlight.
+
+    Raises InputError: every pixel is saturated or black.
+    """
+    diffuse = samples.diffuse[samples.sample]
+    away = samples.deflection[samples.sample]
+    lit = diffuse > 0.0
+    full = samples.saturated
+    black = samples.level <= samples.sensor.black_level
+    if not lit.any() or bool(np.all(full[lit])):
+        raise InputError(
+            "every pixel that the lights reach is saturated; nothing tells how bright the surface is. Add images "
+            "at a shorter exposure"
+        )
+    if bool(np.all(black[lit])):
+        raise InputError(
+            "every pixel that the lights reach is black; nothing tells how bright the surface is. Add images at a "
+            "longer exposure, and check that the light was on"
+        )
+    usable = lit & ~full & (diffuse >= LEAST_DIFFUSE)
+    if not usable.any():
+        usable = lit & ~full
+    usable &= away >= np.median(away[usable])
+    light = samples.facts.factor[samples.image] * diffuse
+    return max(0.0, float(np.median((samples.level - samples.sensor.black_level)[usable] / light[usable])))
+
+
+def saturating_r_s(samples: Samples, specular: Float64, r_d: float) -> float:
+    """R_s [grey level] with which as many pixels are saturated as were measured.
+
+    Without any saturated pixel, that of a least-squares line through what R_d leaves.
+
+    specular: Per unit of R_s, shape (n,).
+    r_d: Diffuse coefficient [grey level].
+    """
+    factor = samples.facts.factor[samples.image]
+    light = factor * specular[samples.sample]
+    base = samples.sensor.black_level + factor * r_d * samples.diffuse[samples.sample]
+    count = int(samples.saturated.sum())
+    reached = light > 0.0
+    if count:
+        missing = np.maximum(samples.sensor.saturated_from - base, 0.0)[reached]
+        needed = np.sort(missing / light[reached])
+        if len(needed):
+            return max(float(needed[min(count, len(needed)) - 1]), 1e-3)
+        return 1.0
+    square = float(light @ light)
+    return max(float(light @ (samples.level - base)) / square, 1e-3) if square > 0.0 else 1.0
+
+
+def start_at(samples: Samples, specular: Float64, sigma: float, r_d: float) -> Float64:
+    """Parameters to climb from at a given σ, shape (K,); arguments as in :func:`saturating_r_s`, σ in [rad]."""
+    x = np.zeros(FIRST_GAIN + len(samples.lights) + 2)
+    x[R_D], x[LOG_SIGMA] = r_d, math.log(sigma)
+    x[LOG_R_S] = math.log(saturating_r_s(samples, specular, r_d))
+    x[-2] = 2.0 * math.log(START_DEVIATION)
+    x[-1] = math.log(START_EPSILON / (1.0 - START_EPSILON))
+    return x

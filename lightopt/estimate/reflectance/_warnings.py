@@ -19,12 +19,12 @@ EDGE = 1.01
 """A value within this factor of an edge is at it."""
 
 
-def refuse_no_highlight(samples: Samples, found: Estimate, *, threads: int | None = None) -> None:
+def refuse_no_highlight(samples: Samples, found: Estimate) -> None:
     """Refuse images that tell nothing of R_s and σ.
 
     Raises InputError: no pixel is brighter by a level for a highlight.
     """
-    light = found.R_s * samples.specular(found.sigma, threads=threads)
+    light = found.R_s * samples.specular(found.sigma)
     if float(light.max()) < 1.0:
         raise InputError(
             "no highlight in any image: nothing tells R_s and σ. Add images under lights that the surface mirrors "

@@ -9,10 +9,10 @@ from lightopt.estimate.registration._pixels import view_of_placed
 from lightopt.estimate.registration._placement import (
     PartFilePlacement,
     Placement,
+    PoseFrame,
     part_file_placement,
     place_part,
 )
-from lightopt.estimate.registration._pose import PoseFrame
 from lightopt.estimate.registration._refinement import DARK_SPREAD, GAIN_SPREAD
 from lightopt.estimate.registration._registration import Registration, register
 

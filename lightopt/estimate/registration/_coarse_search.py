@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
-from lightopt.estimate.registration._placement import Placement
-from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.estimate.registration._placement import Placement, PoseFrame
 from lightopt.geometry import RayCaster
 from lightopt.scene import Scene, screen_window, view_from_part
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from lightopt.core.least_squares import Limits
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
-from lightopt.estimate.registration._placement import Placement, place_part
-from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PosturePixels, trace_pixels
 from lightopt.scene import Scene

@@ -25,8 +25,7 @@ from lightopt.core.least_squares import Solution, solve
 from lightopt.estimate.registration._coarse_search import coarse_pixels, search_placement
 from lightopt.estimate.registration._image_checks import refuse_useless_images
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._placement import Placement, place_part
-from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.estimate.registration._refinement import (
     OUTLINE_PX,
     POSE,

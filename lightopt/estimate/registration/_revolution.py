@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration._pixels import PixelSet, view_of_placed
-from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.estimate.registration._placement import PoseFrame
 from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
 from lightopt.scene import Scene
