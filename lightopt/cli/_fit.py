@@ -216,17 +216,17 @@ def _run(
         if kind == "diffuse":
             result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, progress=progress)
         else:
-            keep = _keep_pictures(
+            save = _save_residuals(
                 folder, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
             )
             result = fit_specular(
-                loaded_rig, loaded_part, image_set, options=options, progress=progress, keep=keep
+                loaded_rig, loaded_part, image_set, options=options, progress=progress, save_prediction=save
             )
     from lightopt.report import fit_chart
 
     chart = fit_chart(result, lambda: folder.place("fit.png"))
     written = folder.write(result, loaded_rig, loaded_part)
-    for text in result.words:
+    for text in result.warnings:
         say_warning(text)
     if not quiet:
         _show(result)
@@ -297,14 +297,16 @@ def _options(
     )
 
 
-def _keep_pictures(folder: FitFolder, bit_depth: int, saturation: float | None) -> Callable[[Any, Any], None]:
+def _save_residuals(
+    folder: FitFolder, bit_depth: int, saturation: float | None
+) -> Callable[[Any, Any], None]:
     # a picture of measured minus predicted for each image that was left out
     from lightopt.images import png_name
     from lightopt.report import residual_picture
 
     full = float(2**bit_depth - 1)
 
-    def keep(seen: Any, levels: Any) -> None:
+    def save(seen: Any, levels: Any) -> None:
         name = png_name(seen.light, seen.posture, seen.exposure).replace("/", "_")
         residual_picture(
             folder.place(f"left-out/{name}"),
@@ -314,7 +316,7 @@ def _keep_pictures(folder: FitFolder, bit_depth: int, saturation: float | None) 
             full=full,
         )
 
-    return keep
+    return save
 
 
 def _show(result: FitResult) -> None:
@@ -372,9 +374,9 @@ def _show_noise(noise: MeasuredNoise) -> None:
         ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
         ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
     )
-    said = [text.format(value, error) for text, value, error in figures if value is not None]
-    if said:
-        say("noise written: " + ", ".join(said))
+    figures_shown = [text.format(value, error) for text, value, error in figures if value is not None]
+    if figures_shown:
+        say("noise written: " + ", ".join(figures_shown))
 
 
 def _show_points(result: FitResult) -> None:

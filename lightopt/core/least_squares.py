@@ -27,18 +27,18 @@ MOST_ROUNDS = 6
 SAME_SPREAD = 0.03
 """A spread that changes by less than this share ends the rounds."""
 
-PROMISE = 1e-3
+DECREASE_TOLERANCE = 1e-3
 """A solution has converged when the next step promises less than this of the cost: a step of 0.05 standard errors."""
 
-NO_DESCENT_PROMISE = 0.05
+STALLED_TOLERANCE = 0.05
 """And where no step lowers the cost, when it promised less than this: a step of 0.3 standard errors."""
 
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e5
-RELEASED = 2.0
+RELEASE_FACTOR = 2.0
 """A direction that is held at nominal is let go again where the residuals tell this many times what they must. At the
 start, where the spread is still that of a misfit, they tell less than they do in the end."""
 
-WILD = 10.0
+MISSING_RESIDUAL = 10.0
 """A pixel that a trial step leaves without a prediction counts as a residual of this many spreads."""
 
 _HUGE = 1e12
@@ -98,14 +98,12 @@ class Limits:
 class Solution:
     """Where the robust cost is least; everything is finite.
 
-    x: Parameters, shape (K,).
     covariance: Of an M-estimate, each row with the variance that it shows, shape (K, K).
     errors: Standard errors, at most the reach of a parameter, shape (K,).
     undetermined: Directions that the residuals do not determine, in units of the limits' resolution, orthonormal rows,
         shape (u, K).
     at_limit: Parameters at their greatest distance from nominal, shape (K,).
     converged: Whether the next step would change nothing.
-    iterations: Steps tried.
     rows: Rows that had a prediction at the start.
     spread: Robust standard deviation of the residuals at the end.
     cost_before, cost_after: Robust cost per row with that spread: at the start, undetermined directions at nominal, and
@@ -283,13 +281,13 @@ class _Solver:
             if basis.shape[1] == 0 or not self._rows.any():
                 return here, bool(self._rows.any())
             scale, inner, outer = _scaled(basis.T @ normal @ basis, basis.T @ pull)
-            promise = 0.5 * float(outer @ _damped(inner, outer, LEAST_DAMPING))
-            if promise < PROMISE:
+            predicted_decrease = 0.5 * float(outer @ _damped(inner, outer, LEAST_DAMPING))
+            if predicted_decrease < DECREASE_TOLERANCE:
                 return here, True
             before = here
             while here is before:
                 if self._tried >= most_iterations or damping > MOST_DAMPING:
-                    return here, promise < NO_DESCENT_PROMISE
+                    return here, predicted_decrease < STALLED_TOLERANCE
                 self._tried += 1
                 change = basis @ (_damped(inner, outer, damping) / scale)
                 there = self._point(self._bounded(here.x, change))
@@ -304,7 +302,7 @@ class _Solver:
             residual = np.asarray(self._problem.residuals(x), np.float64)
         finite = np.isfinite(residual)
         if not finite.all():
-            residual = np.where(self._rows, np.where(finite, residual, WILD * self._units()), 0.0)
+            residual = np.where(self._rows, np.where(finite, residual, MISSING_RESIDUAL * self._units()), 0.0)
         residual = np.clip(residual, -_HUGE, _HUGE)
         cost = float(self._loss.cost(residual / self._units()) @ self._weights())
         known = (x - self._limits.nominal) @ self._precision @ (x - self._limits.nominal)
@@ -358,7 +356,7 @@ class _Solver:
         values, vectors = np.linalg.eigh(self._information(normal))
         unknown, before = values < 1.0, len(self._held)
         if np.sum(unknown) < before:
-            unknown = values < RELEASED
+            unknown = values < RELEASE_FACTOR
         if np.sum(unknown) == before:
             return False
         self._held = np.zeros((int(np.sum(unknown)), self._size))
@@ -386,13 +384,13 @@ class _Solver:
         # about the parameters of interest alone, in units of their resolution
         of = self._of_interest
         others = np.setdiff1d(np.arange(self._size), of)
-        kept = normal[np.ix_(of, of)]
+        schur = normal[np.ix_(of, of)]
         if len(others):
             scale, inner, _ = _scaled(normal[np.ix_(others, others)], np.zeros(len(others)))
             cross = normal[np.ix_(of, others)] / scale
-            kept = kept - cross @ np.linalg.solve(inner + LEAST_DAMPING * np.eye(len(others)), cross.T)
+            schur = schur - cross @ np.linalg.solve(inner + LEAST_DAMPING * np.eye(len(others)), cross.T)
         unit = self._limits.resolution[of]
-        found = kept * np.outer(unit, unit)
+        found = schur * np.outer(unit, unit)
         if self._limits.undetermined.size:
             known, _ = np.linalg.qr((self._limits.undetermined[:, of] / unit).T)
             rest = np.eye(len(of)) - known @ known.T
@@ -463,9 +461,9 @@ class _Solver:
         correlated = self._problem.correlated
         bend = weight * np.where(correlated, self._loss.weight(u), self._loss.bend(u)) / np.square(unit)
         inner = (slopes * bend[:, None]).T @ slopes + self._precision
-        shown = np.square(weight * self._loss.weight(u) * u / unit)
-        said = weight * self._loss.weight(u) / np.square(unit)
-        scatter = np.where(correlated, said, shown)
+        observed = np.square(weight * self._loss.weight(u) * u / unit)
+        expected = weight * self._loss.weight(u) / np.square(unit)
+        scatter = np.where(correlated, expected, observed)
         middle = (slopes * scatter[:, None]).T @ slopes + self._precision
         basis = self._basis(here.x, np.zeros_like(pull))
         covariance = np.zeros((self._size, self._size))
@@ -484,11 +482,11 @@ class _Solver:
             held = self._held[:, of]
             information = held @ self._information(normal) @ held.T
             less = np.maximum(self._scatter * np.diag(information), 1.0)
-            told = np.linalg.eigh(information / np.sqrt(np.outer(less, less)))
-            rows = told.eigenvectors.T @ held
+            modes = np.linalg.eigh(information / np.sqrt(np.outer(less, less)))
+            rows = modes.eigenvectors.T @ held
             # no direction is more uncertain than the reach allows
             least = np.max(np.square(rows * res[of] / self._limits.reach[of]), axis=1)
-            spread = rows.T / np.maximum(told.eigenvalues, least) @ rows
+            spread = rows.T / np.maximum(modes.eigenvalues, least) @ rows
             covariance[np.ix_(of, of)] += spread * np.outer(res[of], res[of])
         return 0.5 * (covariance + covariance.T)
 

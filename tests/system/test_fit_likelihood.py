@@ -14,8 +14,8 @@ import pytest
 from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
-from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA
+from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._profile_intervals import profile_interval
 from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples

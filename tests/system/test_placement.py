@@ -12,7 +12,7 @@ from captured import captured, expose_all
 
 from lightopt import build_scene, render
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Placement, place_part, part_file_placement, register
+from lightopt.estimate.registration import Placement, part_file_placement, place_part, register
 from lightopt.estimate.registration._pixels import view_of_placed
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture

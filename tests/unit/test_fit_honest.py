@@ -13,8 +13,6 @@ import pytest
 from lightopt import load_rig
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _likelihood_fit, format_interval
-from lightopt.estimate.reflectance._cross_validation import Comparison, LeftOut, unseen
-from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
 from lightopt.estimate.reflectance._criterion import (
     DARK,
     FIRST_GAIN,
@@ -23,12 +21,14 @@ from lightopt.estimate.reflectance._criterion import (
     Evaluation,
     parameter_name,
 )
+from lightopt.estimate.reflectance._cross_validation import Comparison, LeftOut, validation_warnings
+from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
 from lightopt.estimate.reflectance._newton import has_settled, maximise
 from lightopt.estimate.reflectance._profile_intervals import profile_interval, profile_regions
 from lightopt.estimate.reflectance._quality import poor_fit_warnings
 from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
 from lightopt.estimate.reflectance._sigma_profile import peaks, profile_over_sigma
-from lightopt.estimate.reflectance._warnings import refuse_out_of_range, convergence_warnings
+from lightopt.estimate.reflectance._warnings import convergence_warnings, refuse_out_of_range
 
 
 class Landscape:
@@ -105,7 +105,7 @@ def test_fits_without_a_light_that_did_not_converge_are_counted_and_named():
         LeftOut(light=name, R_d=45.0, R_s=1.0, sigma=0.1, images=(image,), converged=name != "two")
         for name in ("one", "two")
     )
-    (said,) = unseen(left_out, SimpleNamespace(max_level=255))
+    (said,) = validation_warnings(left_out, SimpleNamespace(max_level=255))
     assert "1 of the 2 fits without one light each did not converge (without two)" in said
     assert left_out[1].as_dict()["converged"] is False
     result = FitResult(

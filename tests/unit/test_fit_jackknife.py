@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from lightopt.estimate.reflectance._least_squares_fit import UNDETERMINED, upper_covariance, leave_groups_out
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, R_D, Evaluation
+from lightopt.estimate.reflectance._least_squares_fit import UNDETERMINED, leave_groups_out, upper_covariance
 
 POSTURE = "one"
 

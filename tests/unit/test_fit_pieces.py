@@ -12,12 +12,12 @@ import pytest
 from scipy.special import ndtr
 
 from lightopt import build_scene, render
+from lightopt.estimate.reflectance._criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._cross_validation import compare_image
 from lightopt.estimate.reflectance._likelihood import Likelihood, lagrange, predicted
-from lightopt.estimate.reflectance._criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
-from lightopt.estimate.reflectance._quality import Quality, words
+from lightopt.estimate.reflectance._mismatch_causes import explained_share
+from lightopt.estimate.reflectance._quality import Quality, fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples, subsample
-from lightopt.estimate.reflectance._mismatch_causes import _explained
 from lightopt.estimate.registration import Observation
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at
@@ -197,7 +197,7 @@ def test_what_separates_r_s_from_sigma_depends_on_what_is_saturated(saturated, s
     found = SimpleNamespace(
         free=(LOG_R_S, LOG_SIGMA), R_s=12_500.0, correlation=lambda *_: -0.99, describes=True
     )
-    said = words(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)
+    said = fit_warnings(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)
     assert f"(correlation -0.990, R_s between 1.228e+04 and 1.314e+04): {asked}" in said[0]
     assert any("no pixel is saturated" in text for text in said) is (saturated == 0.0)
 
@@ -213,4 +213,4 @@ def test_what_separates_r_s_from_sigma_depends_on_what_is_saturated(saturated, s
     ],
 )
 def test_what_another_place_explains_is_a_share_of_what_is_beyond_the_noise(before, after, share):
-    assert _explained(np.array(before), np.array(after), noise=1.0) == pytest.approx(share)
+    assert explained_share(np.array(before), np.array(after), noise=1.0) == pytest.approx(share)

@@ -24,8 +24,6 @@ R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
 class Evaluation:
     """A criterion at a vector of parameters.
 
-    value: Log-likelihood [nat].
-    gradient: Shape (K,).
     curvature: Positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K).
     """
 
@@ -96,7 +94,6 @@ def image_factors(factors: Float64, lights: NDArray[np.int32], x: Float64) -> Fl
     """Levels per unit of light in each image at the gains of the parameters `x`, shape (M,).
 
     factors, lights: Exposure by gain as the rig has it, and the light, shape (M,).
-    x: Parameters, shape (K,).
     """
     return np.array([factors[m] * math.exp(x[4 + lights[m]]) for m in range(len(factors))])
 
@@ -105,7 +102,6 @@ def image_factors(factors: Float64, lights: NDArray[np.int32], x: Float64) -> Fl
 def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tuple[float, float]:
     """Specular light of pixel `i` per unit of R_s, and its slope by ln σ.
 
-    specular: At the nodes of ln σ, shape (n, w).
     c, dc: Weights of the nodes for the light and for its slope, shape (w,).
     """
     s = ds = 0.0
@@ -119,10 +115,7 @@ def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tu
 def add_curvature(
     bend: float, gain: int, r_d: float, r_s: float, sigma: float, signal: float, curvature: Float64
 ) -> None:
-    """Add what one observation bends the criterion by to the upper triangle of the curvature.
-
-    curvature: Shape (K, K).
-    """
+    """Add what one observation bends the criterion by to the upper triangle of the curvature."""
     by_r_d, by_r_s, by_sigma = bend * r_d, bend * r_s, bend * sigma
     curvature[0, 0] += by_r_d * r_d
     curvature[0, 1] += by_r_d * r_s

@@ -25,9 +25,9 @@ BUDGET = 1500
 MOST_BORDER_PIXELS = 4000
 
 POOR_SHARE = 5.0 / 255.0
-"""A prediction that is further off than this share of the sensor's full scale is worth a word."""
+"""A prediction that is further off than this share of the sensor's full scale is reported."""
 
-Keep = Callable[[Observation, NDArray[np.float32]], None]
+SavePrediction = Callable[[Observation, NDArray[np.float32]], None]
 """Gets each image that was left out and the sensor levels that were predicted for it."""
 
 
@@ -35,7 +35,6 @@ Keep = Callable[[Observation, NDArray[np.float32]], None]
 class Comparison:
     """A predicted image against the measured one.
 
-    image: Its name.
     rms: Of measured minus predicted level on the part's pixels, both clipped as by the camera [grey level at exposure
         1].
     rms_sensor: The same in the image as it was delivered [sensor level].
@@ -69,10 +68,7 @@ class Comparison:
 class LeftOut:
     """A light whose images were predicted from those of the others.
 
-    light: Its name.
     R_d, R_s, sigma: As fitted to the other lights.
-    images: Of the light.
-    converged: Whether the fit to the others did.
     """
 
     light: str
@@ -100,7 +96,7 @@ def leave_lights_out(
     found: Estimate,
     *,
     caster: RayCaster,
-    keep: Keep | None = None,
+    save_prediction: SavePrediction | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[LeftOut, ...]:
     """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
@@ -121,8 +117,8 @@ def leave_lights_out(
             scene, fitted.x, mine, caster=caster, threads=samples.threads
         ):
             comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
-            if keep is not None:
-                keep(seen, levels)
+            if save_prediction is not None:
+                save_prediction(seen, levels)
         results.append(
             LeftOut(
                 light=samples.lights[light],
@@ -138,24 +134,24 @@ def leave_lights_out(
     return tuple(results)
 
 
-def unseen(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
+def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
     """What a person should know of the predictions of lights that were left out; the sensor is the images'."""
     if not left_out:
         return ("one light alone cannot be left out: not validated",)
-    said: list[str] = []
+    warnings: list[str] = []
     unsettled = [left.light for left in left_out if not left.converged]
     if unsettled:
-        said.append(
+        warnings.append(
             f"{len(unsettled)} of the {len(left_out)} fits without one light each did not converge (without "
             f"{', '.join(unsettled)}): how well they predict its images says little"
         )
     worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms_sensor)
     if worst.rms_sensor > POOR_SHARE * sensor.max_level:
-        said.append(
+        warnings.append(
             f"{worst.image}, predicted from the other lights, is {worst.rms_sensor:.3g} sensor levels rms off "
             f"({worst.rms:.3g} grey levels at exposure 1): do not rely on predicted images of this surface"
         )
-    return tuple(said)
+    return tuple(warnings)
 
 
 def compare_image(

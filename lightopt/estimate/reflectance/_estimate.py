@@ -26,7 +26,6 @@ CHI2_95 = 3.841458820694124
 class FreeParameters:
     """What a fit may change beside R_d, R_s and σ.
 
-    diffuse, specular: Whether R_d, and whether R_s and σ are fitted.
     gain: Gain of every light, relative to the first one.
     dark: A constant dark level.
     """
@@ -61,7 +60,6 @@ class _Reflectance:
 class ScanPoint(_Reflectance):
     """The best fit at one σ.
 
-    x: Parameters, shape (K,).
     value: Criterion at the scan's pixels [nat].
     drop: How far twice the criterion of the estimate is below its maximum there [nat].
     """
@@ -75,10 +73,7 @@ class ScanPoint(_Reflectance):
 class Optimum(_Reflectance):
     """Where the climb from one peak of the profile over σ ended.
 
-    start_sigma: Of the peak [rad].
-    x: Parameters, shape (K,).
     value: Criterion of the estimate [nat]: all optima of an estimate are compared by the same one.
-    converged: Whether the climb did.
     criterion: That one, where it can be evaluated around here; None where the climb is not worth while, far below the
         best.
     """
@@ -106,13 +101,10 @@ class Estimate(_Reflectance):
     """The best fit, and how sharply the images determine it.
 
     x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._criterion` orders them.
-    free: Places of the parameters that were fitted.
     covariance: Of those, shape (k, k), if the model is right.
     inflation: By how much the variance of each of those is larger for what the model gets wrong, shape (k,).
     critical: Square of the standard errors that a 95 % interval has on either side: a quantile of χ², or of Student's t
         where few groups of images tell the variance.
-    criterion: What is greatest at `x`.
-    maximum: How the climb ended.
     scan: The profile over σ, the estimate's own among them.
     optima: Where the climbs from the peaks of the profile ended, the best first, which is the estimate itself.
     mean_log_likelihood: Of a level, by the likelihood of noise and outliers [nat]: comparable between fits to the same

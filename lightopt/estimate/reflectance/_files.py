@@ -75,8 +75,8 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     values: dict[tuple[str | int, ...], str] = {
         ("reflectance", name): f"{result.value(name):.6g}" for name in result.fitted
     }
-    if result.in_file is not None:
-        values |= _placement_values(part, result.in_file)
+    if result.file_placement is not None:
+        values |= _placement_values(part, result.file_placement)
     _check_text(part.source)
     return copied_text(part, folder, values)
 

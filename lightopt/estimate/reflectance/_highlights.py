@@ -29,8 +29,6 @@ LEAST_R_S = 1e-3
 def diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
     """The observations that a lobe wider than the one found leaves dark, and how much wider it was taken.
 
-    x: Parameters, shape (K,).
-
     Raises InputError: there are none.
     """
     lit = samples.diffuse[samples.sample] > 0.0

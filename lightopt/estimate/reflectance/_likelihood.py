@@ -145,7 +145,6 @@ def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
     """Sensor levels, not clipped, that the parameters `x` predict for each observation, shape (N,).
 
     specular: Per unit of R_s at the σ of `x`, shape (n,).
-    x: Parameters, shape (K,).
     """
     light = x[R_D] * samples.diffuse + math.exp(x[LOG_R_S]) * specular
     facts: ImageFacts = samples.facts

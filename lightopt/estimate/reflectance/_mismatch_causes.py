@@ -26,10 +26,10 @@ Float64 = NDArray[np.float64]
 
 LEAST_SHIFT_PX = 0.5
 LEAST_EXPLAINED = 0.5
-"""A part is said to be displaced when moving it by half a pixel or more takes away half of the squared residual beyond
+"""A part is reported as displaced when moving it by half a pixel or more takes away half of the squared residual beyond
 the noise: a wrong reflectance is not blamed on the place."""
 
-LEAST_MISSED = 0.1
+LEAST_EXCESS = 0.1
 """Residuals beyond the noise count from this share of its variance on."""
 
 LEAST_CERTAIN = 3.0
@@ -65,7 +65,7 @@ class Displacement:
     posture: Posture | None = None
 
     @property
-    def words(self) -> str:
+    def message(self) -> str:
         """What is displaced, by how much, and what to do."""
         moved = (
             f"with the part shifted by {self.pixels:.1f} px ({self.mm:.2f} mm) and turned by "
@@ -95,12 +95,12 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
     if setup.registration is None:
         shift, excluded = find_displacement(setup, samples, quality)
         if shift is not None:
-            raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
+            raise InputError(f"the images do not look like this part where its file has it: {shift.message}")
     own = _agreement(samples, found)
     if not own.mismatch:
         return excluded
     hint = (
-        _what_fits_better(samples, quality.floor**2)
+        _better_explanation(samples, quality.floor**2)
         or "check that rig, part, placement and postures are those of the images"
     )
     raise InputError(
@@ -138,7 +138,7 @@ def _displacement(
     try:
         registration = register_with_fit(
             scene,
-            _of_some_lights(observations),
+            _light_subset(observations),
             caster=cast_rays_at(scene),
             reduced=True,
             threads=samples.threads,
@@ -161,14 +161,14 @@ def _displacement(
     # the same fit at both places: what another reflectance explains is not blamed on the place
     here = subsample(samples, BUDGET)
     noise = quality.floor**2
-    before, after = (_missed(some, noise) for some in (here, there))
-    explains = _explained(before, after, noise)
+    before, after = (_excess_residual(some, noise) for some in (here, there))
+    explains = explained_share(before, after, noise)
     if explains <= LEAST_EXPLAINED:
         return None, excluded
     return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=explains), False
 
 
-def _of_some_lights(observations: Sequence[Observation]) -> list[Observation]:
+def _light_subset(observations: Sequence[Observation]) -> list[Observation]:
     # picked at random, since rigs list rings of lights in turns: a place is found, not measured
     lights = list(dict.fromkeys(o.light for o in observations))
     some = np.random.default_rng(0).permutation(len(lights))[:TRIAL_LIGHTS]
@@ -180,7 +180,7 @@ def _levels(samples: Samples, found: Estimate) -> tuple[Float64, Float64]:
     return clipped_levels(samples, predicted(samples, samples.specular(found.sigma), found.x))
 
 
-def _missed(samples: Samples, noise: float) -> Float64:
+def _excess_residual(samples: Samples, noise: float) -> Float64:
     """Mean square of residuals beyond the noise's [sensor level²], shape (2,).
 
     Each up to a cap, which dust does not move, and whole, which highlights of few pixels do. Fitted anew, since a
@@ -200,10 +200,10 @@ def _missed(samples: Samples, noise: float) -> Float64:
     return np.maximum(np.array([capped, whole]) - noise, 0.0)
 
 
-def _explained(before: Float64, after: Float64, noise: float) -> float:
+def explained_share(before: Float64, after: Float64, noise: float) -> float:
     # share of what was missed that is gone, by the measure that says more; one that is lost in the noise says nothing
-    worth = before > LEAST_MISSED * noise
-    return float(np.max(1.0 - after[worth] / before[worth], initial=0.0))
+    significant = before > LEAST_EXCESS * noise
+    return float(np.max(1.0 - after[significant] / before[significant], initial=0.0))
 
 
 def _agreement(samples: Samples, found: Estimate) -> Agreement:
@@ -214,11 +214,11 @@ def _agreement(samples: Samples, found: Estimate) -> Agreement:
     return agreement(level - black, model - black, noise)
 
 
-def _what_fits_better(samples: Samples, noise: float) -> str | None:
+def _better_explanation(samples: Samples, noise: float) -> str | None:
     few = subsample(samples, FLIP_BUDGET)
-    own = _missed(few, noise)
+    own = _excess_residual(few, noise)
     gone = {
-        f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise), noise)
+        f"{name}: {remedy}": explained_share(own, _excess_residual(_flipped(few, flip), noise), noise)
         for name, (flip, remedy) in FLIPS.items()
     }
     swaps, share = _swaps(few, own, noise)
@@ -243,7 +243,7 @@ def _swaps(samples: Samples, own: Float64, noise: float) -> tuple[list[tuple[str
     lights = [light for light in samples.lights if light in seen]
     while 2 <= len(lights) <= MOST_LIGHTS:
         shares = {
-            pair: _explained(own, _missed(_exchanged(samples, [*swaps, pair]), noise), noise)
+            pair: explained_share(own, _excess_residual(_exchanged(samples, [*swaps, pair]), noise), noise)
             for pair in itertools.combinations(lights, 2)
         }
         best = max(shares, key=lambda pair: shares[pair])

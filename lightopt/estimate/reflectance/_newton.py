@@ -45,11 +45,7 @@ LONGEST_STEP = 1.5
 class Maximum:
     """Where a climb ended.
 
-    x: Parameters, shape (K,).
-    evaluation: There.
     converged: Whether no step promises anything more.
-    unsettled: Places of the parameters along which the criterion still rises; none where it converged.
-    steps: Number of evaluations.
     """
 
     x: Float64
@@ -84,7 +80,7 @@ def maximise(
     """Climb from `x` along the free parameters.
 
     x: Where to start, shape (K,).
-    tolerance: Promise of a step that is not worth taking [nat].
+    tolerance: Predicted gain of a step below which the climb ends [nat].
     """
     low, high = bounds(criterion)
     can_change = np.zeros(len(x), np.bool_)
@@ -104,7 +100,7 @@ def maximise(
         step = _newton_step(here.gradient, here.curvature, moving, damping)
         # a step that is damped promises little because it is short
         if float(here.gradient @ step) < tolerance and (
-            damping <= FREE_DAMPING or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+            damping <= FREE_DAMPING or _predicted_gain(here, moving) < max(tolerance, STALL_TOLERANCE)
         ):
             converged = True
             break
@@ -121,7 +117,7 @@ def maximise(
                 break
     moving = _movable(x, here.gradient, can_change, low, high)
     if not converged:
-        converged = not moving.any() or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+        converged = not moving.any() or _predicted_gain(here, moving) < max(tolerance, STALL_TOLERANCE)
     unsettled: tuple[int, ...] = ()
     if not converged:
         gains = moving * here.gradient**2 / np.maximum(np.diag(here.curvature), 1e-9)
@@ -133,8 +129,6 @@ def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
     """Whether a climb has converged, or the step that is left is small beside the standard errors.
 
     A clipped level bends the criterion of least squares at single pixels, where what a step promises tells little.
-
-    errors: Their standard errors, shape (k,).
     """
     if top.converged:
         return True
@@ -146,7 +140,7 @@ def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
     return bool(np.all(np.abs(left[index]) < SETTLED * errors))
 
 
-def _promise(here: Evaluation, moving: Bool) -> float:
+def _predicted_gain(here: Evaluation, moving: Bool) -> float:
     # what a step that is hardly damped promises [nat]
     return float(here.gradient @ _newton_step(here.gradient, here.curvature, moving, 1e-6))
 

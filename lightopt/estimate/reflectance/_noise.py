@@ -55,11 +55,7 @@ class MeasuredNoise:
 
 
 def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) -> MeasuredNoise:
-    """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer).
-
-    mean: Predicted levels, shape (N,).
-    describes: Whether the model describes the images.
-    """
+    """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer)."""
     if not describes:
         return MeasuredNoise(
             hindrance="the model does not describe these images, and its misfit is not the camera's"

@@ -36,7 +36,7 @@ PAPER_OPTION_FLAGS = {
 }
 
 WIDE_RANGE = 1.5
-"""Where the σ of the sweep within λ_s2 reach over more than this factor, it is worth a word."""
+"""Where the σ of the sweep within λ_s2 reach over more than this factor, it is reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,8 +97,6 @@ class PaperDiffuse:
     """R_d by section 4.2.
 
     R_d: [grey level].
-    image: The image used.
-    pixels: Number of diffuse-only pixels.
     iterations: (R_d, B_r, D) of each [grey level].
     """
 
@@ -112,8 +110,8 @@ class PaperDiffuse:
         rows = [{"R_d": r, "B_r": b, "D": d} for r, b, d in self.iterations]
         return {"R_d": self.R_d, "image": self.image, "pixels": self.pixels, "iterations": rows}
 
-    def words(self) -> tuple[str, ...]:
-        """What a person should know beside the number."""
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the result."""
         return ()
 
 
@@ -121,11 +119,8 @@ class PaperDiffuse:
 class SigmaStep:
     """One σ of the sweep.
 
-    sigma: [rad].
     R_s: Where N_s came close enough to N_m [grey level].
-    reached: Whether it did.
     brightness: Total specular brightness of the simulated image over the measured one.
-    iterations: (R_s, N_s) of each.
     """
 
     sigma: float
@@ -139,11 +134,6 @@ class SigmaStep:
 class PaperSpecular:
     """R_s and σ by section 4.3.
 
-    R_s: [grey level].
-    sigma: [rad].
-    image: The image used.
-    saturated: N_m [px].
-    steps: The sweep, in its order.
     alike: The σ at which both the count and the brightness come as close as was asked for, ascending [rad].
     """
 
@@ -175,8 +165,8 @@ class PaperSpecular:
             "sweep": steps,
         }
 
-    def words(self) -> tuple[str, ...]:
-        """What a person should know beside the numbers."""
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the result."""
         if not self.alike or self.alike[-1] <= WIDE_RANGE * self.alike[0]:
             return ()
         text = (
@@ -233,8 +223,6 @@ def paper_specular(
     samples: Samples, options: PaperOptions, *, R_d: float, progress: Callable[[float], None] | None = None
 ) -> PaperSpecular:
     """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3).
-
-    R_d: Diffuse coefficient [grey level].
 
     Raises InputError: impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as
         bright.

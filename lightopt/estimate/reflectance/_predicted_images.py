@@ -59,9 +59,6 @@ def predict_images(
 class PointsRow:
     """The fit with one number of points per panel: a row of the paper's Table 1.
 
-    points: m, or ``"auto"``.
-    R_d, R_s: [grey level].
-    sigma: [rad].
     area, measured_area: Saturated pixels of all images together, predicted and measured [px].
     perimeter, measured_perimeter: Of the saturated regions of all images together [px].
     likelihood: Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the

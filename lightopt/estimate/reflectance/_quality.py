@@ -17,7 +17,7 @@ from lightopt.estimate.reflectance._samples import Samples
 POOR_EPSILON = 0.02
 POOR_NOISE = 3.0
 MORE_NOISE = 1.5
-"""Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are worth a word."""
+"""Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are reported."""
 
 WIDE_INTERVAL = 0.02
 STRONG_CORRELATION = 0.95
@@ -27,7 +27,6 @@ STRONG_CORRELATION = 0.95
 class Quality:
     """Residuals of the pixels that a fit looked at, in sensor levels of the images as they were delivered.
 
-    rms: Of the unsaturated pixels [sensor level].
     typical: Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
     noise: What the rig's noise figures make of a typical pixel of a mean of so many frames, and the quantisation of its
         levels [sensor level].
@@ -104,7 +103,7 @@ def mean_levels(samples: Samples, found: Estimate) -> NDArray[np.float64]:
     return predicted(samples, samples.specular(found.sigma), found.x)
 
 
-def words(
+def fit_warnings(
     found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool, placed: bool
 ) -> tuple[str, ...]:
     """What a person should know about a fit of R_s and σ beside its numbers.
@@ -112,7 +111,7 @@ def words(
     interval: 95 % of R_s [grey level].
     shorter: Whether the images have more than one exposure already.
     """
-    said: list[str] = list(poor_fit_warnings(found, quality, placed=placed))
+    warnings: list[str] = list(poor_fit_warnings(found, quality, placed=placed))
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
         low, high = interval or (found.R_s, found.R_s)
         width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
@@ -125,17 +124,17 @@ def words(
             what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
         if math.isinf(width):
             side = "upper" if high is None else "lower"
-            said.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
+            warnings.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
         elif abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL and found.describes:
-            said.append(
+            warnings.append(
                 f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s between {low:.4g} and "
                 f"{high:.4g}): add {what}"
             )
         if quality.saturated == 0.0:
-            said.append(
+            warnings.append(
                 "no pixel is saturated: R_s and σ come from the flanks and the peak of the highlight alone"
             )
-    return tuple(said)
+    return tuple(warnings)
 
 
 def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
@@ -143,9 +142,9 @@ def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False
 
     placed: Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
     """
-    said: list[str] = []
+    warnings: list[str] = []
     if quality.image_noise > MORE_NOISE * quality.noise:
-        said.append(
+        warnings.append(
             f"the images show about {quality.image_noise:.2g} sensor levels of noise, the rig file's figures make "
             f"{quality.noise:.2g}: give read_noise_levels and electrons_per_level of the sensor"
         )
@@ -158,17 +157,17 @@ def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False
             else f"what the model leaves of these images ({quality.rms:.3g} sensor levels rms) is not much more than "
             "the noise, but neither noise nor dust"
         )
-        said.append(
+        warnings.append(
             f"{left}. The values are those of least squares over all pixels, which predict such images best, and the "
             f"intervals come from the scatter between {found.scatter}. {_reasons(found, placed=placed)}"
         )
     elif quality.poor:
-        said.append(
+        warnings.append(
             f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are unexplained, "
             f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. "
             f"{_reasons(found, placed=placed)}"
         )
-    return tuple(said)
+    return tuple(warnings)
 
 
 def _reasons(found: Estimate, *, placed: bool) -> str:

@@ -1,4 +1,4 @@
-"""What a fit hands on."""
+"""The result of a fit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lightopt.scene import Scene
 
 @dataclass(frozen=True, kw_only=True)
 class FittedValue:
-    """A coefficient with what is known of it.
+    """A coefficient and its uncertainty.
 
     name: ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light
         stops being saturated.
@@ -58,25 +58,17 @@ def _rounded(interval: Interval) -> list[float | None]:
 class FitResult:
     """Fitted reflectance.
 
-    kind: Which coefficients were asked for.
-    method: How.
     points: Point lights per panel, or ``"auto"``.
-    values: R_d, R_s, σ and the saturated half-angle.
-    fitted: Names of those that were fitted and belong into the part file.
-    gains: Gain of each light as it belongs into the rig file, where gains were freed; the first light's is held.
-    dark: Black level as it belongs into the rig file [sensor level], where it was freed.
-    noise, write_noise: As the images show it, and whether it belongs into the rig file.
-    registration, in_file: Where the part was found to lie, where that was freed, and the same as it belongs into the
-        part file.
-    first: A diffuse fit's first one, of the whole model, by which it knew where the highlights are; None in other fits.
+    fitted: Names of the values that were fitted and belong in the part file.
+    gains: Gain of each light for the rig file, where gains were freed; the first light's is held.
+    dark: Black level for the rig file [sensor level], where it was freed.
+    write_noise: Whether `noise` belongs in the rig file.
+    registration, file_placement: Measured placement, and the same as values of the part file, where it was freed.
+    highlight_fit: Only of a diffuse fit: that of the whole model, which locates the highlights.
     correlation: Of ln R_s and ln σ; None where they were not both fitted.
-    observations, pixels: Number of levels looked at, and of pixels that they belong to.
-    quality: Residuals.
-    words: What a person should know.
-    estimate: Of the default method.
+    observations, pixels: Number of levels that were used, and of their pixels.
     left_out: Validation, one entry per light.
     rows: One per number of points that was tried.
-    paper: Record of the paper's procedure.
     """
 
     kind: Literal["diffuse", "specular"]
@@ -89,13 +81,13 @@ class FitResult:
     noise: MeasuredNoise | None = None
     write_noise: bool = False
     registration: Registration | None = None
-    in_file: PartFilePlacement | None = None
-    first: Estimate | None = None
+    file_placement: PartFilePlacement | None = None
+    highlight_fit: Estimate | None = None
     correlation: float | None = None
     observations: int = 0
     pixels: int = 0
     quality: Quality | None = None
-    words: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     estimate: Estimate | None = None
     left_out: tuple[LeftOut, ...] = ()
     rows: tuple[PointsRow, ...] = ()
@@ -108,7 +100,7 @@ class FitResult:
     @property
     def converged(self) -> bool:
         """Whether every fit, those of validation among them, and the search for the part's place did."""
-        fits = [found for found in (self.first, self.estimate) if found is not None]
+        fits = [found for found in (self.highlight_fit, self.estimate) if found is not None]
         placed = self.registration is None or self.registration.converged
         validated = all(left.converged for left in self.left_out)
         return placed and validated and not any(convergence_warnings(found) for found in fits)
@@ -121,7 +113,7 @@ class FitResult:
     @property
     def highlights(self) -> tuple[float, float] | None:
         """R_s [grey level] and σ [rad] by which a diffuse fit knew where the highlights are; None in other fits."""
-        return None if self.first is None else (self.first.R_s, self.first.sigma)
+        return None if self.highlight_fit is None else (self.highlight_fit.R_s, self.highlight_fit.sigma)
 
     @property
     def not_left_out(self) -> tuple[str, ...]:
@@ -160,7 +152,7 @@ class FitResult:
             "observations": self.observations,
             "pixels": self.pixels,
             "quality": None if self.quality is None else self.quality.as_dict(),
-            "warnings": list(self.words),
+            "warnings": list(self.warnings),
             "ridge": [
                 {
                     "sigma_rad": float(f"{point.sigma:.8g}"),
@@ -184,7 +176,7 @@ def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Inter
 
 
 def format_interval(interval: Interval) -> str:
-    """An interval in words."""
+    """Text of an interval."""
     low, high = interval
     if low is None and high is None:
         return "no bounds"

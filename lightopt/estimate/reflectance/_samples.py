@@ -46,10 +46,7 @@ Progress = Callable[[float], None]
 class SampleGroup:
     """Pixels of one posture under one light.
 
-    light: Index in the scene.
-    posture: Of the part.
     layer: Their light per unit of reflectance; None for pixels that no light reaches.
-    row, column: Shape (n,).
     weight: Pixels of the image that each stands for, shape (n,).
     """
 
@@ -69,7 +66,6 @@ class ImageFacts:
     """What the kernels must know of each image; arrays of shape (images,).
 
     factor: Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
-    light: Index of the light in the scene.
     half_width: How far from a level the signal may have been [sensor level].
     frames: Number of frames that the image is the mean of, as float64.
     """
@@ -173,13 +169,13 @@ def collect_samples(
 def subsample(samples: Samples, budget: int) -> Samples:
     """At most `budget` of the pixels per octave, light and posture, with the observations that there are of them."""
     groups: list[SampleGroup] = []
-    kept: list[NDArray[np.intp]] = []
+    indices: list[NDArray[np.intp]] = []
     start = 0
     for group in samples.groups:
         keep, share = _by_octave(
             samples.deflection[start : start + len(group)], budget, (len(groups), group.light)
         )
-        kept.append(start + keep)
+        indices.append(start + keep)
         start += len(group)
         groups.append(
             replace(
@@ -190,7 +186,7 @@ def subsample(samples: Samples, budget: int) -> Samples:
                 weight=group.weight[keep] / share,
             )
         )
-    pixels = np.concatenate(kept)
+    pixels = np.concatenate(indices)
     place = np.full(start, -1, np.int32)
     place[pixels] = np.arange(len(pixels), dtype=np.int32)
     left = samples.select(place[samples.sample] >= 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -17,7 +18,6 @@ from lightopt.estimate.reflectance._search import least_squares_reflectance
 from lightopt.estimate.registration import (
     Observation,
     PartFilePlacement,
-    Placement,
     Registration,
     observed_postures,
     part_file_placement,
@@ -33,21 +33,24 @@ from lightopt.scene import Scene, build_scene
 
 Points: TypeAlias = "int | Literal['auto']"
 Progress = Callable[[str, float], None]
-"""Called with what is going on and the share of it that is done, 0 to 1."""
+"""Called with the name of the step and the share of it that is done, 0 to 1."""
+
+Float64 = NDArray[np.float64]
+
+MOST_PER_OCTAVE = 20_000
+PLACING_PER_OCTAVE = 800
+PAPER_PIXELS = 150_000
+"""Pixels per image that the paper's procedure counts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
     """How to fit.
 
-    method: ``"likelihood"`` or ``"paper"``.
-    joint: Whether a specular fit fits R_d along instead of keeping the part file's.
-    gain, dark, shift: What else is freed; `shift` is the part's place on the stage.
-    points: Point lights per panel to try; the rig's own where empty.
-    pixels: About how many pixels to look at, over all images.
-    validate: Whether to leave each light out in turn.
-    write_noise: Whether the noise that the images show belongs into the rig file.
-    paper: Of the paper's procedure.
+    gain, dark, shift: What else is freed; `shift` is the part's placement on the stage.
+    points: Numbers of point lights per panel to try; the rig's own where empty.
+    pixels: Approximate number of pixels to use, over all images.
+    write_noise: Whether to write the noise of the images into the rig file.
     """
 
     method: Literal["likelihood", "paper"] = "likelihood"
@@ -68,23 +71,12 @@ class FitOptions:
         return FreeParameters(diffuse=self.joint, gain=self.gain, dark=self.dark)
 
 
-Float64 = NDArray[np.float64]
-
-MOST_PER_OCTAVE = 20_000
-PLACING_PER_OCTAVE = 800
-PAPER_PIXELS = 150_000
-"""Pixels per image that the paper's procedure counts."""
-
-
 @dataclass(frozen=True)
 class FitSetup:
-    """What is fitted to what: a scene, the rays of its part, the images, and where the part was found to lie.
+    """The inputs of a fit: the scene with its part placed, the rays of the part, the images, and the options.
 
-    part: The part file.
-    scene, caster: With the part where it lies.
-    observations: The images.
-    registration, in_file: Where that is, as a move and in the words of the part file; None where the part was not
-        registered.
+    registration, file_placement: How the part was placed, relative to its file and as values of the part file; None
+        where the part was not registered.
     """
 
     part: PartConfig
@@ -92,16 +84,13 @@ class FitSetup:
     caster: RayCaster
     observations: tuple[Observation, ...]
     registration: Registration | None = None
-    in_file: PartFilePlacement | None = None
-
-    @property
-    def placement(self) -> Placement | None:
-        """Where the part was found; None where it was not registered."""
-        return None if self.registration is None else self.registration.placement
+    file_placement: PartFilePlacement | None = None
+    options: FitOptions = field(default_factory=FitOptions)
+    progress: Progress | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Of the registration, in words."""
+        """Those of the registration."""
         return () if self.registration is None else self.registration.warnings
 
     @property
@@ -109,6 +98,24 @@ class FitSetup:
         """R_d, R_s and σ of the part file."""
         reflectance = self.scene.reflectance
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
+
+    def progress_of(self, step: str) -> Callable[[float], None] | None:
+        """Progress of one step."""
+        return None if self.progress is None else partial(self.progress, step)
+
+    def collect(self, *, uniform: bool = False) -> Samples:
+        """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
+        pairs = len({(o.light, o.posture) for o in self.observations})
+        budget = max(20, min(MOST_PER_OCTAVE, self.options.pixels // (pairs * OCTAVES)))
+        return collect_samples(
+            self.scene,
+            self.observations,
+            caster=self.caster,
+            budget=PAPER_PIXELS if uniform else budget,
+            uniform=uniform,
+            threads=self.options.threads,
+            progress=self.progress_of("geometry"),
+        )
 
 
 def prepare_fit(
@@ -119,16 +126,36 @@ def prepare_fit(
     options: FitOptions,
     progress: Progress | None,
 ) -> FitSetup:
+    """Read the images, build the scene that they show, and register the part where its shift is freed."""
     observations = read_observations(image_set, rig, part, threads=options.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(
         rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
     )
-    setup = FitSetup(part, scene, cast_rays_at(scene), observations)
+    setup = FitSetup(part, scene, cast_rays_at(scene), observations, options=options, progress=progress)
     if not options.shift:
         return setup
-    return _registered(setup, options, progress)
+    found = register_with_fit(
+        scene,
+        observations,
+        caster=setup.caster,
+        freed=FreeParameters(gain=options.gain, dark=options.dark),
+        threads=options.threads,
+        progress=progress,
+    )
+    moved = place_part(scene, found.placement)
+    file_placement = part_file_placement(
+        scene.mesh.vertices,
+        found.placement,
+        anchor=part.placement.anchor,
+        rotate_deg=part.placement.rotate_deg,
+        translate_mm=part.placement.translate_mm,
+        pivot=scene.pivot,
+    )
+    return replace(
+        setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement
+    )
 
 
 def register_with_fit(
@@ -141,10 +168,7 @@ def register_with_fit(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Registration:
-    """Register the part, its place refined with a first fit of the reflectance.
-
-    reduced: Whether a part of the pixels is enough.
-    """
+    """Register the part, its placement refined with a first fit of the reflectance."""
 
     def first_reflectance(moved: Scene) -> Reflectance:
         samples = collect_samples(
@@ -160,43 +184,4 @@ def register_with_fit(
         reduced=reduced,
         threads=threads,
         progress=progress,
-    )
-
-
-def _registered(setup: FitSetup, options: FitOptions, progress: Progress | None = None) -> FitSetup:
-    """The same images, with the part where they show it; its place refined with a first fit of the reflectance."""
-    found = register_with_fit(
-        setup.scene,
-        setup.observations,
-        caster=setup.caster,
-        freed=FreeParameters(gain=options.gain, dark=options.dark),
-        threads=options.threads,
-        progress=progress,
-    )
-    moved = place_part(setup.scene, found.placement)
-    placement = setup.part.placement
-    in_file = part_file_placement(
-        setup.scene.mesh.vertices,
-        found.placement,
-        anchor=placement.anchor,
-        rotate_deg=placement.rotate_deg,
-        translate_mm=placement.translate_mm,
-        pivot=setup.scene.pivot,
-    )
-    return replace(setup, scene=moved, caster=cast_rays_at(moved), registration=found, in_file=in_file)
-
-
-def collect(
-    setup: FitSetup, options: FitOptions, progress: Progress | None, *, uniform: bool = False
-) -> Samples:
-    pairs = len({(o.light, o.posture) for o in setup.observations})
-    budget = max(20, min(MOST_PER_OCTAVE, options.pixels // (pairs * OCTAVES)))
-    return collect_samples(
-        setup.scene,
-        setup.observations,
-        caster=setup.caster,
-        budget=PAPER_PIXELS if uniform else budget,
-        uniform=uniform,
-        threads=options.threads,
-        progress=None if progress is None else lambda share: progress("geometry", share),
     )

@@ -51,7 +51,6 @@ class SigmaScan:
     samples: Those of the scan; `criterion` and `profile` are without dust.
     free: Places of the parameters that are fitted, those of the likelihood's noise last.
     log_sigmas, starts: ln σ of the profile, and where the climbs at each began, shape (K,).
-    profile: The best fit at each σ.
     """
 
     samples: Samples
@@ -222,7 +221,6 @@ def saturating_r_s(samples: Samples, specular: Float64, r_d: float) -> float:
     Without any saturated pixel, that of a least-squares line through what R_d leaves.
 
     specular: Per unit of R_s, shape (n,).
-    r_d: Diffuse coefficient [grey level].
     """
     factor = samples.facts.factor[samples.image]
     light = factor * specular[samples.sample]

@@ -75,15 +75,15 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
     tuple of numpy.ndarray
         Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise that the images do not tell.
     """
-    told = determined_parameters(likelihood, x, free)
-    rows = [list(free).index(place) for place in told]
-    inner = _inverse(information(likelihood, x, told))
+    places = determined_parameters(likelihood, x, free)
+    rows = [list(free).index(place) for place in places]
+    inner = _inverse(information(likelihood, x, places))
     gradients, curvatures = likelihood.by_block(x)
-    moves = gradients[:, told] @ inner
+    moves = gradients[:, places] @ inner
     pieces = len(moves)
-    measured = np.sum(moves**2, axis=0) * (pieces / max(1, pieces - len(told)))
+    measured = np.sum(moves**2, axis=0) * (pieces / max(1, pieces - len(places)))
     # what each piece adds to the variance if the model is right: (C·I_b·C)_kk
-    part = curvatures[:, told][:, :, told]
+    part = curvatures[:, places][:, :, places]
     expected = np.maximum(np.einsum("ik,bij,jk->bk", inner, part, inner), 0.0)
     total = np.maximum(expected.sum(axis=0), 1e-300)
     chance = np.sqrt(2.0 * np.sum(expected**2, axis=0)) / total

@@ -59,29 +59,29 @@ def refuse_out_of_range(found: Estimate) -> None:
 
 def convergence_warnings(found: Estimate) -> tuple[str, ...]:
     """What to say where the optimiser did not come to an end."""
-    said: list[str] = []
+    warnings: list[str] = []
     if not found.maximum.converged:
         lights = found.criterion.samples.lights
         names = [parameter_name(place, lights) for place in found.maximum.unsettled]
         along = f" along {', '.join(names)}" if names else ""
-        said.append(
+        warnings.append(
             f"the fit did not converge: after {found.maximum.steps} steps it still improves{along}; its values and "
             "intervals are not those of an optimum. Other images, or fewer parameters that are freed, may help"
         )
-        return tuple(said)
+        return tuple(warnings)
     if found.unsettled_refits:
-        said.append(
+        warnings.append(
             f"{found.unsettled_refits} of the fits without one of the {found.scatter} each did not converge: the "
             "intervals, which come from their scatter, may be wrong"
         )
     best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
-    said += [
+    warnings += [
         f"the climb from σ {optimum.start_sigma:.3g} rad did not converge at σ {optimum.sigma:.3g} rad, and is not "
         "worse than the best: another optimum may lie there"
         for optimum in found.optima
         if not optimum.converged and optimum.value >= best
     ]
-    return tuple(said)
+    return tuple(warnings)
 
 
 def held_r_d_warnings(found: Estimate) -> list[str]:

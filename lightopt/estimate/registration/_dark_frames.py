@@ -52,8 +52,6 @@ def smoothed(levels: Float64, *, sensor: Sensor, frames: int) -> Float64:
 
     Where the variance in a window is that of the noise the window's mean is taken, elsewhere as much of the pixel
     itself as the variance says (Lee 1980, doi:10.1109/TPAMI.1980.4766994).
-
-    levels: Mean of `frames` frames [sensor level], shape (H, W).
     """
     mean = _window_mean(levels)
     variance = np.maximum(_window_mean(levels * levels) - mean * mean, 0.0)

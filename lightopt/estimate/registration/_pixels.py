@@ -102,8 +102,6 @@ def light_at(
 
     Arrays of shape (images, n) and (sigmas, images, n); 0 where a ray misses the part or no light arrives, NaN where
     only some of a panel is seen.
-
-    sigmas: Widths of the lobe [rad].
     """
     columns, rows = pixels.positions
     hits, surface = trace_samples(caster, scene.mesh, view.camera, columns, rows)

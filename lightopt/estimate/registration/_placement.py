@@ -126,7 +126,6 @@ class PoseFrame:
 
     middle: Of the part from the stage's axis, x and y [mm], shape (2,).
     radius: Of the part about its middle [mm].
-    pixel: Side of a pixel's footprint [mm].
     """
 
     middle: Float64

@@ -66,7 +66,6 @@ class Registration:
     converged: Whether a further step would change nothing, the part kept its place in the last stage, and the place is
         none of the furthest allowed.
     cost_before, cost_after: Robust cost per pixel where the last stage began and where it ended.
-    outline: Whether the outline was used.
     warnings: Directions that the images do not determine, or a search that did not converge.
     """
 

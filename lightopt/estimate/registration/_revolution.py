@@ -53,8 +53,6 @@ def unobservable_rotation(
     where its depth along the normal and its normal differ by no more than two facets may be off a common body of
     revolution: r (1 − cos Δφ/2) of their azimuthal extent Δφ; Δφ/2, or a share of the angle between the normals of
     their corners. One pixel that sees more, such as a flat, a key, a hole, or nothing, makes the rotation observable.
-
-    pose: Of the part, shape (3,).
     """
     if not sets or scene.mesh.normals is None:
         return np.zeros((0, 3))
