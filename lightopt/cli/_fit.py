@@ -88,23 +88,8 @@ def fit_diffuse(
     from lightopt.estimate.reflectance import PaperOptions
 
     paper = PaperOptions(lambda_d=lambda_d, R_d_start=start, away=math.radians(away))
-    _run(
-        "diffuse",
-        rig,
-        part,
-        images,
-        out,
-        method,
-        free,
-        points,
-        pixels,
-        paper,
-        threads,
-        force,
-        quiet,
-        write_noise=write_noise,
-        allow_unconverged=allow_unconverged,
-    )
+    options = _options("diffuse", method, free, points, pixels, paper, threads, write_noise=write_noise)
+    _run("diffuse", rig, part, images, out, options, force, quiet, allow_unconverged)
 
 
 def fit_specular(
@@ -159,25 +144,11 @@ def fit_specular(
         sigma_start=sigma_start,
         R_s_start=start,
     )
-    _run(
-        "specular",
-        rig,
-        part,
-        images,
-        out,
-        method,
-        free,
-        points,
-        pixels,
-        paper,
-        threads,
-        force,
-        quiet,
-        joint=joint,
-        validate=not no_validation,
+    options = _options(
+        "specular", method, free, points, pixels, paper, threads, joint=joint, validate=not no_validation,
         write_noise=write_noise,
-        allow_unconverged=allow_unconverged,
-    )
+    )  # fmt: skip
+    _run("specular", rig, part, images, out, options, force, quiet, allow_unconverged)
 
 
 def _run(
@@ -186,30 +157,21 @@ def _run(
     part: Path,
     images: Path,
     out: Path,
-    method: str,
-    free: list[str] | None,
-    points: str | None,
-    pixels: int,
-    paper: PaperOptions,
-    threads: int | None,
+    options: FitOptions,
     force: bool,
     quiet: bool,
-    *,
-    joint: bool = False,
-    validate: bool = True,
-    write_noise: bool,
     allow_unconverged: bool,
 ) -> None:
     from lightopt.estimate.reflectance import FitFolder, fit_diffuse, fit_provenance, fit_specular
     from lightopt.images import read_image_set
+    from lightopt.report import fit_chart
 
-    options = _options(kind, method, free, points, pixels, paper, threads, joint, validate, write_noise)
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
     image_set = read_image_set(images)
-    asked: dict[str, Any] = {**vars(options), "kind": kind, "paper": paper.as_dict()}
-    del asked["threads"]
-    made_from = fit_provenance(loaded_rig, loaded_part, image_set, asked)
+    arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": options.paper.as_dict()}
+    del arguments["threads"]
+    made_from = fit_provenance(loaded_rig, loaded_part, image_set, arguments)
     folder = FitFolder(out, made_from, force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:
@@ -222,8 +184,6 @@ def _run(
             result = fit_specular(
                 loaded_rig, loaded_part, image_set, options=options, progress=progress, save_prediction=save
             )
-    from lightopt.report import fit_chart
-
     chart = fit_chart(result, lambda: folder.place("fit.png"))
     written = folder.write(result, loaded_rig, loaded_part)
     for text in result.warnings:
@@ -246,8 +206,9 @@ def _options(
     pixels: int,
     paper: PaperOptions,
     threads: int | None,
-    joint: bool,
-    validate: bool,
+    *,
+    joint: bool = False,
+    validate: bool = True,
     write_noise: bool,
 ) -> FitOptions:
     from lightopt.config import points_problem
@@ -374,24 +335,14 @@ def _show_noise(noise: MeasuredNoise) -> None:
         ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
         ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
     )
-    figures_shown = [text.format(value, error) for text, value, error in figures if value is not None]
-    if figures_shown:
-        say("noise written: " + ", ".join(figures_shown))
+    parts = [text.format(value, error) for text, value, error in figures if value is not None]
+    if parts:
+        say("noise written: " + ", ".join(parts))
 
 
 def _show_points(result: FitResult) -> None:
-    head = [
-        "m",
-        "R_d",
-        "R_s",
-        "σ [rad]",
-        "area [px]",
-        "measured",
-        "perimeter [px]",
-        "measured",
-        "likelihood",
-        "",
-    ]
+    areas = ["area [px]", "measured", "perimeter [px]", "measured"]
+    head = ["m", "R_d", "R_s", "σ [rad]", *areas, "likelihood", ""]
     rows = [
         [
             str(row.points),

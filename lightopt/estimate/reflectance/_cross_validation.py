@@ -35,8 +35,7 @@ SavePrediction = Callable[[Observation, NDArray[np.float32]], None]
 class Comparison:
     """A predicted image against the measured one.
 
-    rms: Of measured minus predicted level on the part's pixels, both clipped as by the camera [grey level at exposure
-        1].
+    rms: Of the clipped residual on the part's pixels [grey level at exposure 1].
     rms_sensor: The same in the image as it was delivered [sensor level].
     iou: Intersection over union of the saturated areas; None where neither image has any.
     border: Mean distance between the borders of the saturated areas [px]; None where one image has none.
@@ -66,10 +65,7 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
-    """A light whose images were predicted from those of the others.
-
-    R_d, R_s, sigma: As fitted to the other lights.
-    """
+    """A light whose images were predicted from those of the others; values are those fitted to the others."""
 
     light: str
     R_d: float
@@ -101,7 +97,7 @@ def leave_lights_out(
 ) -> tuple[LeftOut, ...]:
     """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
 
-    A gain or a dark level that was freed stays as all images have it, since the others cannot tell that of a light.
+    A freed gain or dark level stays as all images have it, since the others do not determine that of a light.
     """
     used = sorted(set(samples.facts.light.tolist()))
     if len(used) < 2:
@@ -135,7 +131,7 @@ def leave_lights_out(
 
 
 def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
-    """What a person should know of the predictions of lights that were left out; the sensor is the images'."""
+    """Warn of fits that did not converge and of poor predictions."""
     if not left_out:
         return ("one light alone cannot be left out: not validated",)
     warnings: list[str] = []

@@ -1,4 +1,4 @@
-"""What a fit finds: where the likelihood is greatest, and how sharply."""
+"""The estimate: where the criterion is greatest, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -24,11 +24,7 @@ CHI2_95 = 3.841458820694124
 
 @dataclass(frozen=True, kw_only=True)
 class FreeParameters:
-    """What a fit may change beside R_d, R_s and σ.
-
-    gain: Gain of every light, relative to the first one.
-    dark: A constant dark level.
-    """
+    """Parameters that a fit may change: R_d, R_s with σ, the lights' gains relative to the first, the dark level."""
 
     diffuse: bool = True
     specular: bool = True
@@ -73,9 +69,8 @@ class ScanPoint(_Reflectance):
 class Optimum(_Reflectance):
     """Where the climb from one peak of the profile over σ ended.
 
-    value: Criterion of the estimate [nat]: all optima of an estimate are compared by the same one.
-    criterion: That one, where it can be evaluated around here; None where the climb is not worth while, far below the
-        best.
+    value: Criterion [nat]; all optima of an estimate are compared by the same one.
+    criterion: None for an optimum far below the best.
     """
 
     start_sigma: float
@@ -98,21 +93,21 @@ class Optimum(_Reflectance):
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate(_Reflectance):
-    """The best fit, and how sharply the images determine it.
+    """The best fit and its uncertainty.
 
-    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._criterion` orders them.
+    x: Parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._criterion`.
+    free: Places of the k parameters that were fitted.
     covariance: Of those, shape (k, k), if the model is right.
-    inflation: By how much the variance of each of those is larger for what the model gets wrong, shape (k,).
-    critical: Square of the standard errors that a 95 % interval has on either side: a quantile of χ², or of Student's t
-        where few groups of images tell the variance.
-    scan: The profile over σ, the estimate's own among them.
-    optima: Where the climbs from the peaks of the profile ended, the best first, which is the estimate itself.
-    mean_log_likelihood: Of a level, by the likelihood of noise and outliers [nat]: comparable between fits to the same
-        levels.
+    inflation: Factor of each of their variances for what the model gets wrong, shape (k,).
+    critical: Square of the half-width of a 95 % interval in standard errors: a quantile of χ², or of Student's t where
+        few groups of images determine the variance.
+    scan: The profile over σ, with the estimate itself.
+    optima: Ends of the climbs from the peaks of the profile; the first is the estimate itself.
+    mean_log_likelihood: Per level, with noise and outliers [nat]: comparable between fits to the same levels.
     unexplained: Share of the pixels that the likelihood would leave out as outliers.
-    lack_of_fit: Whether the model describes the images; None where that was not looked at.
-    scatter: From what the uncertainty is known where it does not, such as "12 lights".
-    unsettled_refits: How many of the fits without one of those each did not converge.
+    lack_of_fit: Whether the model describes the images; None where that was not tested.
+    scatter: Groups of images that the uncertainty comes from where it does not, such as "12 lights".
+    unsettled_refits: Number of the fits without one of those groups that did not converge.
     """
 
     x: Float64

@@ -88,17 +88,17 @@ LEAST_GROUPS, MOST_GROUPS = 4, 24
 share a group."""
 
 UNDETERMINED = 1e3
-"""Standard error of a parameter that the images do not tell, such as the σ of a lobe without light."""
+"""Standard error of a parameter that the images do not determine, such as the σ of a lobe without light."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Jackknife:
     """Scatter of the estimates without one group of images each.
 
-    covariance: Shape (k, k); that of parameters that nothing determines where there is but one group.
-    of: Number of groups and what they are, such as "12 lights"; of the blocks, too, where these tell as well.
+    covariance: Shape (k, k); very large where there is only one group.
+    of: Number of groups and what they are, such as "12 lights".
     quantile: Student's t of a two-sided 95 % interval for so many groups.
-    refits: Where the fits without one group each ended.
+    refits: The fits without one group each.
     """
 
     covariance: Float64
@@ -108,7 +108,11 @@ class Jackknife:
 
 
 def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -> Jackknife:
-    """Fit again without each group of images."""
+    """Fit again without each group of images.
+
+    A light that is left out shows nothing of its own gain, nor do the others of what theirs are relative to: where
+    gains are free, blocks of the images are left out as well.
+    """
     by_light, by_block = _by_light(criterion.samples), _by_block(criterion.samples)
     label, of = next((one for one in (*by_light, by_block) if _count(one[0]) >= LEAST_GROUPS), by_block)
     covariance, count, of, refits = _scatter(criterion, x, free, label, of)

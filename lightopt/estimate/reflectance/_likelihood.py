@@ -66,7 +66,7 @@ def sensor_numbers(sensor: Sensor) -> SensorNumbers:
 
 
 class Likelihood:
-    """The likelihood of a set of samples, for σ near those that the specular light was worked out for.
+    """The likelihood of a set of samples, for σ near those of the specular light's columns.
 
     log_sigmas: ln σ of the columns of `specular`, shape (m,); between them the light is interpolated by a polynomial.
     specular: Per unit of R_s, shape (n, m).

@@ -1,4 +1,7 @@
-"""Refuse images that do not show this part on this rig, and say what would fit better."""
+"""Causes of a poor fit: the part displaced, images mirrored or turned, lights exchanged.
+
+The fit is repeated for each, since a reflectance that was fitted to wrong images is another one.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ LEAST_EXCESS = 0.1
 """Residuals beyond the noise count from this share of its variance on."""
 
 LEAST_CERTAIN = 3.0
-"""And when the displacement is so many of its standard errors."""
+"""A displacement counts from this many of its standard errors on."""
 
 BUDGET = 250
 """Pixels per octave, light and posture that are compared at both places."""
@@ -42,20 +45,20 @@ LEVEL_CAP = 0.15
 """Residuals count as at most this share of the sensor's full scale, dust and all."""
 
 TRIAL_LIGHTS = 6
-"""Lights whose images the part is looked for in."""
+"""Lights whose images a displaced part is searched in."""
 
 FLIP_BUDGET = 150
 MOST_LIGHTS = 8
-"""Lights are only exchanged with each other, in trials, where there are no more than these."""
+"""Exchanged lights are only tried where there are no more than these."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Displacement:
-    """Where else the part may lie.
+    """Another placement of the part that explains the residual.
 
-    pixels, mm, turn: Shift of its middle, in the image [px] and on the stage [mm], and its turn [rad].
-    explains: Share of the mean squared residual beyond the noise that is gone with the part there.
-    posture: Whose images alone say so; None where those of all postures do.
+    pixels, mm, turn: Shift of its middle, in the image [px] and on the stage [mm], and its rotation [rad].
+    explains: Share of the mean squared residual beyond the noise that it removes.
+    posture: The only posture whose images were compared; None for all.
     """
 
     pixels: float
@@ -80,14 +83,9 @@ class Displacement:
 
 
 def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate, quality: Quality) -> bool:
-    """Refuse images that do not show this part on this rig where its file has it.
+    """Refuse images that do not show this part on this rig at its file placement; the error says what fits better.
 
-    Returns
-    -------
-    bool
-        Whether the part's place is no reason for a poor fit: it was fitted, or no other place explains what is missed.
-
-    Raises InputError: with what would fit better: the part displaced, mirrored or turned images, exchanged lights.
+    Returns whether the placement is no reason for a poor fit: it was fitted, or no other explains the residual.
     """
     if quality.describes and not quality.poor:
         return setup.registration is not None
@@ -113,12 +111,10 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
 def find_displacement(
     setup: FitSetup, samples: Samples, quality: Quality
 ) -> tuple[Displacement | None, bool]:
-    """Where else the part may lie; None where that explains too little of the residual, or nothing for certain.
+    """Another placement that explains the residual, if any, and whether all others are excluded by a converged search.
 
-    And whether no other place explains it, which nobody knows where the search did not converge.
-
-    Where no place explains the images of all postures, those of the first are looked at alone: a camera or a stage that
-    is off moves the part in each posture another way. Parameters as for :func:`refuse_unexplained_images`.
+    Where no placement explains the images of all postures, those of the first are compared alone: a camera or a stage
+    that is off moves the part in each posture another way.
     """
     found, excluded = _displacement(setup.scene, setup.observations, samples, quality)
     postures = list(dict.fromkeys(o.posture for o in setup.observations))
@@ -133,8 +129,7 @@ def find_displacement(
 def _displacement(
     scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality
 ) -> tuple[Displacement | None, bool]:
-    # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one. And
-    # whether the place is excluded as a reason
+    # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
     try:
         registration = register_with_fit(
             scene,
@@ -201,7 +196,7 @@ def _excess_residual(samples: Samples, noise: float) -> Float64:
 
 
 def explained_share(before: Float64, after: Float64, noise: float) -> float:
-    # share of what was missed that is gone, by the measure that says more; one that is lost in the noise says nothing
+    # share of the excess that is gone, by the measure that shows more; one that is lost in the noise shows nothing
     significant = before > LEAST_EXCESS * noise
     return float(np.max(1.0 - after[significant] / before[significant], initial=0.0))
 
@@ -236,7 +231,7 @@ def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
 
 
 def _swaps(samples: Samples, own: Float64, noise: float) -> tuple[list[tuple[str, str]], float]:
-    # pairs of lights whose images fit better exchanged, the best first, and the share of what is missed that is gone
+    # pairs of lights whose images fit better exchanged, the best first, and the share of the excess that is gone
     swaps: list[tuple[str, str]] = []
     gone = 0.0
     seen = {image.light for image in samples.images}

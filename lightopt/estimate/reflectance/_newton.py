@@ -22,7 +22,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 TOLERANCE = 1e-4
-"""A maximum is found when the next step promises less than this [nat]: a hundredth of a standard error."""
+"""A maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error."""
 
 LEAST_LOG_TAU2, MOST_LOG_TAU2 = np.log(1e-4), np.log(1e10)
 LEAST_LOGIT, MOST_LOGIT = -14.0, 2.0
@@ -43,10 +43,7 @@ LONGEST_STEP = 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class Maximum:
-    """Where a climb ended.
-
-    converged: Whether no step promises anything more.
-    """
+    """Where a climb ended; `unsettled` are the parameters along which the criterion still rises."""
 
     x: Float64
     evaluation: Evaluation
@@ -98,7 +95,7 @@ def maximise(
             converged = True
             break
         step = _newton_step(here.gradient, here.curvature, moving, damping)
-        # a step that is damped promises little because it is short
+        # a damped step has little predicted gain because it is short
         if float(here.gradient @ step) < tolerance and (
             damping <= FREE_DAMPING or _predicted_gain(here, moving) < max(tolerance, STALL_TOLERANCE)
         ):
@@ -128,7 +125,7 @@ def maximise(
 def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
     """Whether a climb has converged, or the step that is left is small beside the standard errors.
 
-    A clipped level bends the criterion of least squares at single pixels, where what a step promises tells little.
+    A clipped level bends the criterion of least squares at single pixels, where a step's predicted gain means little.
     """
     if top.converged:
         return True
@@ -141,7 +138,7 @@ def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
 
 
 def _predicted_gain(here: Evaluation, moving: Bool) -> float:
-    # what a step that is hardly damped promises [nat]
+    # of a step that is hardly damped [nat]
     return float(here.gradient @ _newton_step(here.gradient, here.curvature, moving, 1e-6))
 
 

@@ -84,7 +84,7 @@ def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) ->
 
 
 def noise_warnings(noise: MeasuredNoise) -> tuple[str, ...]:
-    """What to say where the noise is not, or not wholly, written."""
+    """Warn where the noise is not, or only partly, written."""
     if noise.read_noise is None and noise.electrons is None:
         return (f"the noise is not written: {noise.hindrance}",)
     return (f"of the noise, only a part is written: {noise.hindrance}",) if noise.hindrance else ()

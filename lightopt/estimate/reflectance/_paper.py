@@ -68,7 +68,7 @@ class PaperOptions:
         return dict(vars(self))
 
     def problems(self) -> tuple[str, ...]:
-        """What is wrong with the values, by the names of the command line's options."""
+        """Problems of the values, by the names of the command line's options."""
         found = [
             f"{PAPER_OPTION_FLAGS.get(name, name)}: expected a number above 0, found {value:g}"
             for name, value in vars(self).items()

@@ -1,4 +1,4 @@
-"""Whole images as a fit predicts them, and their saturated regions beside the measured ones (paper, section 4.4)."""
+"""Whole images that a fit predicts, and their saturated regions compared with measured ones (paper, section 4.4)."""
 
 from __future__ import annotations
 

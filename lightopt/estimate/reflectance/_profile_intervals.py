@@ -1,4 +1,4 @@
-"""Intervals by profile likelihood: how far a parameter can be moved while all others make the best of it."""
+"""Intervals by profile likelihood: how far a parameter can be moved while all others are refitted."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def profile_interval(estimate: Estimate, place: int) -> tuple[float, float]:
 def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float], ...]:
     """Values of one parameter that the criterion does not exclude: one interval for most images, ascending if more.
 
-    The fall of the criterion that ends a region is that of a right model times the inflation of the parameter's
-    variance. Regions are looked for around the estimate, around the other optima that are within that fall, and at the
-    points of the scan that are. Parameters as for :func:`profile_interval`.
+    The drop of the criterion that ends a region is that of a right model times the inflation of the parameter's
+    variance. Regions are searched around the estimate, around the other optima within that drop, and at the points of
+    the scan within it.
     """
     target = estimate.critical * float(estimate.inflation[estimate.free.index(place)])
     best = estimate.maximum.evaluation.value
@@ -126,7 +126,7 @@ def _end(estimate: Estimate, place: int, sign: float, target: float) -> float:
 
 
 def criterion_drop(estimate: Estimate, place: int, at: float) -> float:
-    """How far twice the criterion falls where a parameter is held at `at` and all others make the best of it [nat]."""
+    """Drop of twice the criterion with one parameter held at `at` and all others refitted [nat]; infinite out of range."""
     criterion = estimate.criterion
     low, high = bounds(criterion)
     if not low[place] <= at <= high[place]:

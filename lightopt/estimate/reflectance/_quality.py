@@ -1,4 +1,4 @@
-"""How well the model describes the images, and in words what they can and cannot tell."""
+"""How well the model describes the images, and warnings about what they do not determine."""
 
 from __future__ import annotations
 
@@ -25,20 +25,17 @@ STRONG_CORRELATION = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """Residuals of the pixels that a fit looked at, in sensor levels of the images as they were delivered.
+    """Residuals of the pixels of a fit, in sensor levels of the images as they were delivered.
 
     typical: Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
-    noise: What the rig's noise figures make of a typical pixel of a mean of so many frames, and the quantisation of its
-        levels [sensor level].
-    image_noise: What the images show: how far pixels are off the plane through their neighbours, typically [sensor
-        level].
-    explained: Share of the variance of the unsaturated pixels beyond the noise that the model explains, 1 for all of
-        it.
-    epsilon: Share of the pixels that the model would have left out if it could.
+    noise: Of a typical pixel by the rig's noise figures and the number of frames, with quantisation [sensor level].
+    image_noise: By the images: typical distance of pixels from the plane through their neighbours [sensor level].
+    explained: Share of the variance of the unsaturated pixels beyond the noise that the model explains.
+    epsilon: Share of outliers.
     tau: Deviation beside the sensor's noise [sensor level].
     saturated: Share of the observations that are saturated.
-    misfit: Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not looked at.
-    describes: Whether the model describes the images within that: else values are those of least squares, and intervals
+    misfit: Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not tested.
+    describes: Whether the model describes the images within that; else values are those of least squares, and intervals
         come from the scatter between lights.
     """
 
@@ -106,7 +103,7 @@ def mean_levels(samples: Samples, found: Estimate) -> NDArray[np.float64]:
 def fit_warnings(
     found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool, placed: bool
 ) -> tuple[str, ...]:
-    """What a person should know about a fit of R_s and σ beside its numbers.
+    """Warnings about a fit of R_s and σ.
 
     interval: 95 % of R_s [grey level].
     shorter: Whether the images have more than one exposure already.
@@ -138,7 +135,7 @@ def fit_warnings(
 
 
 def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
-    """What to say where the model does not describe the images, or the rig file their noise.
+    """Warn where the model does not describe the images, or the rig file their noise.
 
     placed: Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
     """

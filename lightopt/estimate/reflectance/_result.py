@@ -117,7 +117,7 @@ class FitResult:
 
     @property
     def not_left_out(self) -> tuple[str, ...]:
-        """What validation takes from all images, those of the light that is left out among them."""
+        """Parameters that validation takes from all images, also from those of the light that is left out."""
         freed = (
             ("its own gain", self.gains),
             ("the black level", self.dark),
@@ -188,7 +188,7 @@ def format_interval(interval: Interval) -> str:
 
 
 def separate_region_warnings(values: Iterable[FittedValue]) -> tuple[str, ...]:
-    """What to say of values whose interval joins regions between which the images do not decide."""
+    """Warn of intervals that join separate regions between which the images do not decide."""
     several = [f"{v.name} {' or '.join(map(format_interval, v.regions))}" for v in values if v.regions]
     if not several:
         return ()
@@ -214,7 +214,7 @@ def _fitted(
 
 
 def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
-    """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals."""
+    """R_d, R_s, σ and the saturated half-angle under a point light, with standard errors and intervals."""
     values: list[FittedValue] = []
     for name, place, log in (("R_d", R_D, False), ("R_s", LOG_R_S, True), ("sigma_rad", LOG_SIGMA, True)):
         value = math.exp(found.x[place]) if log else float(found.x[place])
@@ -253,7 +253,7 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
 
 
 def negative_black_level_warnings(dark: FittedValue | None) -> tuple[str, ...]:
-    """What to say of a black level that a rig file cannot hold."""
+    """Warn of a black level that a rig file cannot hold."""
     if dark is None or dark.value >= 0.0:
         return ()
     text = (

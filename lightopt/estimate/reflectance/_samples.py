@@ -30,7 +30,7 @@ Float64 = NDArray[np.float64]
 FIRST_OCTAVE_RAD = 0.001
 OCTAVES = 11
 """Pixels are kept by octave of the least angle between normal and half vector: up to 1 mrad, 2 mrad, … so that a lobe
-of any width has its flanks looked at."""
+of any width has pixels on its flanks."""
 
 BLOCKS = 24
 """Pieces along the longer side of the image: what the model gets wrong is taken as alike within each of them."""
@@ -60,10 +60,24 @@ class SampleGroup:
     def __len__(self) -> int:
         return len(self.row)
 
+    @property
+    def diffuse(self) -> Float64:
+        """Light per unit of R_d, shape (n,)."""
+        return np.zeros(len(self)) if self.layer is None else self.layer.diffuse
+
+    @property
+    def deflection(self) -> Float64:
+        """Least angle between normal and half vector [rad], shape (n,)."""
+        return np.full(len(self), np.pi) if self.layer is None else self.layer.deflection
+
+    def specular(self, sigma: float, threads: int | None) -> Float64:
+        """Light per unit of R_s, shape (n,)."""
+        return np.zeros(len(self)) if self.layer is None else self.layer.specular(sigma, threads=threads)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ImageFacts:
-    """What the kernels must know of each image; arrays of shape (images,).
+    """Per image, for the kernels; arrays of shape (images,).
 
     factor: Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
     half_width: How far from a level the signal may have been [sensor level].
@@ -130,11 +144,7 @@ class Samples:
 
     def specular(self, sigma: float) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
-        parts = [
-            np.zeros(len(group)) if group.layer is None else group.layer.specular(sigma, threads=self.threads)
-            for group in self.groups
-        ]
-        return np.concatenate(parts)
+        return np.concatenate([group.specular(sigma, self.threads) for group in self.groups])
 
 
 def collect_samples(
@@ -163,7 +173,7 @@ def collect_samples(
         groups += _choose(pixels, posture, light, caster, budget, uniform, threads)
         if progress is not None:
             progress((done + 1) / len(wanted))
-    return replace(_assemble(scene, groups, observations), threads=threads)
+    return _assemble(scene, groups, tuple(observations), threads)
 
 
 def subsample(samples: Samples, budget: int) -> Samples:
@@ -217,8 +227,7 @@ def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
         )
         for group in samples.groups
     )
-    diffuse = [np.zeros(len(group)) if group.layer is None else group.layer.diffuse for group in groups]
-    return replace(samples, groups=groups, diffuse=np.concatenate(diffuse))
+    return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))
 
 
 def _choose(
@@ -271,8 +280,10 @@ def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> tuple
     return kept, shares[octave[kept]]
 
 
-def _assemble(scene: Scene, groups: Sequence[SampleGroup], observations: Sequence[Observation]) -> Samples:
-    names = tuple(light.name for light in scene.lights)
+def _assemble(
+    scene: Scene, groups: Sequence[SampleGroup], images: tuple[Observation, ...], threads: int | None
+) -> Samples:
+    lights = tuple(light.name for light in scene.lights)
     if not any(group.layer is not None for group in groups):
         raise InputError(
             "no pixel of the images shows a surface that a panel lights wholly, away from silhouettes, creases and "
@@ -280,21 +291,11 @@ def _assemble(scene: Scene, groups: Sequence[SampleGroup], observations: Sequenc
         )
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     facts = ImageFacts(
-        factor=np.array([scale * o.exposure for o in observations]),
-        light=np.array([names.index(o.light) for o in observations], dtype=np.int32),
-        half_width=np.array([o.half_width for o in observations]),
-        frames=np.array([float(o.frames) for o in observations]),
+        factor=np.array([scale * o.exposure for o in images]),
+        light=np.array([lights.index(o.light) for o in images], dtype=np.int32),
+        half_width=np.array([o.half_width for o in images]),
+        frames=np.array([float(o.frames) for o in images]),
     )
-    return _flatten(groups, tuple(observations), facts, names, scene.sensor)
-
-
-def _flatten(
-    groups: Sequence[SampleGroup],
-    images: tuple[Observation, ...],
-    facts: ImageFacts,
-    lights: tuple[str, ...],
-    sensor: Sensor,
-) -> Samples:
     sample: list[NDArray[np.int32]] = []
     image: list[NDArray[np.int32]] = []
     level: list[NDArray[np.float32]] = []
@@ -310,15 +311,10 @@ def _flatten(
             image.append(np.full(len(group), number, np.int32))
             level.append(seen.levels[group.row, group.column])
             saturated.append(seen.saturated[group.row, group.column])
-    no_light = [(np.zeros(len(g)), np.full(len(g), np.pi)) for g in groups]
-    layers = [
-        empty if g.layer is None else (g.layer.diffuse, g.layer.deflection)
-        for g, empty in zip(groups, no_light, strict=True)
-    ]
     return Samples(
         groups=tuple(groups),
-        diffuse=np.concatenate([d for d, _ in layers]),
-        deflection=np.concatenate([a for _, a in layers]),
+        diffuse=np.concatenate([group.diffuse for group in groups]),
+        deflection=np.concatenate([group.deflection for group in groups]),
         weight=np.concatenate([group.weight for group in groups]),
         block=_blocks(groups, images),
         sample=np.concatenate(sample),
@@ -328,7 +324,8 @@ def _flatten(
         images=images,
         facts=facts,
         lights=lights,
-        sensor=sensor,
+        sensor=scene.sensor,
+        threads=threads,
     )
 
 

@@ -1,4 +1,4 @@
-"""What a fit is made from: its options, and rig, part and images made ready."""
+"""The set-up of a fit: its options, and rig, part and images made ready."""
 
 from __future__ import annotations
 

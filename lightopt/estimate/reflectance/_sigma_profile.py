@@ -57,7 +57,8 @@ def profile_outwards(
 ) -> list[Maximum]:
     """The best fit at each σ, from one σ outwards: a climb begins where its neighbour's ended, or at a better start.
 
-    An outlier share and a deviation take long to find, and hardly change from one σ to the next.
+    An outlier share and a deviation take long to find, and hardly change from one σ to the next. At the σ of number
+    `begin` all starts are climbed from.
     """
     fixed = [place for place in free if place != LOG_SIGMA]
     found: dict[int, Maximum] = {}

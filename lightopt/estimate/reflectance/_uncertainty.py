@@ -1,4 +1,4 @@
-"""How sharply the likelihood tells its parameters, where the model is right and where it is not."""
+"""Uncertainty of the likelihood's maximum, where the model is right and where it is not."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
     Returns
     -------
     tuple of numpy.ndarray
-        Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise that the images do not tell.
+        Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
     """
     places = determined_parameters(likelihood, x, free)
     rows = [list(free).index(place) for place in places]

@@ -1,4 +1,4 @@
-"""What speaks against a fit: no highlight, values out of range, a climb that did not end, an unsuitable R_d."""
+"""Refusals and warnings: no highlight, values out of range, a climb that did not converge, an unsuitable R_d."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EDGE = 1.01
 
 
 def refuse_no_highlight(samples: Samples, found: Estimate) -> None:
-    """Refuse images that tell nothing of R_s and σ.
+    """Refuse images that do not determine R_s and σ.
 
     Raises InputError: no pixel is brighter by a level for a highlight.
     """
@@ -58,7 +58,7 @@ def refuse_out_of_range(found: Estimate) -> None:
 
 
 def convergence_warnings(found: Estimate) -> tuple[str, ...]:
-    """What to say where the optimiser did not come to an end."""
+    """Warn where the optimiser did not converge."""
     warnings: list[str] = []
     if not found.maximum.converged:
         lights = found.criterion.samples.lights
@@ -85,7 +85,7 @@ def convergence_warnings(found: Estimate) -> tuple[str, ...]:
 
 
 def held_r_d_warnings(found: Estimate) -> list[str]:
-    """What to say where R_d was held at a value that the slope of the likelihood is against."""
+    """Warn where the slope of the criterion contradicts the value at which R_d was held."""
     if R_D in found.free:
         return []
     here = found.maximum.evaluation

@@ -35,7 +35,7 @@ FIRST_STEP_MM, FIRST_STEP_RAD = 1.0, math.radians(1.0)
 SEARCH_STEPS = 80
 LIKELY_TURN_RAD = math.radians(2.0)
 TURN_PULL = 1e-4
-"""What a turn of so much adds to the misfit: it decides where images do not, of a turned part."""
+"""Penalty of a rotation by this much: it decides where the images do not, for a body of revolution."""
 
 
 def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[PixelSet]:

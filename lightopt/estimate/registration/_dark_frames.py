@@ -25,7 +25,7 @@ def frames_of(entry: ImageEntry) -> int:
 
 
 def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float64 | None:
-    """What an image of a captured set would show without its light [sensor level], shape (H, W).
+    """Levels of an image of a captured set without its light [sensor level], shape (H, W).
 
     None where the set was captured without such frames: the sensor's black level is all that is known then.
 

@@ -56,7 +56,7 @@ FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {
     ),
     "turned by 180°": ((_REVERSED, _REVERSED), "turn them, or correct the camera's roll in the rig"),
 }
-"""What may have been done to images: by its name, rows and columns that undo it, and what to do."""
+"""Flips of images: by name, the rows and columns that undo it, and the remedy."""
 
 
 def refuse_useless_images(

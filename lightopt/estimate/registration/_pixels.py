@@ -48,7 +48,7 @@ class PixelSet:
         *,
         rays: int = 1,
     ) -> PixelSet:
-        """What the images of a posture have at some pixels."""
+        """Look up some pixels in the images of a posture."""
         return PixelSet(
             posture=posture,
             row=row,

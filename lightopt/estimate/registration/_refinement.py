@@ -34,7 +34,7 @@ OUTLINE_SHARE = 0.3
 """An edge pixel is this share of the contrast off its prediction, since images are sampled at points or blurred."""
 
 OUTLINE_PX = 0.3
-"""What the outline alone determines is known to about this, however many pixels it crosses: they are off together."""
+"""Accuracy of what the outline alone determines, however many pixels it crosses: they are off together."""
 
 LEAST_CORRELATION = 0.5
 """An outline is used where predicted and measured levels across it correlate by more than this."""
