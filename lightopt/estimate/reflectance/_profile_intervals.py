@@ -126,7 +126,7 @@ def _end(estimate: Estimate, place: int, sign: float, target: float) -> float:
 
 
 def criterion_drop(estimate: Estimate, place: int, at: float) -> float:
-    """Drop of twice the criterion with one parameter held at `at` and all others refitted [nat]; infinite out of range."""
+    """Drop of twice the criterion with one parameter held at `at`, all others refitted [nat]; infinite off bounds."""
     criterion = estimate.criterion
     low, high = bounds(criterion)
     if not low[place] <= at <= high[place]:
