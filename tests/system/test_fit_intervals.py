@@ -112,7 +112,9 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
     [
         pytest.param(FreeParameters(), SENSOR, (1.0,), 10, id="8 bit, 10 seeds"),
         pytest.param(FreeParameters(), SENSOR, (1.0,), 100, id="8 bit, 100 seeds", marks=pytest.mark.nightly),
-        pytest.param(FreeParameters(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly),
+        pytest.param(
+            FreeParameters(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly
+        ),
         pytest.param(FreeParameters(), SENSORS["12 bit"], (1.0,), 40, id="12 bit", marks=pytest.mark.nightly),
         pytest.param(
             FreeParameters(gain=True, dark=True),

@@ -23,6 +23,15 @@ from lightopt.estimate.reflectance._profile_intervals import criterion_drop
 from lightopt.estimate.reflectance._samples import Samples
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, optimum_of, scan_points
 
+Float64 = NDArray[np.float64]
+
+LEAST_GROUPS, MOST_GROUPS = 4, 24
+"""Groups of images: lights, where there are so many, else lights by posture, else pieces of the images. Further lights
+share a group."""
+
+UNDETERMINED = 1e3
+"""Standard error of a parameter that the images do not determine, such as the σ of a lobe without light."""
+
 ERROR_STEPS = (1.0, 0.3, 0.1)
 """How far from the best the drop of the criterion is taken [standard errors]; the first that is within range."""
 
@@ -79,16 +88,6 @@ def _inflation(found: Estimate, errors: Sequence[float] | NDArray[np.float64]) -
                 inflation[i] = np.mean(drops)
                 break
     return inflation
-
-
-Float64 = NDArray[np.float64]
-
-LEAST_GROUPS, MOST_GROUPS = 4, 24
-"""Groups of images: lights, where there are so many, else lights by posture, else pieces of the images. Further lights
-share a group."""
-
-UNDETERMINED = 1e3
-"""Standard error of a parameter that the images do not determine, such as the σ of a lobe without light."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,6 +43,13 @@ HELD_SIGMA = 0.05
 Climbs = list[tuple[float, Maximum]]
 """σ of a peak of the profile [rad], and where the climb from it ended; the best first."""
 
+LEAST_DIFFUSE = 0.1
+"""R_d is guessed where at least this much light arrives per unit of it."""
+
+START_EPSILON = 0.03
+START_DEVIATION = 4.0
+"""A climb begins with wide shoulders [sensor level], so that pixels far from the first guess still pull at it."""
+
 
 @dataclass(frozen=True)
 class SigmaScan:
@@ -177,14 +184,6 @@ def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) ->
         converged=top.converged,
         criterion=criterion,
     )
-
-
-LEAST_DIFFUSE = 0.1
-"""R_d is guessed where at least this much light arrives per unit of it."""
-
-START_EPSILON = 0.03
-START_DEVIATION = 4.0
-"""A climb begins with wide shoulders [sensor level], so that pixels far from the first guess still pull at it."""
 
 
 def first_guess(samples: Samples) -> float:

@@ -12,6 +12,17 @@ from numpy.typing import NDArray
 from lightopt.core.transforms import rotation_z
 from lightopt.scene import Scene, move_part, pixel_footprint
 
+Float64 = NDArray[np.float64]
+
+GREATEST_SHIFT_MM = 5.0
+GREATEST_TURN_RAD = math.radians(6.0)
+GREATEST_SHIFT_PX = 16.0
+"""Reach of the search from the file placement: along x and y the larger of both, and about the vertical axis."""
+
+MOST_ERROR_PX = 1.0
+MOST_TURN_ERROR_RAD = math.radians(0.5)
+"""A shift or a rotation is determined where its standard error is below this."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Placement:
@@ -103,18 +114,6 @@ def part_file_placement(
         rotate_deg=(rotate_deg[0], rotate_deg[1], math.remainder(about_z, 360.0)),
         translate_mm=(float(shift[0]), float(shift[1]), float(shift[2])),
     )
-
-
-Float64 = NDArray[np.float64]
-
-GREATEST_SHIFT_MM = 5.0
-GREATEST_TURN_RAD = math.radians(6.0)
-GREATEST_SHIFT_PX = 16.0
-"""Reach of the search from the file placement: along x and y the larger of both, and about the vertical axis."""
-
-MOST_ERROR_PX = 1.0
-MOST_TURN_ERROR_RAD = math.radians(0.5)
-"""A shift or a rotation is determined where its standard error is below this."""
 
 
 @dataclass(frozen=True)
