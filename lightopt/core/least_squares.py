@@ -120,11 +120,6 @@ class Solution:
     cost_before: float
     cost_after: float
 
-    @property
-    def determined(self) -> bool:
-        """Whether the residuals determine every parameter of interest."""
-        return len(self.undetermined) == 0
-
 
 @dataclass(frozen=True)
 class _Loss:

@@ -58,7 +58,7 @@ def likelihood(samples):
 def x(likelihood):
     x = np.zeros(likelihood.size)
     x[R_D], x[LOG_R_S], x[LOG_SIGMA], x[DARK] = 44.0, math.log(12000.0), math.log(0.0477), 0.3
-    x[likelihood.log_tau2], x[likelihood.logit_epsilon] = math.log(0.7), -4.0
+    x[-2], x[-1] = math.log(0.7), -4.0
     return x
 
 

@@ -16,7 +16,7 @@ from lightopt.estimate.reflectance._search import fit_reflectance, refit
 from lightopt.estimate.reflectance._setup import FitSetup
 
 BUDGET = 250
-"""Pixels per octave, light and posture that a second opinion looks at."""
+"""Pixels per octave, light and posture of a second opinion."""
 
 LEAST_RATIO = 100.0
 """Twice the logarithm of the likelihoods' ratio that is reported."""

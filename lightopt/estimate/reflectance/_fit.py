@@ -250,7 +250,7 @@ def _result(
 
 
 def _rank(row: PointsRow | None) -> float:
-    # the likelihood where there is one; the paper looks at area and perimeter
+    # the likelihood where there is one; the paper compares area and perimeter
     if row is None:
         return 0.0
     return -row.misfit if row.likelihood is None else row.likelihood

@@ -80,16 +80,6 @@ class Likelihood:
         self._sensor = sensor_numbers(samples.sensor)
 
     @property
-    def log_tau2(self) -> int:
-        """Place of ln τ² in the vector of parameters."""
-        return self.size - 2
-
-    @property
-    def logit_epsilon(self) -> int:
-        """Place of logit ε in the vector of parameters."""
-        return self.size - 1
-
-    @property
     def sigma_range(self) -> tuple[float, float]:
         """Values of ln σ for which it can be evaluated: half the columns' span beyond them, any for one."""
         if len(self.log_sigmas) == 1:

@@ -78,7 +78,7 @@ class PointsRow:
 
     @property
     def misfit(self) -> float:
-        """Relative deviations of area and perimeter, added: what section 4.4 of the paper looks at."""
+        """Relative deviations of area and perimeter, added (paper, section 4.4)."""
         area = abs(self.area - self.measured_area) / max(self.measured_area, 1)
         return area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0)
 

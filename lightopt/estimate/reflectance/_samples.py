@@ -1,4 +1,4 @@
-"""The pixels that a fit looks at, and what their geometry says of them: all that does not change while it is made."""
+"""The pixels of a fit, with their geometry and measured levels: all that does not change during the fit."""
 
 from __future__ import annotations
 

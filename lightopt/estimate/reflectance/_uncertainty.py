@@ -21,8 +21,7 @@ LONGEST_DIFFERENCE = 0.1
 
 AT_BOUND = 1e-6
 LEAST_INFORMATION = 0.05
-"""A noise parameter about which the images tell less than this [nat] is as good as at its bound: whatever it is within
-what they allow, the others do not feel it."""
+"""A noise parameter with less information than this [nat] is as good as at its bound: others do not depend on it."""
 
 BY_CHANCE, SURELY = 3.0, 6.0
 """A variance between pieces of the image that is this many standard deviations above what chance makes of a right
@@ -30,16 +29,16 @@ model begins to count, and counts wholly."""
 
 
 def determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
-    """The free parameters without a noise τ that is nothing and a share ε of no pixels.
+    """The free parameters, without a noise τ or an outlier share ε at its bound.
 
-    Those sit at their bounds, where the likelihood has no maximum: neither information nor scores mean anything there.
+    At a bound the likelihood has no maximum: neither information nor scores mean anything there.
     """
     low, high = bounds(likelihood)
     curvature = np.diag(likelihood.evaluate(x).curvature)
     return [
         place
         for place in free
-        if place < likelihood.log_tau2
+        if place < likelihood.size - 2
         or (
             low[place] + AT_BOUND < x[place] < high[place] - AT_BOUND and curvature[place] > LEAST_INFORMATION
         )

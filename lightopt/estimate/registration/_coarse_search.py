@@ -70,7 +70,7 @@ def search_placement(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Placement:
-    """Look for the part by its outline and its diffuse light; good to about a pixel, without knowing its reflectance.
+    """Search the part by its outline and its diffuse light, to about a pixel, without knowing its reflectance.
 
     A simplex search (Nelder and Mead 1965, doi:10.1093/comjnl/7.4.308) within the greatest shift and turn.
     """
