@@ -41,12 +41,10 @@ Pixels = Annotated[
     int, typer.Option(metavar="N", help="About how many pixels to look at, over all images. [1500000]")
 ]
 WriteNoise = Annotated[
-    bool,
-    typer.Option("--write-noise", help="Write the noise that the images show into rig.fitted.yaml."),
+    bool, typer.Option("--write-noise", help="Write the noise that the images show into rig.fitted.yaml.")
 ]
 AllowUnconverged = Annotated[
-    bool,
-    typer.Option("--allow-unconverged", help="Exit with 0 even where the optimiser did not converge."),
+    bool, typer.Option("--allow-unconverged", help="Exit with 0 even where the optimiser did not converge.")
 ]
 Threads = Annotated[
     int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
@@ -90,23 +88,8 @@ def fit_diffuse(
     from lightopt.estimate.reflectance import PaperOptions
 
     paper = PaperOptions(lambda_d=lambda_d, R_d_start=start, away=math.radians(away))
-    _run(
-        "diffuse",
-        rig,
-        part,
-        images,
-        out,
-        method,
-        free,
-        points,
-        pixels,
-        paper,
-        threads,
-        force,
-        quiet,
-        write_noise=write_noise,
-        allow_unconverged=allow_unconverged,
-    )
+    options = _options("diffuse", method, free, points, pixels, paper, threads, write_noise=write_noise)
+    _run("diffuse", rig, part, images, out, options, force, quiet, allow_unconverged)
 
 
 def fit_specular(
@@ -161,25 +144,11 @@ def fit_specular(
         sigma_start=sigma_start,
         R_s_start=start,
     )
-    _run(
-        "specular",
-        rig,
-        part,
-        images,
-        out,
-        method,
-        free,
-        points,
-        pixels,
-        paper,
-        threads,
-        force,
-        quiet,
-        joint=joint,
-        validate=not no_validation,
+    options = _options(
+        "specular", method, free, points, pixels, paper, threads, joint=joint, validate=not no_validation,
         write_noise=write_noise,
-        allow_unconverged=allow_unconverged,
-    )
+    )  # fmt: skip
+    _run("specular", rig, part, images, out, options, force, quiet, allow_unconverged)
 
 
 def _run(
@@ -188,47 +157,36 @@ def _run(
     part: Path,
     images: Path,
     out: Path,
-    method: str,
-    free: list[str] | None,
-    points: str | None,
-    pixels: int,
-    paper: PaperOptions,
-    threads: int | None,
+    options: FitOptions,
     force: bool,
     quiet: bool,
-    *,
-    joint: bool = False,
-    validate: bool = True,
-    write_noise: bool,
     allow_unconverged: bool,
 ) -> None:
     from lightopt.estimate.reflectance import FitFolder, fit_diffuse, fit_provenance, fit_specular
     from lightopt.images import read_image_set
+    from lightopt.report import fit_chart
 
-    options = _options(kind, method, free, points, pixels, paper, threads, joint, validate, write_noise)
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
     image_set = read_image_set(images)
-    asked: dict[str, Any] = {**vars(options), "kind": kind, "paper": paper.as_dict()}
-    del asked["threads"]
-    made_from = fit_provenance(loaded_rig, loaded_part, image_set, asked)
+    arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": options.paper.as_dict()}
+    del arguments["threads"]
+    made_from = fit_provenance(loaded_rig, loaded_part, image_set, arguments)
     folder = FitFolder(out, made_from, force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:
         if kind == "diffuse":
             result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, progress=progress)
         else:
-            keep = _keep_pictures(
+            save = _save_residuals(
                 folder, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
             )
             result = fit_specular(
-                loaded_rig, loaded_part, image_set, options=options, progress=progress, keep=keep
+                loaded_rig, loaded_part, image_set, options=options, progress=progress, save_prediction=save
             )
-    from lightopt.report import fit_chart
-
     chart = fit_chart(result, lambda: folder.place("fit.png"))
     written = folder.write(result, loaded_rig, loaded_part)
-    for text in result.words:
+    for text in result.warnings:
         say_warning(text)
     if not quiet:
         _show(result)
@@ -248,12 +206,13 @@ def _options(
     pixels: int,
     paper: PaperOptions,
     threads: int | None,
-    joint: bool,
-    validate: bool,
+    *,
+    joint: bool = False,
+    validate: bool = True,
     write_noise: bool,
 ) -> FitOptions:
     from lightopt.config import points_problem
-    from lightopt.estimate.reflectance import OPTION_NAMES, FitOptions, PaperOptions
+    from lightopt.estimate.reflectance import PAPER_OPTION_FLAGS, FitOptions, PaperOptions
 
     problems: list[str] = []
     if method not in METHODS:
@@ -274,7 +233,9 @@ def _options(
     problems += paper.problems()
     if method == "likelihood":
         usual = PaperOptions().as_dict()
-        changed = [OPTION_NAMES[name] for name, value in paper.as_dict().items() if value != usual[name]]
+        changed = [
+            PAPER_OPTION_FLAGS[name] for name, value in paper.as_dict().items() if value != usual[name]
+        ]
         problems += [f"{name}: belongs to --method paper, which was not asked for" for name in changed]
     if method == "paper" and (free or joint):
         problems.append("--method paper: takes neither --free nor --joint")
@@ -297,14 +258,16 @@ def _options(
     )
 
 
-def _keep_pictures(folder: FitFolder, bit_depth: int, saturation: float | None) -> Callable[[Any, Any], None]:
+def _save_residuals(
+    folder: FitFolder, bit_depth: int, saturation: float | None
+) -> Callable[[Any, Any], None]:
     # a picture of measured minus predicted for each image that was left out
     from lightopt.images import png_name
     from lightopt.report import residual_picture
 
     full = float(2**bit_depth - 1)
 
-    def keep(seen: Any, levels: Any) -> None:
+    def save(seen: Any, levels: Any) -> None:
         name = png_name(seen.light, seen.posture, seen.exposure).replace("/", "_")
         residual_picture(
             folder.place(f"left-out/{name}"),
@@ -314,17 +277,17 @@ def _keep_pictures(folder: FitFolder, bit_depth: int, saturation: float | None) 
             full=full,
         )
 
-    return keep
+    return save
 
 
 def _show(result: FitResult) -> None:
-    from lightopt.estimate.reflectance import interval_words
+    from lightopt.estimate.reflectance import format_interval
 
     rows = []
     for value in result.values:
         held = "as in the file" if value.name not in (*result.fitted, "half_angle_rad") else ""
         error = f"{value.standard_error:.2g}" if value.standard_error else ""
-        interval = "" if value.interval is None else interval_words(value.interval)
+        interval = "" if value.interval is None else format_interval(value.interval)
         rows.append([value.name, f"{value.value:.6g}", error, interval or held])
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
@@ -372,24 +335,14 @@ def _show_noise(noise: MeasuredNoise) -> None:
         ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
         ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
     )
-    said = [text.format(value, error) for text, value, error in figures if value is not None]
-    if said:
-        say("noise written: " + ", ".join(said))
+    parts = [text.format(value, error) for text, value, error in figures if value is not None]
+    if parts:
+        say("noise written: " + ", ".join(parts))
 
 
 def _show_points(result: FitResult) -> None:
-    head = [
-        "m",
-        "R_d",
-        "R_s",
-        "σ [rad]",
-        "area [px]",
-        "measured",
-        "perimeter [px]",
-        "measured",
-        "likelihood",
-        "",
-    ]
+    areas = ["area [px]", "measured", "perimeter [px]", "measured"]
+    head = ["m", "R_d", "R_s", "σ [rad]", *areas, "likelihood", ""]
     rows = [
         [
             str(row.points),

@@ -27,18 +27,18 @@ MOST_ROUNDS = 6
 SAME_SPREAD = 0.03
 """A spread that changes by less than this share ends the rounds."""
 
-PROMISE = 1e-3
-"""A solution has converged when the next step promises less than this of the cost: a step of 0.05 standard errors."""
+DECREASE_TOLERANCE = 1e-3
+"""A solution has converged when the predicted decrease of the cost is less than this: 0.05 standard errors."""
 
-NO_DESCENT_PROMISE = 0.05
-"""And where no step lowers the cost, when it promised less than this: a step of 0.3 standard errors."""
+STALLED_TOLERANCE = 0.05
+"""The same where no step lowers the cost: a step of 0.3 standard errors."""
 
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e5
-RELEASED = 2.0
-"""A direction that is held at nominal is let go again where the residuals tell this many times what they must. At the
-start, where the spread is still that of a misfit, they tell less than they do in the end."""
+RELEASE_FACTOR = 2.0
+"""A direction that is held at nominal is released where its information is this many times what it must be. At the
+start, where the spread is still that of a misfit, the information is less than in the end."""
 
-WILD = 10.0
+MISSING_RESIDUAL = 10.0
 """A pixel that a trial step leaves without a prediction counts as a residual of this many spreads."""
 
 _HUGE = 1e12
@@ -46,25 +46,19 @@ _TINY = 1e-12
 
 
 class Problem(Protocol):
-    """Residuals and their slopes; n rows, K parameters.
-
-    Attributes
-    ----------
-    weight
-        How much each row counts, shape (n,).
-    correlated
-        Rows whose errors are alike, so that `weight` and not their scatter says what they tell; shape (n,). Their
-        residuals are in units of their own spread.
-    """
+    """Residuals and their slopes; n rows, K parameters."""
 
     @property
     def weight(self) -> Float64:
-        """See above."""
+        """How much each row counts, shape (n,)."""
         ...
 
     @property
     def correlated(self) -> Bool:
-        """See above."""
+        """Rows with common errors, whose `weight` and not their scatter gives the information; shape (n,).
+
+        Their residuals are in units of their own spread.
+        """
         ...
 
     def residuals(self, x: Float64) -> Float64:
@@ -80,22 +74,14 @@ class Problem(Protocol):
 class Limits:
     """Where parameters may go; arrays of shape (K,).
 
-    Attributes
-    ----------
-    nominal
-        Where a parameter stays that the residuals do not determine.
-    reach
-        Greatest distance from there.
-    step
-        Greatest change in one iteration.
-    prior
-        Standard deviation with which the nominal value is known beforehand; infinite where it is not.
-    resolution
-        A direction in the space of these parameters is determined where its standard error is below one of these
-        units; infinite for parameters that are adjusted along and of no interest.
-    undetermined
-        Directions that the residuals do not determine whatever their slopes say, rows in units of the parameters, shape
-        (u, K).
+    nominal: Where a parameter stays that the residuals do not determine.
+    reach: Greatest distance from there.
+    step: Greatest change in one iteration.
+    prior: Standard deviation with which the nominal value is known beforehand; infinite where it is not.
+    resolution: A direction in the space of these parameters is determined where its standard error is below one of
+        these units; infinite for nuisance parameters.
+    undetermined: Directions that the residuals do not determine whatever their slopes say, rows in units of the
+        parameters, shape (u, K).
     """
 
     nominal: Float64
@@ -110,29 +96,16 @@ class Limits:
 class Solution:
     """Where the robust cost is least; everything is finite.
 
-    Attributes
-    ----------
-    x
-        Parameters, shape (K,).
-    covariance
-        Of an M-estimate, each row with the variance that it shows, shape (K, K).
-    errors
-        Standard errors, at most the reach of a parameter, shape (K,).
-    undetermined
-        Directions that the residuals do not determine, in units of the limits' resolution, orthonormal rows, shape
-        (u, K).
-    at_limit
-        Parameters at their greatest distance from nominal, shape (K,).
-    converged
-        Whether the next step would change nothing.
-    iterations
-        Steps tried.
-    rows
-        Rows that had a prediction at the start.
-    spread
-        Robust standard deviation of the residuals at the end.
-    cost_before, cost_after
-        Robust cost per row with that spread: at the start, undetermined directions at nominal, and at the end.
+    x: Parameters, shape (K,).
+    covariance: Of an M-estimate, each row with the variance that it shows, shape (K, K).
+    errors: Standard errors, at most the reach of a parameter, shape (K,).
+    undetermined: Directions that the residuals do not determine, in units of the limits' resolution, orthonormal rows,
+        shape (u, K).
+    at_limit: Parameters at their greatest distance from nominal, shape (K,).
+    rows: Rows that had a prediction at the start.
+    spread: Robust standard deviation of the residuals at the end.
+    cost_before, cost_after: Robust cost per row with that spread: at the start, undetermined directions at nominal, and
+        at the end.
     """
 
     x: Float64
@@ -146,11 +119,6 @@ class Solution:
     spread: float
     cost_before: float
     cost_after: float
-
-    @property
-    def determined(self) -> bool:
-        """Whether the residuals determine every parameter of interest."""
-        return len(self.undetermined) == 0
 
 
 @dataclass(frozen=True)
@@ -222,15 +190,13 @@ def solve(
     Parameters
     ----------
     problem
-        Rows without a finite residual at the start do not count; those without finite slopes pull nowhere.
+        Rows without a finite residual at the start do not count; those without finite slopes have no effect.
     start
         Shape (K,).
-    limits
-        Of the parameters.
     loss
         Tukey's (far residuals count alike) or Huber's (they pull alike; doi:10.1214/aoms/1177703732).
     least_spread
-        Residuals are not taken for more exact than this many standard deviations.
+        Lower bound of the residuals' spread [standard deviations].
     most_iterations
         Steps to try at most.
     """
@@ -256,18 +222,18 @@ class _Solver:
         self._scatter = np.zeros(0)
         self._spread = least_spread
         self._rows = np.zeros(0, np.bool_)
-        self._tried = 0
-        self._last: tuple[Float64, Float64] | None = None
-        self._raw: Float64 | None = None
-        self._last_normal: tuple[_Point, tuple[Float64, Float64]] | None = None
-        self._fixed_weight = np.zeros(0)
+        self._iterations = 0
+        self._slopes_cache: tuple[Float64, Float64] | None = None
+        self._raw_slopes: Float64 | None = None
+        self._normal_cache: tuple[_Point, tuple[Float64, Float64]] | None = None
+        self._weight = np.zeros(0)
 
     def run(self, start: Float64, most_iterations: int) -> Solution:
         start = self._clipped(np.where(np.isfinite(start), start, self._limits.nominal))
         with np.errstate(over="ignore", invalid="ignore"):
             first = np.asarray(self._problem.residuals(start), np.float64)
         self._rows = np.isfinite(first) & np.isfinite(self._problem.weight) & (self._problem.weight > 0.0)
-        self._fixed_weight = np.where(self._rows, self._problem.weight, 0.0)
+        self._weight = np.where(self._rows, self._problem.weight, 0.0)
         here = self._point(start)
         before = start
         converged = False
@@ -277,25 +243,25 @@ class _Solver:
             if not done:
                 self._spread = spread
                 here = self._point(here.x)
-            if self._hold(here):
+            if self._fix_undetermined_directions(here):
                 before = self._at_nominal(start)
                 here = self._point(self._at_nominal(here.x))
                 done = False
             if done:
                 break
             here, converged = self._descend(here, most_iterations)
-            if self._tried >= most_iterations:
+            if self._iterations >= most_iterations:
                 break
         while True:
             first_point = self._point(before)
             if first_point.cost < here.cost:
                 # an earlier round's spread led elsewhere
-                here, converged = self._descend(first_point, self._tried + 5)
-            if not self._hold_scattered(here):
+                here, converged = self._descend(first_point, self._iterations + 5)
+            if not self._fix_scattered_directions(here):
                 return self._solution(first_point, here, converged)
             before = self._at_nominal(start)
             here, converged = self._descend(
-                self._point(self._at_nominal(here.x)), max(most_iterations, self._tried + 5)
+                self._point(self._at_nominal(here.x)), max(most_iterations, self._iterations + 5)
             )
 
     def _descend(self, here: _Point, most_iterations: int) -> tuple[_Point, bool]:
@@ -306,14 +272,14 @@ class _Solver:
             if basis.shape[1] == 0 or not self._rows.any():
                 return here, bool(self._rows.any())
             scale, inner, outer = _scaled(basis.T @ normal @ basis, basis.T @ pull)
-            promise = 0.5 * float(outer @ _damped(inner, outer, LEAST_DAMPING))
-            if promise < PROMISE:
+            predicted_decrease = 0.5 * float(outer @ _damped(inner, outer, LEAST_DAMPING))
+            if predicted_decrease < DECREASE_TOLERANCE:
                 return here, True
             before = here
             while here is before:
-                if self._tried >= most_iterations or damping > MOST_DAMPING:
-                    return here, promise < NO_DESCENT_PROMISE
-                self._tried += 1
+                if self._iterations >= most_iterations or damping > MOST_DAMPING:
+                    return here, predicted_decrease < STALLED_TOLERANCE
+                self._iterations += 1
                 change = basis @ (_damped(inner, outer, damping) / scale)
                 there = self._point(self._bounded(here.x, change))
                 if there.cost < here.cost:
@@ -327,9 +293,9 @@ class _Solver:
             residual = np.asarray(self._problem.residuals(x), np.float64)
         finite = np.isfinite(residual)
         if not finite.all():
-            residual = np.where(self._rows, np.where(finite, residual, WILD * self._units()), 0.0)
+            residual = np.where(self._rows, np.where(finite, residual, MISSING_RESIDUAL * self._units()), 0.0)
         residual = np.clip(residual, -_HUGE, _HUGE)
-        cost = float(self._loss.cost(residual / self._units()) @ self._weights())
+        cost = float(self._loss.cost(residual / self._units()) @ self._weight)
         known = (x - self._limits.nominal) @ self._precision @ (x - self._limits.nominal)
         return _Point(x, residual, cost + 0.5 * float(known))
 
@@ -337,41 +303,38 @@ class _Solver:
         # spread of each row
         return np.where(self._problem.correlated, 1.0, self._spread)
 
-    def _weights(self) -> Float64:
-        return self._fixed_weight
-
     def _spread_of(self, residual: Float64) -> float:
         own = residual[self._rows & ~self._problem.correlated]
         return max(1.4826 * float(np.median(np.abs(own))), self._least_spread) if len(own) else self._spread
 
     def _slopes(self, x: Float64) -> Float64:
-        if self._last is not None and np.array_equal(self._last[0], x):
-            return self._last[1]
+        if self._slopes_cache is not None and np.array_equal(self._slopes_cache[0], x):
+            return self._slopes_cache[1]
         with np.errstate(over="ignore", invalid="ignore"):
             slopes = np.asarray(self._problem.slopes(x), np.float64)
-        if self._last is not None and slopes is self._raw:
-            return self._last[1]  # a linear problem's
-        self._raw = slopes
+        if self._slopes_cache is not None and slopes is self._raw_slopes:
+            return self._slopes_cache[1]  # a linear problem's
+        self._raw_slopes = slopes
         known = self._rows & np.isfinite(slopes).all(axis=1)
         if not known.all():
             slopes = np.where(known[:, None], slopes, 0.0)
         slopes = np.clip(slopes, -_HUGE, _HUGE)
-        self._last = x, slopes
+        self._slopes_cache = x, slopes
         return slopes
 
     def _normal(self, here: _Point, slopes: Float64) -> tuple[Float64, Float64]:
-        # asked for more than once at a point; a point is made anew where the spread is another
-        if self._last_normal is not None and self._last_normal[0] is here:
-            return self._last_normal[1]
+        # needed more than once at a point; another spread makes another point
+        if self._normal_cache is not None and self._normal_cache[0] is here:
+            return self._normal_cache[1]
         unit = self._units()
-        weight = self._weights() * self._loss.weight(here.residual / unit) / np.square(unit)
+        weight = self._weight * self._loss.weight(here.residual / unit) / np.square(unit)
         weighted = slopes * weight[:, None]
         normal = weighted.T @ slopes + self._precision
         pull = weighted.T @ here.residual - self._precision @ (here.x - self._limits.nominal)
-        self._last_normal = here, (normal, pull)
+        self._normal_cache = here, (normal, pull)
         return normal, pull
 
-    def _hold(self, here: _Point) -> bool:
+    def _fix_undetermined_directions(self, here: _Point) -> bool:
         # keep the directions at nominal that the residuals do not determine, release those that they do; whether their
         # number is another
         of = self._of_interest
@@ -381,7 +344,7 @@ class _Solver:
         values, vectors = np.linalg.eigh(self._information(normal))
         unknown, before = values < 1.0, len(self._held)
         if np.sum(unknown) < before:
-            unknown = values < RELEASED
+            unknown = values < RELEASE_FACTOR
         if np.sum(unknown) == before:
             return False
         self._held = np.zeros((int(np.sum(unknown)), self._size))
@@ -389,7 +352,7 @@ class _Solver:
         self._scatter = np.zeros(len(self._held))
         return True
 
-    def _hold_scattered(self, here: _Point) -> bool:
+    def _fix_scattered_directions(self, here: _Point) -> bool:
         # keep the directions at nominal, too, that the residuals leave open as they scatter in the end; whether any is
         of = self._of_interest
         if not len(of) or len(self._held) == len(of) or not self._rows.any():
@@ -409,13 +372,13 @@ class _Solver:
         # about the parameters of interest alone, in units of their resolution
         of = self._of_interest
         others = np.setdiff1d(np.arange(self._size), of)
-        kept = normal[np.ix_(of, of)]
+        schur = normal[np.ix_(of, of)]
         if len(others):
             scale, inner, _ = _scaled(normal[np.ix_(others, others)], np.zeros(len(others)))
             cross = normal[np.ix_(of, others)] / scale
-            kept = kept - cross @ np.linalg.solve(inner + LEAST_DAMPING * np.eye(len(others)), cross.T)
+            schur = schur - cross @ np.linalg.solve(inner + LEAST_DAMPING * np.eye(len(others)), cross.T)
         unit = self._limits.resolution[of]
-        found = kept * np.outer(unit, unit)
+        found = schur * np.outer(unit, unit)
         if self._limits.undetermined.size:
             known, _ = np.linalg.qr((self._limits.undetermined[:, of] / unit).T)
             rest = np.eye(len(of)) - known @ known.T
@@ -469,7 +432,7 @@ class _Solver:
             undetermined=held,
             at_limit=np.abs(here.x - self._limits.nominal) >= reach * (1.0 - 1e-9),
             converged=converged and rows > 0,
-            iterations=self._tried,
+            iterations=self._iterations,
             rows=rows,
             spread=self._spread,
             cost_before=before.cost / max(rows, 1),
@@ -479,16 +442,16 @@ class _Solver:
     def _covariance(self, here: _Point) -> Float64:
         # of an M-estimate: Huber 1973, doi:10.1214/aos/1176342503; directions held have that of the information
         slopes = self._slopes(here.x)
-        unit, weight = self._units(), self._weights()
+        unit, weight = self._units(), self._weight
         u = here.residual / unit
         normal, pull = self._normal(here, slopes)
         # rows that are off together are not bent one by one
         correlated = self._problem.correlated
         bend = weight * np.where(correlated, self._loss.weight(u), self._loss.bend(u)) / np.square(unit)
         inner = (slopes * bend[:, None]).T @ slopes + self._precision
-        shown = np.square(weight * self._loss.weight(u) * u / unit)
-        said = weight * self._loss.weight(u) / np.square(unit)
-        scatter = np.where(correlated, said, shown)
+        observed = np.square(weight * self._loss.weight(u) * u / unit)
+        expected = weight * self._loss.weight(u) / np.square(unit)
+        scatter = np.where(correlated, expected, observed)
         middle = (slopes * scatter[:, None]).T @ slopes + self._precision
         basis = self._basis(here.x, np.zeros_like(pull))
         covariance = np.zeros((self._size, self._size))
@@ -507,11 +470,11 @@ class _Solver:
             held = self._held[:, of]
             information = held @ self._information(normal) @ held.T
             less = np.maximum(self._scatter * np.diag(information), 1.0)
-            told = np.linalg.eigh(information / np.sqrt(np.outer(less, less)))
-            rows = told.eigenvectors.T @ held
+            modes = np.linalg.eigh(information / np.sqrt(np.outer(less, less)))
+            rows = modes.eigenvectors.T @ held
             # no direction is more uncertain than the reach allows
             least = np.max(np.square(rows * res[of] / self._limits.reach[of]), axis=1)
-            spread = rows.T / np.maximum(told.eigenvalues, least) @ rows
+            spread = rows.T / np.maximum(modes.eigenvalues, least) @ rows
             covariance[np.ix_(of, of)] += spread * np.outer(res[of], res[of])
         return 0.5 * (covariance + covariance.T)
 

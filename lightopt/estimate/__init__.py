@@ -1,1 +1,1 @@
-"""What images tell of the part: where it lies (`registration`) and how it reflects (`reflectance`)."""
+"""Estimates from images: the placement of the part (`registration`) and its reflectance (`reflectance`)."""

@@ -15,13 +15,13 @@ import pytest
 from captured import PART, PARTS, RIG, expose_all, remeasured
 
 from lightopt import build_scene, render
-from lightopt.estimate.reflectance._estimate import CHI2_95, Freed
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._estimate import CHI2_95, FreeParameters
 from lightopt.estimate.reflectance._likelihood import predicted
-from lightopt.estimate.reflectance._likelihood_criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._newton import maximise
 from lightopt.estimate.reflectance._profile_intervals import profile_interval
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.reflectance._search import fit_reflectance
 from lightopt.rendering import cast_rays_at
 
 TRUTH = {R_D: 45.0, LOG_R_S: math.log(12500.0), LOG_SIGMA: math.log(0.0475)}
@@ -90,9 +90,9 @@ def errors_by_hand(samples, found):
 )
 def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
     samples, deliver = matched(tmp_path, sensor, exposures=exposures, budget=3000)
-    by_hand = errors_by_hand(samples, estimate(samples))
+    by_hand = errors_by_hand(samples, fit_reflectance(samples))
     for seed in range(seeds):
-        found = estimate(remeasured(samples, deliver(seed)))
+        found = fit_reflectance(remeasured(samples, deliver(seed)))
         errors = [found.standard_error(place) for place in TRUTH]
         print("errors over those by hand", np.round(errors / by_hand, 3), "inflation", found.inflation)
         assert np.all(found.inflation < 2.0)
@@ -110,12 +110,14 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
 @pytest.mark.parametrize(
     ("freed", "sensor", "exposures", "seeds"),
     [
-        pytest.param(Freed(), SENSOR, (1.0,), 10, id="8 bit, 10 seeds"),
-        pytest.param(Freed(), SENSOR, (1.0,), 100, id="8 bit, 100 seeds", marks=pytest.mark.nightly),
-        pytest.param(Freed(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly),
-        pytest.param(Freed(), SENSORS["12 bit"], (1.0,), 40, id="12 bit", marks=pytest.mark.nightly),
+        pytest.param(FreeParameters(), SENSOR, (1.0,), 10, id="8 bit, 10 seeds"),
+        pytest.param(FreeParameters(), SENSOR, (1.0,), 100, id="8 bit, 100 seeds", marks=pytest.mark.nightly),
         pytest.param(
-            Freed(gain=True, dark=True),
+            FreeParameters(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly
+        ),
+        pytest.param(FreeParameters(), SENSORS["12 bit"], (1.0,), 40, id="12 bit", marks=pytest.mark.nightly),
+        pytest.param(
+            FreeParameters(gain=True, dark=True),
             SENSOR,
             (1.0,),
             40,
@@ -135,7 +137,7 @@ def test_intervals_hold_the_truth(tmp_path, freed, sensor, exposures, seeds):
     widths = {place: [] for place in truth}
     values = {place: [] for place in truth}
     for seed in range(seeds):
-        found = estimate(remeasured(samples, deliver(seed)), freed=freed)
+        found = fit_reflectance(remeasured(samples, deliver(seed)), freed=freed)
         for place, value in truth.items():
             low, high = profile_interval(found, place)
             held[place] += low <= value <= high

@@ -14,12 +14,12 @@ import pytest
 from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
+from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import Estimate
-from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._profile_intervals import profile_interval
-from lightopt.estimate.reflectance._quality import appraise, poor_fit
+from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.reflectance._search import fit_reflectance
 from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at
 
@@ -44,7 +44,7 @@ class World:
 
     def fit(self, reflectance: Reflectance = TRUTH, **options) -> Estimate:
         images = captured(self.scene, reflectance=reflectance, mesh=self.fine, **options)
-        return estimate(collect_samples(self.scene, images, caster=self.caster, budget=BUDGET))
+        return fit_reflectance(collect_samples(self.scene, images, caster=self.caster, budget=BUDGET))
 
 
 @pytest.fixture(scope="module")
@@ -139,12 +139,12 @@ def test_normals_guessed_from_facets_are_noticed(world, tmp_path):
     scene = build_scene(world.rig, tmp_path / "part.yaml", points="auto")
     images = captured(world.scene, mesh=world.fine, exposures=(1.0, 1 / 16))
     samples = collect_samples(scene, images, caster=cast_rays_at(scene), budget=BUDGET)
-    found = estimate(samples)
+    found = fit_reflectance(samples)
     low, high = np.exp(profile_interval(found, LOG_R_S)) / TRUTH.R_s - 1.0
-    quality = appraise(samples, found)
+    quality = assess_quality(samples, found)
     print(f"interval of R_s {low:+.2%} to {high:+.2%}, unexplained {quality.epsilon:.1%}")
     assert_recovers(found, TRUTH, R_d=0.01, R_s=0.06, sigma=0.02)
     assert low < 0.0 < high
     assert quality.epsilon > 0.02
-    assert any("describes these images badly" in text for text in poor_fit(found, quality))
+    assert any("describes these images badly" in text for text in poor_fit_warnings(found, quality))
     assert high - low > 0.02

@@ -16,13 +16,13 @@ from measured_ball import Ball, Surface, hemisphere
 
 from lightopt import build_scene
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._profile_intervals import profile_interval
-from lightopt.estimate.reflectance._quality import appraise
+from lightopt.estimate.reflectance._quality import assess_quality
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import estimate
-from lightopt.estimate.reflectance._setup import World
-from lightopt.estimate.reflectance._wrong_images import refuse_other_images
+from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import _coarse_search as _coarse
 from lightopt.estimate.registration import _refinement
 from lightopt.rendering import cast_rays_at
@@ -50,15 +50,15 @@ class Bench:
 
     def fit(self, lights, *, budget=1000):
         images = self.ball.observations(self.levels, lights, bits=self.bits)
-        return estimate(collect_samples(self.scene, images, caster=self.caster, budget=budget))
+        return fit_reflectance(collect_samples(self.scene, images, caster=self.caster, budget=budget))
 
     def judge(self, lights, found):
         """Raise where the misfit is blamed on the ball's place, or the images are not taken for the ball's."""
         images = self.ball.observations(self.levels, lights, bits=self.bits)
         samples = collect_samples(self.scene, images, caster=self.caster, budget=300)
-        quality = replace(appraise(samples, found), epsilon=1.0)  # however good, it is looked into
+        quality = replace(assess_quality(samples, found), epsilon=1.0)  # however good, it is looked into
         assert quality.poor
-        refuse_other_images(World(None, self.scene, self.caster, images), samples, found, quality)
+        refuse_unexplained_images(FitSetup(None, self.scene, self.caster, images), samples, found, quality)
 
     def unseen(self, x, lights):
         rest = np.setdiff1d(self.all, lights)
@@ -166,10 +166,10 @@ def test_where_a_chrome_ball_lies_is_told_from_its_highlights(tmp_path, monkeypa
         for image in bench.ball.observations(bench.levels, bench.all, bits=8)
     ]
     samples = collect_samples(bench.scene, images, caster=bench.caster, budget=300)
-    found = estimate(samples)
-    world = World(None, bench.scene, bench.caster, images)
+    found = fit_reflectance(samples)
+    world = FitSetup(None, bench.scene, bench.caster, images)
     if words is None:
-        assert refuse_other_images(world, samples, found, appraise(samples, found))
+        assert refuse_unexplained_images(world, samples, found, assess_quality(samples, found))
         return
     with pytest.raises(InputError, match=words):
-        refuse_other_images(world, samples, found, appraise(samples, found))
+        refuse_unexplained_images(world, samples, found, assess_quality(samples, found))

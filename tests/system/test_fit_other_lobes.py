@@ -14,9 +14,9 @@ from captured import PART, PARTS, RIG, observe
 
 from lightopt import build_scene
 from lightopt.estimate.reflectance._cross_validation import leave_lights_out
-from lightopt.estimate.reflectance._quality import appraise, poor_fit
+from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.reflectance._search import fit_reflectance
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import UNLIT, cast_rays_at, panel_verdict, trace_pixels
 from lightopt.scene import panel_grid
@@ -66,10 +66,10 @@ def test_a_lobe_with_heavy_tails(tmp_path, R_s, width):
     caster = cast_rays_at(scene)
     images = drawn(scene, caster, R_d=45.0, R_s=R_s, width=width, exposures=(1.0, 1 / 16))
     samples = collect_samples(scene, images, caster=caster, budget=4000)
-    found = estimate(samples)
-    quality = appraise(samples, found)
+    found = fit_reflectance(samples)
+    quality = assess_quality(samples, found)
     print(quality)
-    assert any("describes these images badly" in text for text in poor_fit(found, quality))
+    assert any("describes these images badly" in text for text in poor_fit_warnings(found, quality))
     assert quality.epsilon > 0.02
     left_out = leave_lights_out(scene, samples, found, caster=caster)
     shown = [image for left in left_out for image in left.images]

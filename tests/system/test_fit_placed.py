@@ -14,9 +14,9 @@ import pytest
 from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
-from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import estimate
+from lightopt.estimate.reflectance._search import fit_reflectance
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at
@@ -34,7 +34,7 @@ def test_a_placement_is_known_well_enough_for_the_reflectance(tmp_path):
 
     def fit(x, y, turn):
         placed = place_part(scene, Placement(x=x, y=y, turn=turn))
-        return estimate(collect_samples(placed, images, caster=cast_rays_at(placed), budget=20_000))
+        return fit_reflectance(collect_samples(placed, images, caster=cast_rays_at(placed), budget=20_000))
 
     here = fit(found.x, found.y, found.turn)
     places = (R_D, LOG_R_S, LOG_SIGMA)

@@ -16,11 +16,11 @@ from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._quality import appraise, poor_fit
+from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
+from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import estimate
-from lightopt.estimate.reflectance._setup import World
-from lightopt.estimate.reflectance._wrong_images import refuse_other_images
+from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.rendering import cast_rays_at
 
@@ -48,10 +48,10 @@ def scene(folder):
 
 def judged(scene, images):
     samples = collect_samples(scene, images, caster=cast_rays_at(scene), budget=500)
-    found = estimate(samples)
-    quality = appraise(samples, found)
-    world = World(None, scene, cast_rays_at(scene), images)  # the part file is for registered ones
-    refuse_other_images(world, samples, found, quality)
+    found = fit_reflectance(samples)
+    quality = assess_quality(samples, found)
+    world = FitSetup(None, scene, cast_rays_at(scene), images)  # the part file is for registered ones
+    refuse_unexplained_images(world, samples, found, quality)
     return found, quality
 
 
@@ -122,7 +122,7 @@ def test_noise_that_the_rig_does_not_give_is_not_held_against_the_images(scene, 
     found, quality = judged(silent, images)
     assert not quality.poor
     assert quality.image_noise == pytest.approx(2.1, abs=0.4)
-    text = " ".join(poor_fit(found, quality))
+    text = " ".join(poor_fit_warnings(found, quality))
     assert "rig file" in text
     assert "read_noise_levels" in text
     assert "badly" not in text

@@ -12,7 +12,7 @@ from captured import captured, expose_all
 
 from lightopt import build_scene, render
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Placement, place_part, placement_in_file, register
+from lightopt.estimate.registration import Placement, part_file_placement, place_part, register
 from lightopt.estimate.registration._pixels import view_of_placed
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture
@@ -88,7 +88,7 @@ def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anc
         return replace(build_scene(shared_bench.rig, path), pivot=PIVOT)
 
     nominal = built(there[1], there[0])
-    found = placement_in_file(
+    found = part_file_placement(
         nominal.mesh.vertices,
         TRUTH,
         anchor=anchor,

@@ -19,11 +19,11 @@ from photographed_sphere import photograph_sphere
 from lightopt import build_scene
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.estimate.reflectance._quality import appraise
+from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
+from lightopt.estimate.reflectance._quality import assess_quality
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import estimate
-from lightopt.estimate.reflectance._setup import World
-from lightopt.estimate.reflectance._wrong_images import refuse_other_images
+from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Placement, place_part, register
 from lightopt.rendering import cast_rays_at
 
@@ -205,11 +205,11 @@ def test_another_reflectance_is_not_blamed_on_the_place(ball, R_d):
     """An exact sphere whose highlights have two lobes with tails: the residual is no displacement."""
     scene, centre = ball
     images = photograph_sphere(scene, centre, 15.0, R_d=R_d, wide=(3500.0, 0.12))
-    world = World(None, scene, cast_rays_at(scene), images)
+    world = FitSetup(None, scene, cast_rays_at(scene), images)
     samples = collect_samples(scene, images, caster=world.caster, budget=500)
-    found = estimate(samples)
-    quality = appraise(samples, found)
-    refuse_other_images(world, samples, found, quality)
+    found = fit_reflectance(samples)
+    quality = assess_quality(samples, found)
+    refuse_unexplained_images(world, samples, found, quality)
     place = registered(scene, images).placement
     assert max(abs(place.x), abs(place.y)) < 0.11  # half a pixel
 

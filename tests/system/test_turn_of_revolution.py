@@ -20,7 +20,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, PoseFrame, place_part
 from lightopt.estimate.registration._refinement import choose_pixels
 from lightopt.estimate.registration._registration import refine_placement
-from lightopt.estimate.registration._revolution import hidden_turns
+from lightopt.estimate.registration._revolution import unobservable_rotation
 from lightopt.rendering import cast_rays_at
 
 PROFILE = [[0, 0], [12, 0], [12, 4], [6, 8], [0, 9]]
@@ -103,10 +103,10 @@ def turns_of(scene, pose=(0.0, 0.0, 0.0)):
         [observe(light, posture, 1.0, black, scene)],
         frame.placement(pose),
         outline=False,
-        few=True,
+        reduced=True,
         threads=2,
     )
-    return hidden_turns(scene, frame, inner, pose, caster=cast_rays_at(scene))
+    return unobservable_rotation(scene, frame, inner, pose, caster=cast_rays_at(scene))
 
 
 @pytest.mark.parametrize("posture", [Posture(0.0, 0.0), TILTED])

@@ -81,7 +81,7 @@ def test_parameters_are_found_among_outliers(loss, outliers):
     found = solve(problem, np.zeros(3), FREE, loss=loss)
     sound(found, FREE, problem)
     assert found.converged
-    assert found.determined
+    assert len(found.undetermined) == 0
     assert found.x == pytest.approx(TRUTH, abs=0.01)
     assert found.cost_after < found.cost_before
 
@@ -124,7 +124,7 @@ def test_a_direction_is_let_go_once_the_misfit_of_the_start_is_gone(away):
     found = solve(problem, np.array([away, -away, 0.0]), FREE)
     sound(found, FREE)
     assert found.converged
-    assert found.determined
+    assert len(found.undetermined) == 0
     assert found.errors[2] == pytest.approx(1.0 / (0.4 * np.sqrt(400)), rel=0.3)
     assert np.all(np.abs(found.x - truth) < 4.0 * found.errors)
 

@@ -46,7 +46,7 @@ def staged(scene, monkeypatch):
             )  # fmt: skip
 
         monkeypatch.setattr(registration, "choose_pixels", lambda *_, outline, **__: (outline, []))
-        monkeypatch.setattr(registration, "Refinement", lambda *a, **_: SimpleNamespace(outline=a[2]))
+        monkeypatch.setattr(registration, "RefinementProblem", lambda *a, **_: SimpleNamespace(outline=a[2]))
         monkeypatch.setattr(registration, "solve", solve)
         return refine_placement(scene, (), NOWHERE, caster=None), taken
 

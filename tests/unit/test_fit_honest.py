@@ -12,10 +12,8 @@ import pytest
 
 from lightopt import load_rig
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _search, interval_words
-from lightopt.estimate.reflectance._cross_validation import Comparison, LeftOut, unseen
-from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
-from lightopt.estimate.reflectance._likelihood_criterion import (
+from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _likelihood_fit, format_interval
+from lightopt.estimate.reflectance._criterion import (
     DARK,
     FIRST_GAIN,
     LOG_SIGMA,
@@ -23,12 +21,14 @@ from lightopt.estimate.reflectance._likelihood_criterion import (
     Evaluation,
     parameter_name,
 )
+from lightopt.estimate.reflectance._cross_validation import Comparison, LeftOut, validation_warnings
+from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
 from lightopt.estimate.reflectance._newton import has_settled, maximise
 from lightopt.estimate.reflectance._profile_intervals import profile_interval, profile_regions
-from lightopt.estimate.reflectance._quality import poor_fit
-from lightopt.estimate.reflectance._result import bounded, joined_regions
+from lightopt.estimate.reflectance._quality import poor_fit_warnings
+from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
 from lightopt.estimate.reflectance._sigma_profile import peaks, profile_over_sigma
-from lightopt.estimate.reflectance._warnings import refuse_out_of_range, unconverged
+from lightopt.estimate.reflectance._warnings import convergence_warnings, refuse_out_of_range
 
 
 class Landscape:
@@ -98,14 +98,14 @@ def test_fits_without_a_light_that_did_not_converge_are_counted_and_named():
     found = SimpleNamespace(
         maximum=SimpleNamespace(converged=True), unsettled_refits=3, scatter="12 lights", optima=()
     )
-    (said,) = unconverged(found)
+    (said,) = convergence_warnings(found)
     assert said.startswith("3 of the fits without one of the 12 lights each did not converge")
     image = Comparison(image="a", rms=1.0, rms_sensor=1.0, iou=None, border=None, area=0, predicted_area=0)
     left_out = tuple(
         LeftOut(light=name, R_d=45.0, R_s=1.0, sigma=0.1, images=(image,), converged=name != "two")
         for name in ("one", "two")
     )
-    (said,) = unseen(left_out, SimpleNamespace(max_level=255))
+    (said,) = validation_warnings(left_out, SimpleNamespace(max_level=255))
     assert "1 of the 2 fits without one light each did not converge (without two)" in said
     assert left_out[1].as_dict()["converged"] is False
     result = FitResult(
@@ -120,10 +120,10 @@ def test_the_optimum_of_the_most_value_on_all_samples_is_the_best():
 
     def found(log_sigma, value, *, far=False):
         top = SimpleNamespace(x=at(1.0, log_sigma), evaluation=SimpleNamespace(value=value))
-        return _search._Found(0.1, top, None if far else SimpleNamespace(maximum=top))
+        return _likelihood_fit.Peak(0.1, top, None if far else SimpleNamespace(maximum=top))
 
     ends = [found(-3.0, 5.0), found(-2.0, 9.0), found(-2.01, 8.0), found(-1.0, -99.0, far=True)]
-    best, kept = _search._best_first(ends)
+    best, kept = _likelihood_fit.best_first(ends)
     assert best.maximum is ends[1].maximum
     assert [one.value for one in kept] == [9.0, 5.0, -99.0]
 
@@ -172,9 +172,9 @@ def test_an_end_that_nothing_bounds_is_none():
 
 
 def test_it_is_said_in_words():
-    assert interval_words((0.0444, None)) == "from 0.0444, no upper bound"
-    assert interval_words((None, 3.0)) == "up to 3, no lower bound"
-    assert interval_words((1.0, 2.0)) == "1 to 2"
+    assert format_interval((0.0444, None)) == "from 0.0444, no upper bound"
+    assert format_interval((None, 3.0)) == "up to 3, no lower bound"
+    assert format_interval((1.0, 2.0)) == "1 to 2"
 
 
 # --- reasons of a poor fit
@@ -201,7 +201,7 @@ def test_only_what_was_not_fitted_is_a_possible_reason():
         ({"free": (FIRST_GAIN + 1,)}, True, ("--free dark",)),
         ({"lights": (1, 1)}, True, ("--free dark",)),
     ):
-        (said,) = poor_fit(*poor(**options), placed=placed)
+        (said,) = poor_fit_warnings(*poor(**options), placed=placed)
         assert "dirt, the mesh's normals" in said
         assert [option for option in everything if option in said] == list(left)
 
@@ -265,7 +265,7 @@ def test_an_interval_reaches_over_an_optimum_that_the_images_do_not_exclude():
         regions=tuple(bounded(ends, math.exp) for ends in (first, second)),
     )
     assert len(value.as_dict()["regions_95"]) == 2
-    (said,) = joined_regions([value])
+    (said,) = separate_region_warnings([value])
     assert "do not decide between separate ranges (sigma_rad 0.045" in said
 
 
@@ -279,7 +279,7 @@ def test_an_interval_does_not_reach_over_one_that_they_do():
 
 def test_an_interval_reaches_every_point_of_the_scan_that_is_not_excluded():
     row = [(-3.3, 36.0), (-3.05, 1.0), (-2.7, 36.0), (-1.6, 2.0), (-1.4, 3.0), (-1.2, 50.0)]
-    scan = tuple(ScanPoint(x=at(0.0, ln), value=-0.5 * fall, fall=fall) for ln, fall in row)
+    scan = tuple(ScanPoint(x=at(0.0, ln), value=-0.5 * fall, drop=fall) for ln, fall in row)
     found = replace(two_optima(1.0), optima=(), scan=scan)
     first, second = profile_regions(found, LOG_SIGMA)
     assert first[1] == pytest.approx(FIRST + half(found.critical), abs=2e-3)
@@ -372,10 +372,10 @@ def test_what_did_not_converge_is_said_and_exits_1(cli, bench, noisy, monkeypatc
     def few_steps(criterion, x, free, **options):
         return maximise(criterion, x, free, **{**options, "most_steps": 2})
 
-    monkeypatch.setattr(_search, "maximise", few_steps)
-    monkeypatch.setattr(_search, "MOST_TABLES", 1)
+    monkeypatch.setattr(_likelihood_fit, "maximise", few_steps)
+    monkeypatch.setattr(_likelihood_fit, "MOST_TABLES", 1)
     # a fit that did not end is poor: other places are looked for, which is tested elsewhere
-    monkeypatch.setattr(_fit, "refuse_other_images", lambda *_, **__: None)
+    monkeypatch.setattr(_fit, "refuse_unexplained_images", lambda *_, **__: None)
     ran = fit(cli, bench, noisy, bench.out, pixels=1500)
     assert ran.status == 1
     assert "did not converge" in ran.err
@@ -395,9 +395,9 @@ def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, mon
         whole = LOG_SIGMA in free
         return maximise(criterion, x, free, **({**options, "most_steps": 2} if whole else options))
 
-    monkeypatch.setattr(_search, "maximise", few_steps)
-    monkeypatch.setattr(_search, "MOST_TABLES", 1)
-    monkeypatch.setattr(_fit, "refuse_other_images", lambda *_, **__: None)
+    monkeypatch.setattr(_likelihood_fit, "maximise", few_steps)
+    monkeypatch.setattr(_likelihood_fit, "MOST_TABLES", 1)
+    monkeypatch.setattr(_fit, "refuse_unexplained_images", lambda *_, **__: None)
     ran = cli("fit-diffuse", bench.rig, bench.part, noisy, "-o", bench.out, "--pixels", 6000)
     assert ran.status == 1
     assert "where the highlights are: the fit did not converge" in ran.err
@@ -411,7 +411,7 @@ def test_a_search_for_the_place_that_did_not_converge_exits_1(cli, bench, noisy,
 
     monkeypatch.setattr(_registration, "STAGE_ITERATIONS", 1)
     monkeypatch.setattr(_registration, "STAGES", 1)
-    monkeypatch.setattr(_fit, "refuse_other_images", lambda *_, **__: None)
+    monkeypatch.setattr(_fit, "refuse_unexplained_images", lambda *_, **__: None)
     ran = fit(cli, bench, noisy, bench.out, "--free", "shift", pixels=1000)
     assert ran.status == 1
     assert "the search for the part's place did not converge" in ran.err

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from lightopt.estimate.reflectance._jackknife import UNDETERMINED, at_least, leave_groups_out
-from lightopt.estimate.reflectance._likelihood_criterion import FIRST_GAIN, R_D, Evaluation
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN, R_D, Evaluation
+from lightopt.estimate.reflectance._least_squares_fit import UNDETERMINED, leave_groups_out, upper_covariance
 
 POSTURE = "one"
 
@@ -110,10 +110,12 @@ def test_a_covariance_at_least_as_large_keeps_no_correlation_that_only_one_has()
     """Lights move two parameters along a ridge, pieces one of them by itself."""
     ridge = np.array([[1.0, -0.5], [-0.5, 0.25]]) * 1e-4
     alone = np.diag([9e-4, 0.0])
-    both = at_least(ridge, alone)
+    both = upper_covariance(ridge, alone)
     for one in (ridge, alone):
         assert np.linalg.eigvalsh(both - one).min() > -1e-15
     assert both[0, 1] / np.sqrt(both[0, 0] * both[1, 1]) > -0.5
     assert np.sqrt(np.diag(both)) == pytest.approx([3e-2, 5e-3], rel=0.1)
     # nothing is added where the other is smaller in every direction
-    assert at_least(ridge + 1e-6 * np.eye(2), ridge) == pytest.approx(ridge + 1e-6 * np.eye(2), rel=1e-9)
+    assert upper_covariance(ridge + 1e-6 * np.eye(2), ridge) == pytest.approx(
+        ridge + 1e-6 * np.eye(2), rel=1e-9
+    )

@@ -12,12 +12,12 @@ import pytest
 from scipy.special import ndtr
 
 from lightopt import build_scene, render
+from lightopt.estimate.reflectance._criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._cross_validation import compare_image
 from lightopt.estimate.reflectance._likelihood import Likelihood, lagrange, predicted
-from lightopt.estimate.reflectance._likelihood_criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
-from lightopt.estimate.reflectance._quality import Quality, words
-from lightopt.estimate.reflectance._samples import collect_samples, thinned
-from lightopt.estimate.reflectance._wrong_images import _explained
+from lightopt.estimate.reflectance._mismatch_causes import explained_share
+from lightopt.estimate.reflectance._quality import Quality, fit_warnings
+from lightopt.estimate.reflectance._samples import collect_samples, subsample
 from lightopt.estimate.registration import Observation
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at
@@ -58,7 +58,7 @@ def likelihood(samples):
 def x(likelihood):
     x = np.zeros(likelihood.size)
     x[R_D], x[LOG_R_S], x[LOG_SIGMA], x[DARK] = 44.0, math.log(12000.0), math.log(0.0477), 0.3
-    x[likelihood.log_tau2], x[likelihood.logit_epsilon] = math.log(0.7), -4.0
+    x[-2], x[-1] = math.log(0.7), -4.0
     return x
 
 
@@ -90,7 +90,7 @@ def test_the_gradient_is_the_slope_of_the_value(likelihood, x):
 
 
 def test_pieces_of_the_image_add_up(likelihood, x):
-    scores, curvatures = likelihood.by_piece(x)
+    scores, curvatures = likelihood.by_block(x)
     assert len(scores) > 50
     whole = likelihood.evaluate(x)
     np.testing.assert_allclose(scores.sum(axis=0), whole.gradient, rtol=1e-9, atol=1e-6)
@@ -99,7 +99,7 @@ def test_pieces_of_the_image_add_up(likelihood, x):
 
 def test_threads_do_not_change_the_likelihood(samples, likelihood, x):
     values = [
-        Likelihood(samples, likelihood.log_sigmas, likelihood.specular, threads=n).evaluate(x).value
+        Likelihood(replace(samples, threads=n), likelihood.log_sigmas, likelihood.specular).evaluate(x).value
         for n in (1, 2)
     ]
     assert values[0] == values[1]
@@ -122,8 +122,8 @@ def test_lagrange_reproduces_polynomials():
 
 
 def test_thinning_keeps_only_what_was_kept(samples):
-    first = samples.keep(samples.image == 0)
-    few = thinned(first, 20)
+    first = samples.select(samples.image == 0)
+    few = subsample(first, 20)
     assert 0 < len(few.diffuse) < len(samples.diffuse)
     assert set(few.image.tolist()) == {0}
     rows = np.concatenate([g.row for g in few.groups])[few.sample]
@@ -135,11 +135,11 @@ def test_thinning_keeps_only_what_was_kept(samples):
 
 
 def test_pixels_are_chosen_without_looking_at_the_images(samples):
-    other = samples.remeasured(
+    other = samples.with_levels(
         [np.zeros_like(o.levels) for o in samples.images],
         [np.zeros_like(o.saturated) for o in samples.images],
     )
-    np.testing.assert_array_equal(thinned(samples, 50).diffuse, thinned(other, 50).diffuse)
+    np.testing.assert_array_equal(subsample(samples, 50).diffuse, subsample(other, 50).diffuse)
     assert not other.level.any()
 
 
@@ -197,7 +197,7 @@ def test_what_separates_r_s_from_sigma_depends_on_what_is_saturated(saturated, s
     found = SimpleNamespace(
         free=(LOG_R_S, LOG_SIGMA), R_s=12_500.0, correlation=lambda *_: -0.99, describes=True
     )
-    said = words(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)
+    said = fit_warnings(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)
     assert f"(correlation -0.990, R_s between 1.228e+04 and 1.314e+04): {asked}" in said[0]
     assert any("no pixel is saturated" in text for text in said) is (saturated == 0.0)
 
@@ -213,4 +213,4 @@ def test_what_separates_r_s_from_sigma_depends_on_what_is_saturated(saturated, s
     ],
 )
 def test_what_another_place_explains_is_a_share_of_what_is_beyond_the_noise(before, after, share):
-    assert _explained(np.array(before), np.array(after), noise=1.0) == pytest.approx(share)
+    assert explained_share(np.array(before), np.array(after), noise=1.0) == pytest.approx(share)

@@ -3,12 +3,12 @@
 from lightopt.estimate.reflectance._files import FitFolder, fit_provenance
 from lightopt.estimate.reflectance._fit import fit_diffuse, fit_specular
 from lightopt.estimate.reflectance._noise import MeasuredNoise
-from lightopt.estimate.reflectance._options import FitOptions
-from lightopt.estimate.reflectance._paper import OPTION_NAMES, PaperDiffuse, PaperOptions, PaperSpecular
-from lightopt.estimate.reflectance._result import FitResult, FittedValue, interval_words
+from lightopt.estimate.reflectance._paper import PAPER_OPTION_FLAGS, PaperDiffuse, PaperOptions, PaperSpecular
+from lightopt.estimate.reflectance._result import FitResult, FittedValue, format_interval
+from lightopt.estimate.reflectance._setup import FitOptions
 
 __all__ = [
-    "OPTION_NAMES",
+    "PAPER_OPTION_FLAGS",
     "FitFolder",
     "FitOptions",
     "FitResult",
@@ -20,5 +20,5 @@ __all__ = [
     "fit_diffuse",
     "fit_provenance",
     "fit_specular",
-    "interval_words",
+    "format_interval",
 ]

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._likelihood import lagrange
-from lightopt.estimate.reflectance._likelihood_criterion import (
+from lightopt.estimate.reflectance._criterion import (
     FIRST_GAIN,
     LOG_SIGMA,
     Evaluation,
@@ -22,8 +21,9 @@ from lightopt.estimate.reflectance._likelihood_criterion import (
     image_factors,
     mirror_curvature,
     specular_and_slope,
-    sum_pieces,
+    sum_in_chunks,
 )
+from lightopt.estimate.reflectance._likelihood import lagrange
 from lightopt.estimate.reflectance._samples import Samples
 
 Float64 = NDArray[np.float64]
@@ -38,26 +38,17 @@ WINDOW = 5
 LEAST_MEAN_SQUARE = 1.0 / 12.0
 """That of rounding to whole levels: no model can be nearer."""
 
-_PIECE = 65_536
+_CHUNK = 65_536
 
 
 class SpecularTable:
-    """Light per unit of R_s of some pixels over ln σ, worked out at nodes as they are needed.
-
-    Parameters
-    ----------
-    samples
-        The pixels (n); observations do not matter.
-    threads
-        Number of threads; the result does not depend on it.
-    """
+    """Light per unit of R_s of some pixels over ln σ, worked out at nodes as they are needed."""
 
     nodes = np.linspace(math.log(LEAST_SIGMA), math.log(MOST_SIGMA), NODES)
     """ln σ."""
 
-    def __init__(self, samples: Samples, *, threads: int | None = None) -> None:
+    def __init__(self, samples: Samples) -> None:
         self._samples = samples
-        self._threads = threads
         self._columns: dict[int, Float64] = {}
         self._window: tuple[int, Float64] = (-1, np.zeros((0, 0)))
 
@@ -65,7 +56,7 @@ class SpecularTable:
         """At a node, shape (n,)."""
         if node not in self._columns:
             sigma = math.exp(self.nodes[node])
-            self._columns[node] = self._samples.specular(sigma, threads=self._threads)
+            self._columns[node] = self._samples.specular(sigma)
         return self._columns[node]
 
     def around(self, log_sigma: float) -> tuple[Float64, Float64]:
@@ -81,29 +72,14 @@ class SpecularTable:
 class LeastSquares:
     """The criterion of least squares over samples.
 
-    Parameters
-    ----------
-    samples
-        What was measured.
-    table
-        The specular light of the samples' pixels.
-    fixed
-        ln σ and the light there, shape (n,), of a criterion that is only asked there.
-    threads
-        Number of threads; the result does not depend on it.
+    fixed: ln σ and the light there, shape (n,), of a criterion that is only asked there.
     """
 
     def __init__(
-        self,
-        samples: Samples,
-        table: SpecularTable,
-        *,
-        fixed: tuple[float, Float64] | None = None,
-        threads: int | None = None,
+        self, samples: Samples, table: SpecularTable, *, fixed: tuple[float, Float64] | None = None
     ) -> None:
         self.samples = samples
         self.table = table
-        self.threads = threads
         self.size = FIRST_GAIN + len(samples.lights) + 2
         self._fixed = None if fixed is None else (np.array([fixed[0]]), fixed[1][:, None])
         weight = samples.weight[samples.sample]
@@ -121,7 +97,7 @@ class LeastSquares:
 
     def without(self, left_out: NDArray[np.bool_]) -> LeastSquares:
         """The same of other samples: those not marked in `left_out`, shape (N,)."""
-        return LeastSquares(self.samples.keep(~left_out), self.table, threads=self.threads)
+        return LeastSquares(self.samples.select(~left_out), self.table)
 
     def light(self, x: Float64) -> Float64:
         """Specular light per unit of R_s at the σ of `x`, shape (n,)."""
@@ -155,7 +131,7 @@ class LeastSquares:
                 s.facts.light, s.sensor.black_level, top, x, gradient, curvature,
             )  # fmt: skip
 
-        return sum_pieces(add, len(s.sample), self.size, piece=_PIECE, threads=self.threads)
+        return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads)
 
 
 @kernel

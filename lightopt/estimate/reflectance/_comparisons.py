@@ -3,63 +3,40 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lightopt.estimate.reflectance._estimate import Estimate, Freed
-from lightopt.estimate.reflectance._quality import appraise, poor_fit
-from lightopt.estimate.reflectance._samples import Samples, evenly_lit, thinned
-from lightopt.estimate.reflectance._search import estimate, refine
-from lightopt.estimate.reflectance._setup import World
-from lightopt.estimate.reflectance._wrong_images import refuse_other_images
-from lightopt.geometry import RayCaster
+from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
+from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
+from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
+from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
+from lightopt.estimate.reflectance._result import FitResult, FittedValue
+from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample
+from lightopt.estimate.reflectance._search import fit_reflectance, refit
+from lightopt.estimate.reflectance._setup import FitSetup
 
 BUDGET = 250
-"""Pixels per octave, light and posture that a second opinion looks at."""
+"""Pixels per octave, light and posture of a second opinion."""
 
 LEAST_RATIO = 100.0
-"""Twice the logarithm of the likelihoods' ratio that is worth a word."""
+"""Twice the logarithm of the likelihoods' ratio that is reported."""
 
 LEAST_DIFFERENCE = 0.005
 LEAST_PAPER_DIFFERENCE = 0.05
 """Of ln R_s or ln σ; the paper's σ is a multiple of a step."""
 
 
-def evenly_lit_words(
-    samples: Samples,
-    found: Estimate,
-    *,
-    freed: Freed,
-    held: NDArray[np.float64],
-    caster: RayCaster,
-    threads: int | None = None,
-) -> tuple[str, ...]:
-    """What to say where ``points: auto`` describes the images better than the point lights that were fitted with.
-
-    Parameters
-    ----------
-    samples, found
-        The fit.
-    freed, held
-        As it was made.
-    caster
-        Of the scene's part.
-    threads
-        Number of threads; the result does not depend on it.
-    """
+def evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> tuple[str, ...]:
+    """Warn where ``points: auto`` describes the images better than the point lights of the fit."""
     lights = [group.layer.light for group in samples.groups if group.layer is not None]
     if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
         return ()
-    few = thinned(samples, BUDGET)
-    even = evenly_lit(few, caster, threads=threads)
+    few = subsample(samples, BUDGET)
+    even = evenly_lit(few, setup.caster)
+    freed, held = setup.options.freed, setup.held
     # the fit itself was the best of all σ; what evenly lit panels would give may lie far from it
-    panels = estimate(even, freed=freed, held=held, threads=threads)
-    points = (
-        refine(few, found, threads=threads)
-        if found.describes
-        else estimate(few, freed=freed, held=held, threads=threads)
-    )
+    panels = fit_reflectance(even, freed=freed, held=held)
+    points = refit(few, found) if found.describes else fit_reflectance(few, freed=freed, held=held)
     count = len(few.level)
     ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
     moved = max(abs(math.log(panels.R_s / found.R_s)), abs(math.log(panels.sigma / found.sigma)))
@@ -75,48 +52,48 @@ def evenly_lit_words(
     return (text,)
 
 
-def paper_words(
-    world: World,
-    samples: Samples,
-    *,
-    R_d: float | None,
-    specular: tuple[float, float] | None,
-    threads: int | None = None,
-) -> tuple[str, ...]:
-    """What the likelihood of all pixels says of the paper's answer, which comes from a mean, a count and a sum.
+def paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | PaperSpecular) -> FitResult:
+    """R_d, or R_s and σ, as sections 4.2 and 4.3 of the paper find them; the others from the part file."""
+    options, own = setup.options, setup.scene.reflectance
+    if options.gain or options.dark or options.shift or options.joint:
+        raise InputError(
+            "--method paper knows no --free and no --joint: it fits what sections 4.2 and 4.3 fit"
+        )
+    fitted = (
+        {"R_d": paper.R_d}
+        if isinstance(paper, PaperDiffuse)
+        else {"R_s": paper.R_s, "sigma_rad": paper.sigma}
+    )
+    values = {"R_d": own.R_d, "R_s": own.R_s, "sigma_rad": own.sigma, **fitted}
+    return FitResult(
+        kind="diffuse" if isinstance(paper, PaperDiffuse) else "specular",
+        method="paper",
+        points=setup.scene.lights[0].points,
+        values=tuple(FittedValue(name=name, value=value) for name, value in values.items()),
+        fitted=tuple(fitted),
+        observations=len(samples.sample),
+        pixels=len(samples.diffuse),
+        warnings=(*_likelihood_warnings(setup, samples, fitted), *paper.warnings()),
+        paper=paper,
+    )
 
-    Parameters
-    ----------
-    world, samples
-        Those that the answer comes from.
-    R_d
-        As section 4.2 has it [grey level]; None where it was not asked for.
-    specular
-        R_s [grey level] and σ [rad] as section 4.3 has them; None where they were not asked for.
-    threads
-        Number of threads; the result does not depend on it.
 
-    Raises
-    ------
-    InputError
-        The images do not look like the part.
-    """
-    few = thinned(samples, BUDGET)
-    whole = estimate(few, freed=Freed(), threads=threads)
-    quality = appraise(few, whole, threads=threads)
-    placed = refuse_other_images(world, few, whole, quality, threads=threads)
-    said = [*poor_fit(whole, quality, placed=placed)]
-    pairs = [("R_d", R_d, whole.R_d)]
-    if specular is not None:
-        pairs += [("R_s", specular[0], whole.R_s), ("σ", specular[1], whole.sigma)]
+def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str, float]) -> tuple[str, ...]:
+    # what the likelihood of all pixels says of the paper's answer, which comes from a mean, a count and a sum
+    few = subsample(samples, BUDGET)
+    whole = fit_reflectance(few, freed=FreeParameters())
+    quality = assess_quality(few, whole)
+    placed = refuse_unexplained_images(setup, few, whole, quality)
+    warnings = [*poor_fit_warnings(whole, quality, placed=placed)]
+    likeliest = {"R_d": whole.R_d, "R_s": whole.R_s, "sigma_rad": whole.sigma}
     off = [
-        f"{name} {value:.4g}, there {other:.4g}"
-        for name, value, other in pairs
-        if value is not None and abs(math.log(max(value, 1e-9) / max(other, 1e-9))) > LEAST_PAPER_DIFFERENCE
+        f"{name.replace('sigma_rad', 'σ')} {value:.4g}, there {likeliest[name]:.4g}"
+        for name, value in fitted.items()
+        if abs(math.log(max(value, 1e-9) / max(likeliest[name], 1e-9))) > LEAST_PAPER_DIFFERENCE
     ]
     if off:
-        said.append(
+        warnings.append(
             f"the default method, which looks at every pixel, finds other values on these images ({'; '.join(off)}): a "
             "mean, a count and a sum hardly tell these apart"
         )
-    return tuple(said)
+    return tuple(warnings)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.estimate.reflectance._estimate import Estimate
-from lightopt.estimate.reflectance._predict import predict_images
-from lightopt.estimate.reflectance._samples import Samples, thinned
-from lightopt.estimate.reflectance._search import refine
+from lightopt.estimate.reflectance._predicted_images import predict_images
+from lightopt.estimate.reflectance._samples import Samples, subsample
+from lightopt.estimate.reflectance._search import refit
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Sensor
@@ -25,9 +25,9 @@ BUDGET = 1500
 MOST_BORDER_PIXELS = 4000
 
 POOR_SHARE = 5.0 / 255.0
-"""A prediction that is further off than this share of the sensor's full scale is worth a word."""
+"""A prediction that is further off than this share of the sensor's full scale is reported."""
 
-Keep = Callable[[Observation, NDArray[np.float32]], None]
+SavePrediction = Callable[[Observation, NDArray[np.float32]], None]
 """Gets each image that was left out and the sensor levels that were predicted for it."""
 
 
@@ -35,21 +35,11 @@ Keep = Callable[[Observation, NDArray[np.float32]], None]
 class Comparison:
     """A predicted image against the measured one.
 
-    Attributes
-    ----------
-    image
-        Its name.
-    rms
-        Of measured minus predicted level on the part's pixels, both clipped as by the camera
-        [grey level at exposure 1].
-    rms_sensor
-        The same in the image as it was delivered [sensor level].
-    iou
-        Intersection over union of the saturated areas; None where neither image has any.
-    border
-        Mean distance between the borders of the saturated areas [px]; None where one image has none.
-    area, predicted_area
-        Saturated pixels of the measured and of the predicted image.
+    rms: Of the clipped residual on the part's pixels [grey level at exposure 1].
+    rms_sensor: The same in the image as it was delivered [sensor level].
+    iou: Intersection over union of the saturated areas; None where neither image has any.
+    border: Mean distance between the borders of the saturated areas [px]; None where one image has none.
+    area, predicted_area: Saturated pixels of the measured and of the predicted image.
     """
 
     image: str
@@ -75,19 +65,7 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
-    """A light whose images were predicted from those of the others.
-
-    Attributes
-    ----------
-    light
-        Its name.
-    R_d, R_s, sigma
-        As fitted to the other lights.
-    images
-        Of the light.
-    converged
-        Whether the fit to the others did.
-    """
+    """A light whose images were predicted from those of the others; values are those fitted to the others."""
 
     light: str
     R_d: float
@@ -114,43 +92,29 @@ def leave_lights_out(
     found: Estimate,
     *,
     caster: RayCaster,
-    threads: int | None = None,
-    keep: Keep | None = None,
+    save_prediction: SavePrediction | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[LeftOut, ...]:
     """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
 
-    A gain or a dark level that was freed stays as all images have it, since the others cannot tell that of a light.
-
-    Parameters
-    ----------
-    scene
-        With the lights and postures of the images.
-    samples, found
-        The fit to all images.
-    caster
-        Of the scene's part.
-    threads
-        Number of threads; the result does not depend on it.
-    keep
-        Called with each image and its prediction.
-    progress
-        Called as lights are done.
+    A freed gain or dark level stays as all images have it, since the others do not determine that of a light.
     """
     used = sorted(set(samples.facts.light.tolist()))
     if len(used) < 2:
         return ()
-    few = thinned(samples, BUDGET)
+    few = subsample(samples, BUDGET)
     results: list[LeftOut] = []
     for done, light in enumerate(used):
-        others = few.keep(few.facts.light[few.image] != light)
-        fitted = refine(others, found, only_reflectance=True, threads=threads)
+        others = few.select(few.facts.light[few.image] != light)
+        fitted = refit(others, found, only_reflectance=True)
         mine = [o for o in samples.images if o.light == samples.lights[light]]
         comparisons: list[Comparison] = []
-        for seen, levels, hit in predict_images(scene, fitted.x, mine, caster=caster, threads=threads):
+        for seen, levels, hit in predict_images(
+            scene, fitted.x, mine, caster=caster, threads=samples.threads
+        ):
             comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
-            if keep is not None:
-                keep(seen, levels)
+            if save_prediction is not None:
+                save_prediction(seen, levels)
         results.append(
             LeftOut(
                 light=samples.lights[light],
@@ -166,47 +130,33 @@ def leave_lights_out(
     return tuple(results)
 
 
-def unseen(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
-    """What a person should know of the predictions of lights that were left out; the sensor is the images'."""
+def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
+    """Warn of fits that did not converge and of poor predictions."""
     if not left_out:
         return ("one light alone cannot be left out: not validated",)
-    said: list[str] = []
+    warnings: list[str] = []
     unsettled = [left.light for left in left_out if not left.converged]
     if unsettled:
-        said.append(
+        warnings.append(
             f"{len(unsettled)} of the {len(left_out)} fits without one light each did not converge (without "
             f"{', '.join(unsettled)}): how well they predict its images says little"
         )
     worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms_sensor)
     if worst.rms_sensor > POOR_SHARE * sensor.max_level:
-        said.append(
+        warnings.append(
             f"{worst.image}, predicted from the other lights, is {worst.rms_sensor:.3g} sensor levels rms off "
             f"({worst.rms:.3g} grey levels at exposure 1): do not rely on predicted images of this surface"
         )
-    return tuple(said)
+    return tuple(warnings)
 
 
 def compare_image(
-    seen: Observation,
-    levels: NDArray[np.float32],
-    hit: NDArray[np.bool_],
-    sensor: Sensor,
-    full_scale: float,
+    seen: Observation, levels: NDArray[np.float32], hit: NDArray[np.bool_], sensor: Sensor, full_scale: float
 ) -> Comparison:
     """Compare a measured image with the sensor levels predicted for it.
 
-    Parameters
-    ----------
-    seen
-        The image.
-    levels
-        Predicted, not clipped, shape (height, width).
-    hit
-        Where the part is, same shape.
-    sensor
-        Of the camera.
-    full_scale
-        Of the reflectance, that grey levels are counted in.
+    levels: Predicted, not clipped, shape (height, width).
+    hit: Where the part is, same shape.
     """
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))

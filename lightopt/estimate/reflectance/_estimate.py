@@ -1,4 +1,4 @@
-"""What a fit finds: where the likelihood is greatest, and how sharply."""
+"""The estimate: where the criterion is greatest, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion
 from lightopt.estimate.reflectance._lack_of_fit import LackOfFit
-from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion
 from lightopt.estimate.reflectance._newton import Maximum
 
 Float64 = NDArray[np.float64]
@@ -23,18 +23,8 @@ CHI2_95 = 3.841458820694124
 
 
 @dataclass(frozen=True, kw_only=True)
-class Freed:
-    """What a fit may change beside R_d, R_s and σ.
-
-    Attributes
-    ----------
-    diffuse, specular
-        Whether R_d, and whether R_s and σ are fitted.
-    gain
-        Gain of every light, relative to the first one.
-    dark
-        A constant dark level.
-    """
+class FreeParameters:
+    """Parameters that a fit may change: R_d, R_s with σ, the lights' gains relative to the first, the dark level."""
 
     diffuse: bool = True
     specular: bool = True
@@ -66,37 +56,21 @@ class _Reflectance:
 class ScanPoint(_Reflectance):
     """The best fit at one σ.
 
-    Attributes
-    ----------
-    x
-        Parameters, shape (K,).
-    value
-        Criterion at the scan's pixels [nat].
-    fall
-        How far twice the criterion of the estimate is below its maximum there [nat].
+    value: Criterion at the scan's pixels [nat].
+    drop: How far twice the criterion of the estimate is below its maximum there [nat].
     """
 
     x: Float64
     value: float
-    fall: float
+    drop: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optimum(_Reflectance):
     """Where the climb from one peak of the profile over σ ended.
 
-    Attributes
-    ----------
-    start_sigma
-        Of the peak [rad].
-    x
-        Parameters, shape (K,).
-    value
-        Criterion of the estimate [nat]: all optima of an estimate are compared by the same one.
-    converged
-        Whether the climb did.
-    criterion
-        That one, where it can be evaluated around here; None where the climb is not worth while, far below the best.
+    value: Criterion [nat]; all optima of an estimate are compared by the same one.
+    criterion: None for an optimum far below the best.
     """
 
     start_sigma: float
@@ -119,39 +93,21 @@ class Optimum(_Reflectance):
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate(_Reflectance):
-    """The best fit, and how sharply the images determine it.
+    """The best fit and its uncertainty.
 
-    Attributes
-    ----------
-    x
-        Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood_criterion` orders them.
-    free
-        Places of the parameters that were fitted.
-    covariance
-        Of those, shape (k, k), if the model is right.
-    inflation
-        By how much the variance of each of those is larger for what the model gets wrong, shape (k,).
-    critical
-        Square of the standard errors that a 95 % interval has on either side: a quantile of χ², or of Student's t where
-        few groups of images tell the variance.
-    criterion
-        What is greatest at `x`.
-    maximum
-        How the climb ended.
-    scan
-        The profile over σ, the estimate's own among them.
-    optima
-        Where the climbs from the peaks of the profile ended, the best first, which is the estimate itself.
-    mean_log_likelihood
-        Of a level, by the likelihood of noise and outliers [nat]: comparable between fits to the same levels.
-    unexplained
-        Share of the pixels that the likelihood would leave out as outliers.
-    lack_of_fit
-        Whether the model describes the images; None where that was not looked at.
-    scatter
-        From what the uncertainty is known where it does not, such as "12 lights".
-    unsettled_refits
-        How many of the fits without one of those each did not converge.
+    x: Parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._criterion`.
+    free: Places of the k parameters that were fitted.
+    covariance: Of those, shape (k, k), if the model is right.
+    inflation: Factor of each of their variances for what the model gets wrong, shape (k,).
+    critical: Square of the half-width of a 95 % interval in standard errors: a quantile of χ², or of Student's t where
+        few groups of images determine the variance.
+    scan: The profile over σ, with the estimate itself.
+    optima: Ends of the climbs from the peaks of the profile; the first is the estimate itself.
+    mean_log_likelihood: Per level, with noise and outliers [nat]: comparable between fits to the same levels.
+    unexplained: Share of the pixels that the likelihood would leave out as outliers.
+    lack_of_fit: Whether the model describes the images; None where that was not tested.
+    scatter: Groups of images that the uncertainty comes from where it does not, such as "12 lights".
+    unsettled_refits: Number of the fits without one of those groups that did not converge.
     """
 
     x: Float64

@@ -10,7 +10,7 @@ from lightopt.config import PartConfig, RigConfig, Source, copied_text, input_ha
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.estimate.reflectance._result import FitResult
-from lightopt.estimate.registration import PlacementInFile
+from lightopt.estimate.registration import PartFilePlacement
 from lightopt.images import ImageSet, ResultFolder
 
 PART_NAME = "part.fitted.yaml"
@@ -36,8 +36,6 @@ class FitFolder(ResultFolder):
         Made where it does not exist.
     made_from
         From :func:`fit_provenance`.
-    force
-        Whether files of a fit of other inputs are replaced.
 
     Raises
     ------
@@ -77,13 +75,13 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     values: dict[tuple[str | int, ...], str] = {
         ("reflectance", name): f"{result.value(name):.6g}" for name in result.fitted
     }
-    if result.in_file is not None:
-        values |= _placement_values(part, result.in_file)
+    if result.file_placement is not None:
+        values |= _placement_values(part, result.file_placement)
     _check_text(part.source)
     return copied_text(part, folder, values)
 
 
-def _placement_values(part: PartConfig, found: PlacementInFile) -> dict[tuple[str | int, ...], str]:
+def _placement_values(part: PartConfig, found: PartFilePlacement) -> dict[tuple[str | int, ...], str]:
     vectors = {"rotate_deg": found.rotate_deg, "translate_mm": found.translate_mm}
     lists = {
         key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()

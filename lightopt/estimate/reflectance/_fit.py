@@ -1,51 +1,58 @@
-"""From a rig, a part and images to fitted reflectance: the two fits that the command line has."""
+"""The two fits of the command line: from a rig, a part and images to reflectance."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.estimate.reflectance._comparisons import evenly_lit_words
-from lightopt.estimate.reflectance._cross_validation import leave_lights_out, unseen
-from lightopt.estimate.reflectance._estimate import Freed
+from lightopt.estimate.reflectance._comparisons import evenly_lit_warnings, paper_result
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._cross_validation import (
+    SavePrediction,
+    leave_lights_out,
+    validation_warnings,
+)
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._highlights import LEAST_R_S, WIDENINGS, diffuse_only
-from lightopt.estimate.reflectance._likelihood_criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
-from lightopt.estimate.reflectance._noise import measure_noise, noise_words
-from lightopt.estimate.reflectance._options import FitOptions, Points, Progress
+from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
+from lightopt.estimate.reflectance._noise import MeasuredNoise, measure_noise, noise_warnings
 from lightopt.estimate.reflectance._paper import paper_diffuse, paper_specular
-from lightopt.estimate.reflectance._paper_results import paper_result
-from lightopt.estimate.reflectance._quality import appraise, mean_levels, poor_fit, words
+from lightopt.estimate.reflectance._predicted_images import PointsRow, compare_regions
+from lightopt.estimate.reflectance._quality import (
+    Quality,
+    assess_quality,
+    fit_warnings,
+    mean_levels,
+    poor_fit_warnings,
+)
 from lightopt.estimate.reflectance._result import (
     FitResult,
     FittedValue,
-    below_zero,
     fitted_dark,
     fitted_gains,
     fitted_values,
-    joined_regions,
+    negative_black_level_warnings,
+    separate_region_warnings,
 )
 from lightopt.estimate.reflectance._samples import Samples
-from lightopt.estimate.reflectance._saturated_regions import PointsRow, compare_regions
-from lightopt.estimate.reflectance._search import estimate
-from lightopt.estimate.reflectance._setup import World, collect, open_world
+from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, Progress, prepare_fit
 from lightopt.estimate.reflectance._warnings import (
-    held_r_d,
+    convergence_warnings,
+    held_r_d_warnings,
     refuse_no_highlight,
     refuse_out_of_range,
-    unconverged,
 )
-from lightopt.estimate.reflectance._wrong_images import refuse_other_images
-from lightopt.estimate.registration import Observation
 from lightopt.images import ImageSet
 from lightopt.scene import coarse_points
 
 Float64 = NDArray[np.float64]
-KeepImage = Callable[[Observation, NDArray[np.float32]], None]
 
 
 def fit_diffuse(
@@ -62,73 +69,55 @@ def fit_diffuse(
 
     Parameters
     ----------
-    rig, part
-        What the images show.
-    image_set
-        Rendered or captured.
     options
-        How to fit; the first number of points counts.
-    progress
-        Called as the fit goes on.
+        Of the numbers of points only the first is used.
 
     Raises
     ------
     InputError
-        Images that are not the rig's or not the part's, or that do not tell R_d.
+        Images that are not the rig's or not the part's, or that do not determine R_d.
     """
     options = options or FitOptions()
     points = options.points[0] if options.points else None
-    world = open_world(rig, part, image_set, points, options, progress)
+    setup = prepare_fit(rig, part, image_set, points, options, progress)
     if options.method == "paper":
-        samples = collect(world, options, progress, uniform=True)
-        record = paper_diffuse(samples, options.paper)
-        return paper_result("diffuse", world, samples, record.R_d, None, options, paper=record)
-    samples = collect(world, options, progress)
-    freed = Freed(gain=options.gain, dark=options.dark)
-    whole = estimate(samples, freed=freed, threads=options.threads, progress=progress)
-    threads = options.threads
-    first_quality = appraise(samples, whole, threads=threads)
-    placed = refuse_other_images(world, samples, whole, first_quality, threads=threads)
+        samples = setup.collect(uniform=True)
+        return paper_result(setup, samples, paper_diffuse(samples, options.paper))
+    samples = setup.collect()
+    freed = FreeParameters(gain=options.gain, dark=options.dark)
+    whole = fit_reflectance(samples, freed=freed, progress=progress)
+    first_quality = assess_quality(samples, whole)
+    placed = refuse_unexplained_images(setup, samples, whole, first_quality)
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
-    found = estimate(
-        plain, freed=replace(freed, specular=False), held=held, threads=options.threads, progress=progress
-    )
-    quality = appraise(plain, found, threads=threads)
-    first = [f"where the highlights are: {text}" for text in unconverged(whole)]
-    said = [*world.warnings, *first, *unconverged(found), *poor_fit(found, quality, placed=placed)]
+    found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, progress=progress)
+    quality = assess_quality(plain, found)
+    first = [f"where the highlights are: {text}" for text in convergence_warnings(whole)]
+    warnings = [
+        *setup.warnings,
+        *first,
+        *convergence_warnings(found),
+        *poor_fit_warnings(found, quality, placed=placed),
+    ]
     if widening < max(WIDENINGS):
-        said.append(
+        warnings.append(
             f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
             "the lobe that was found, and heavier tails than a Gaussian's would raise it"
         )
-    values = fitted_values(found, full_scale=world.scene.reflectance.full_scale)[:1]
-    kept = (
-        FittedValue(name="R_s", value=world.scene.reflectance.R_s),
-        FittedValue(name="sigma_rad", value=world.scene.reflectance.sigma),
+    values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale)[:1]
+    unfitted = (
+        FittedValue(name="R_s", value=setup.scene.reflectance.R_s),
+        FittedValue(name="sigma_rad", value=setup.scene.reflectance.sigma),
     )
-    dark = fitted_dark(world.scene, found) if options.dark else None
-    said += below_zero(dark)
-    noise = measure_noise(plain, mean_levels(plain, found, threads=threads), describes=quality.describes)
-    if options.write_noise:
-        said += noise_words(noise)
-    return FitResult(
-        kind="diffuse",
-        method="likelihood",
-        points=world.scene.lights[0].points,
-        values=(*values, *kept),
-        fitted=("R_d",),
-        gains=fitted_gains(world.scene, found) if options.gain else None,
-        dark=dark,
-        noise=noise,
-        write_noise=options.write_noise,
-        registration=world.registration,
-        in_file=world.in_file,
-        first=whole,
-        observations=len(found.criterion.samples.sample),
+    dark = fitted_dark(setup.scene, found) if options.dark else None
+    noise = measure_noise(plain, mean_levels(plain, found), describes=quality.describes)
+    warnings += negative_black_level_warnings(dark)
+    warnings += noise_warnings(noise) if options.write_noise else ()
+    result = _result("diffuse", setup, found, quality, (*values, *unfitted), dark, noise, warnings)
+    return replace(
+        result,
+        highlight_fit=whole,
         pixels=len(np.unique(found.criterion.samples.sample)),
-        quality=quality,
-        words=tuple(said),
         estimate=replace(found, scan=whole.scan),
     )
 
@@ -140,140 +129,137 @@ def fit_specular(
     *,
     options: FitOptions | None = None,
     progress: Progress | None = None,
-    keep: KeepImage | None = None,
+    save_prediction: SavePrediction | None = None,
 ) -> FitResult:
-    """Fit R_s and σ, and R_d along where asked.
+    """Fit R_s and σ, and R_d where ``options.joint``.
 
     Parameters
     ----------
-    rig, part, image_set, options, progress
-        As in :func:`fit_diffuse`. With several numbers of points each is fitted, and the one under which
-        the images are likeliest is kept.
-    keep
+    options
+        Each number of points is fitted, and the one under which the images are likeliest is kept.
+    save_prediction
         Called with each image that validation predicted without having seen it, and its prediction.
 
     Raises
     ------
     InputError
-        Images that are not the rig's or not the part's, or that do not tell R_s and σ.
+        Images that are not the rig's or not the part's, or that do not determine R_s and σ.
     """
     options = options or FitOptions()
-    tried: list[tuple[FitResult, World, Samples, PointsRow | None]] = []
+    tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
     choices: tuple[Points | None, ...] = options.points or (None,)
     for points in choices:
-        world = open_world(rig, part, image_set, points, options, progress)
-        result, samples = _fit_one(world, options, progress)
+        setup = prepare_fit(rig, part, image_set, points, options, progress)
+        result, samples = _fit_one(setup)
         row = None
         if len(choices) > 1:
             row = compare_regions(
-                world.scene,
-                _parameters(result, world),
-                world.observations,
-                points=world.scene.lights[0].points,
-                caster=world.caster,
+                setup.scene,
+                _parameters(result, setup),
+                setup.observations,
+                points=setup.scene.lights[0].points,
+                caster=setup.caster,
                 likelihood=None if result.estimate is None else result.estimate.mean_log_likelihood,
                 threads=options.threads,
             )
-        tried.append((result, world, samples, row))
-    result, world, samples, _ = max(tried, key=lambda one: _rank(one[3]))
+        tried.append((result, setup, samples, row))
+    result, setup, samples, _ = max(tried, key=lambda one: _rank(one[3]))
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
     if result.estimate is not None and "auto" not in options.points:
-        even = evenly_lit_words(
-            samples,
-            result.estimate,
-            freed=options.freed,
-            held=world.held,
-            caster=world.caster,
-            threads=options.threads,
-        )
-        result = replace(result, words=(*result.words, *even))
+        even = evenly_lit_warnings(setup, samples, result.estimate)
+        result = replace(result, warnings=(*result.warnings, *even))
     if options.validate and result.estimate is not None:
         left_out = leave_lights_out(
-            world.scene,
+            setup.scene,
             samples,
             result.estimate,
-            caster=world.caster,
-            threads=options.threads,
-            keep=keep,
-            progress=None if progress is None else lambda share: progress("validating", share),
+            caster=setup.caster,
+            save_prediction=save_prediction,
+            progress=setup.progress_of("validating"),
         )
         result = replace(
-            result, left_out=left_out, words=(*result.words, *unseen(left_out, world.scene.sensor))
+            result,
+            left_out=left_out,
+            warnings=(*result.warnings, *validation_warnings(left_out, setup.scene.sensor)),
         )
     return result
 
 
-def _fit_one(world: World, options: FitOptions, progress: Progress | None) -> tuple[FitResult, Samples]:
-    reflectance = world.scene.reflectance
+def _fit_one(setup: FitSetup) -> tuple[FitResult, Samples]:
+    options, reflectance = setup.options, setup.scene.reflectance
     if options.method == "paper":
-        samples = collect(world, options, progress, uniform=True)
+        samples = setup.collect(uniform=True)
         record = paper_specular(
-            samples,
-            options.paper,
-            R_d=reflectance.R_d,
-            threads=options.threads,
-            progress=None if progress is None else lambda share: progress("sweeping σ", share),
+            samples, options.paper, R_d=reflectance.R_d, progress=setup.progress_of("sweeping σ")
         )
-        pair = record.R_s, record.sigma
-        return paper_result("specular", world, samples, None, pair, options, paper=record), samples
-    samples = collect(world, options, progress)
-    found = estimate(
-        samples, freed=options.freed, held=world.held, threads=options.threads, progress=progress
-    )
-    quality = appraise(samples, found, threads=options.threads)
-    placed = refuse_other_images(world, samples, found, quality, threads=options.threads)
-    refuse_no_highlight(samples, found, threads=options.threads)
+        return paper_result(setup, samples, record), samples
+    samples = setup.collect()
+    found = fit_reflectance(samples, freed=options.freed, held=setup.held, progress=setup.progress)
+    quality = assess_quality(samples, found)
+    placed = refuse_unexplained_images(setup, samples, found, quality)
+    refuse_no_highlight(samples, found)
     refuse_out_of_range(found)
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
-    exposures = {o.exposure for o in world.observations}
-    said = [*world.warnings, *unconverged(found)]
-    said += joined_regions(values)
-    said += words(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
-    said += held_r_d(found)
-    noise = measure_noise(
-        samples, mean_levels(samples, found, threads=options.threads), describes=quality.describes
-    )
-    if options.write_noise:
-        said += noise_words(noise)
-    panels = (coarse_points(light, found.sigma) for light in world.scene.lights)
-    said += [text for text in panels if text is not None]
-    dark = fitted_dark(world.scene, found) if options.dark else None
-    said += below_zero(dark)
-    result = FitResult(
-        kind="specular",
+    exposures = {o.exposure for o in setup.observations}
+    warnings = [*setup.warnings, *convergence_warnings(found)]
+    warnings += separate_region_warnings(values)
+    warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
+    warnings += held_r_d_warnings(found)
+    noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
+    warnings += noise_warnings(noise) if options.write_noise else ()
+    panels = (coarse_points(light, found.sigma) for light in setup.scene.lights)
+    warnings += [text for text in panels if text is not None]
+    dark = fitted_dark(setup.scene, found) if options.dark else None
+    warnings += negative_black_level_warnings(dark)
+    result = _result("specular", setup, found, quality, values, dark, noise, warnings)
+    return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), samples
+
+
+def _result(
+    kind: Literal["diffuse", "specular"],
+    setup: FitSetup,
+    found: Estimate,
+    quality: Quality,
+    values: tuple[FittedValue, ...],
+    dark: FittedValue | None,
+    noise: MeasuredNoise,
+    warnings: Sequence[str],
+) -> FitResult:
+    options = setup.options
+    specular = ("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad")
+    return FitResult(
+        kind=kind,
         method="likelihood",
-        points=world.scene.lights[0].points,
+        points=setup.scene.lights[0].points,
         values=values,
-        fitted=("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad"),
-        gains=fitted_gains(world.scene, found) if options.gain else None,
+        fitted=("R_d",) if kind == "diffuse" else specular,
+        gains=fitted_gains(setup.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
         write_noise=options.write_noise,
-        registration=world.registration,
-        in_file=world.in_file,
-        correlation=found.correlation(LOG_R_S, LOG_SIGMA),
+        registration=setup.registration,
+        file_placement=setup.file_placement,
         # least squares have done with fewer
         observations=len(found.criterion.samples.sample),
         pixels=len(found.criterion.samples.diffuse),
         quality=quality,
-        words=tuple(said),
+        warnings=tuple(warnings),
         estimate=found,
     )
-    return result, samples
 
 
 def _rank(row: PointsRow | None) -> float:
-    # the likelihood where there is one; the paper looks at area and perimeter
+    # the likelihood where there is one; the paper compares area and perimeter
     if row is None:
         return 0.0
     return -row.misfit if row.likelihood is None else row.likelihood
 
 
-def _parameters(result: FitResult, world: World) -> Float64:
+def _parameters(result: FitResult, setup: FitSetup) -> Float64:
     if result.estimate is not None:
         return result.estimate.x
-    x = np.zeros(FIRST_GAIN + len(world.scene.lights))
+    x = np.zeros(FIRST_GAIN + len(setup.scene.lights))
     x[R_D] = result.value("R_d")
     x[LOG_R_S] = math.log(max(result.value("R_s"), LEAST_R_S))
     x[LOG_SIGMA] = math.log(result.value("sigma_rad"))

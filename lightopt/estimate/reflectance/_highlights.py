@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._likelihood_criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._samples import Samples
 
 Float64 = NDArray[np.float64]
@@ -29,24 +29,14 @@ LEAST_R_S = 1e-3
 def diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
     """The observations that a lobe wider than the one found leaves dark, and how much wider it was taken.
 
-    Parameters
-    ----------
-    samples
-        The observations.
-    x
-        Parameters, shape (K,).
-
-    Raises
-    ------
-    InputError
-        There are none.
+    Raises InputError: there are none.
     """
     lit = samples.diffuse[samples.sample] > 0.0
     unlit = samples.deflection[samples.sample] == np.pi
     for widening in WIDENINGS:
         plain = lit & _beyond(samples, x, widening)
         if np.count_nonzero(plain & ~samples.saturated) >= LEAST_PIXELS:
-            return samples.keep(plain | unlit), widening
+            return samples.select(plain | unlit), widening
     raise InputError(
         "no diffuse-only pixel: the highlights reach every pixel that is lit. Add images under lights that the surface "
         "mirrors elsewhere, or fit all coefficients at once: fit-specular --joint"

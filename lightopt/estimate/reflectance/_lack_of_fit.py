@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares
+from lightopt.estimate.reflectance._criterion import DARK
 from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
-from lightopt.estimate.reflectance._likelihood_criterion import DARK
 from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import Samples
 
@@ -38,12 +38,8 @@ what the model gets wrong is then less than three quarters of the noise."""
 class LackOfFit:
     """The residual of least squares against the noise.
 
-    Attributes
-    ----------
-    ratio
-        Residual over noise, both rms over the lit pixels of the images of one exposure; that of the worst exposure.
-    dust
-        Share of the observations that were left out as dust.
+    ratio: Residual over noise, both rms over the lit pixels of the images of one exposure; that of the worst exposure.
+    dust: Share of the observations that were left out as dust.
     """
 
     ratio: float
@@ -60,12 +56,7 @@ def find_dust(samples: Samples, mean: Float64) -> NDArray[np.bool_]:
 
     A model that is wrong is wrong alike there, so that its misfit is not taken for dust.
 
-    Parameters
-    ----------
-    samples
-        The observations.
-    mean
-        Predicted levels, not clipped, shape (N,).
+    mean: Predicted levels, not clipped, shape (N,).
     """
     level, model = clipped_levels(samples, mean)
     residual = level - model
@@ -83,15 +74,7 @@ def find_dust(samples: Samples, mean: Float64) -> NDArray[np.bool_]:
 
 
 def measure_lack_of_fit(criterion: LeastSquares, x: Float64, *, dust: float) -> LackOfFit:
-    """Compare the residual of least squares with the noise of the rig file or, where they show more, of the images.
-
-    Parameters
-    ----------
-    criterion, x
-        The fit, without dust.
-    dust
-        Share of the observations that was left out before.
-    """
+    """Compare the residual of least squares with the noise of the rig file or, where they show more, of the images."""
     s = criterion.samples
     sensor = s.sensor
     mean = predicted(s, criterion.light(x), x)

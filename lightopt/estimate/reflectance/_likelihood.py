@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._likelihood_criterion import (
+from lightopt.estimate.reflectance._criterion import (
     DARK,
     FIRST_GAIN,
     LOG_R_S,
@@ -27,7 +27,7 @@ from lightopt.estimate.reflectance._likelihood_criterion import (
     image_factors,
     mirror_curvature,
     specular_and_slope,
-    sum_pieces,
+    sum_in_chunks,
 )
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 from lightopt.optics import Sensor
@@ -38,7 +38,7 @@ EXTREME_SHARE = 0.05
 """Share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
 evenly over the levels between."""
 
-_PIECE = 16_384
+_CHUNK = 16_384
 _SQRT_HALF = math.sqrt(0.5)
 _SQRT_TWO_PI = math.sqrt(2.0 * math.pi)
 
@@ -66,44 +66,18 @@ def sensor_numbers(sensor: Sensor) -> SensorNumbers:
 
 
 class Likelihood:
-    """The likelihood of a set of samples, for σ near those that the specular light was worked out for.
+    """The likelihood of a set of samples, for σ near those of the specular light's columns.
 
-    Parameters
-    ----------
-    samples
-        What was measured.
-    log_sigmas
-        ln σ of the columns of `specular`, shape (m,); between them the light is interpolated by a polynomial.
-    specular
-        Per unit of R_s, shape (n, m).
-    threads
-        Number of threads; the result does not depend on it.
+    log_sigmas: ln σ of the columns of `specular`, shape (m,); between them the light is interpolated by a polynomial.
+    specular: Per unit of R_s, shape (n, m).
     """
 
-    def __init__(
-        self,
-        samples: Samples,
-        log_sigmas: Float64,
-        specular: Float64,
-        *,
-        threads: int | None = None,
-    ) -> None:
+    def __init__(self, samples: Samples, log_sigmas: Float64, specular: Float64) -> None:
         self.samples = samples
         self.log_sigmas = log_sigmas
         self.specular = specular
-        self.threads = threads
         self.size = FIRST_GAIN + len(samples.lights) + 2
         self._sensor = sensor_numbers(samples.sensor)
-
-    @property
-    def log_tau2(self) -> int:
-        """Place of ln τ² in the vector of parameters."""
-        return self.size - 2
-
-    @property
-    def logit_epsilon(self) -> int:
-        """Place of logit ε in the vector of parameters."""
-        return self.size - 1
 
     @property
     def sigma_range(self) -> tuple[float, float]:
@@ -129,9 +103,9 @@ class Likelihood:
                 curvature,
             )  # fmt: skip
 
-        return Evaluation(*sum_pieces(add, len(s.sample), self.size, piece=_PIECE, threads=self.threads))
+        return Evaluation(*sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads))
 
-    def by_piece(self, x: Float64) -> tuple[Float64, Float64]:
+    def by_block(self, x: Float64) -> tuple[Float64, Float64]:
         """Gradients and curvatures of the pieces of the images, (B, K) and (B, K, K); each sums up to the whole."""
         s = self.samples
         block = s.block[s.sample]
@@ -151,17 +125,16 @@ class Likelihood:
         return gradients, curvatures
 
 
+def likelihood_at(samples: Samples, log_sigma: float) -> Likelihood:
+    """The likelihood at one σ."""
+    light = samples.specular(math.exp(log_sigma))
+    return Likelihood(samples, np.array([log_sigma]), light[:, None])
+
+
 def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
     """Sensor levels, not clipped, that the parameters `x` predict for each observation, shape (N,).
 
-    Parameters
-    ----------
-    samples
-        The observations.
-    specular
-        Per unit of R_s at the σ of `x`, shape (n,).
-    x
-        Parameters, shape (K,).
+    specular: Per unit of R_s at the σ of `x`, shape (n,).
     """
     light = x[R_D] * samples.diffuse + math.exp(x[LOG_R_S]) * specular
     facts: ImageFacts = samples.facts
@@ -172,12 +145,7 @@ def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
 def clipped_levels(samples: Samples, mean: Float64) -> tuple[Float64, Float64]:
     """Measured and predicted sensor levels of each observation, both clipped where the camera clips, shape (N,) each.
 
-    Parameters
-    ----------
-    samples
-        The observations.
-    mean
-        Predicted levels, not clipped, shape (N,), as :func:`predicted` gives them.
+    mean: Predicted levels, not clipped, shape (N,), as :func:`predicted` gives them.
     """
     top = samples.sensor.saturated_from
     return np.minimum(samples.level.astype(np.float64), top), np.clip(mean, 0.0, top)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._likelihood_criterion import (
+from lightopt.estimate.reflectance._criterion import (
     FIRST_GAIN,
     LOG_R_S,
     LOG_SIGMA,
@@ -22,7 +22,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 TOLERANCE = 1e-4
-"""A maximum is found when the next step promises less than this [nat]: a hundredth of a standard error."""
+"""A maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error."""
 
 LEAST_LOG_TAU2, MOST_LOG_TAU2 = np.log(1e-4), np.log(1e10)
 LEAST_LOGIT, MOST_LOGIT = -14.0, 2.0
@@ -43,21 +43,7 @@ LONGEST_STEP = 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class Maximum:
-    """Where a climb ended.
-
-    Attributes
-    ----------
-    x
-        Parameters, shape (K,).
-    evaluation
-        There.
-    converged
-        Whether no step promises anything more.
-    unsettled
-        Places of the parameters along which the criterion still rises; none where it converged.
-    steps
-        Number of evaluations.
-    """
+    """Where a climb ended; `unsettled` are the parameters along which the criterion still rises."""
 
     x: Float64
     evaluation: Evaluation
@@ -90,18 +76,8 @@ def maximise(
 ) -> Maximum:
     """Climb from `x` along the free parameters.
 
-    Parameters
-    ----------
-    criterion
-        To maximise.
-    x
-        Where to start, shape (K,).
-    free
-        Places of the parameters that may change.
-    most_steps
-        Evaluations after which to give up.
-    tolerance
-        Promise of a step that is not worth taking [nat].
+    x: Where to start, shape (K,).
+    tolerance: Predicted gain of a step below which the climb ends [nat].
     """
     low, high = bounds(criterion)
     can_change = np.zeros(len(x), np.bool_)
@@ -119,9 +95,9 @@ def maximise(
             converged = True
             break
         step = _newton_step(here.gradient, here.curvature, moving, damping)
-        # a step that is damped promises little because it is short
+        # a damped step has little predicted gain because it is short
         if float(here.gradient @ step) < tolerance and (
-            damping <= FREE_DAMPING or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+            damping <= FREE_DAMPING or _predicted_gain(here, moving) < max(tolerance, STALL_TOLERANCE)
         ):
             converged = True
             break
@@ -138,7 +114,7 @@ def maximise(
                 break
     moving = _movable(x, here.gradient, can_change, low, high)
     if not converged:
-        converged = not moving.any() or _promise(here, moving) < max(tolerance, STALL_TOLERANCE)
+        converged = not moving.any() or _predicted_gain(here, moving) < max(tolerance, STALL_TOLERANCE)
     unsettled: tuple[int, ...] = ()
     if not converged:
         gains = moving * here.gradient**2 / np.maximum(np.diag(here.curvature), 1e-9)
@@ -149,16 +125,7 @@ def maximise(
 def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
     """Whether a climb has converged, or the step that is left is small beside the standard errors.
 
-    A clipped level bends the criterion of least squares at single pixels, where what a step promises tells little.
-
-    Parameters
-    ----------
-    top
-        Where it ended.
-    free
-        Places of the parameters that were fitted.
-    errors
-        Their standard errors, shape (k,).
+    A clipped level bends the criterion of least squares at single pixels, where a step's predicted gain means little.
     """
     if top.converged:
         return True
@@ -170,8 +137,8 @@ def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
     return bool(np.all(np.abs(left[index]) < SETTLED * errors))
 
 
-def _promise(here: Evaluation, moving: Bool) -> float:
-    # what a step that is hardly damped promises [nat]
+def _predicted_gain(here: Evaluation, moving: Bool) -> float:
+    # of a step that is hardly damped [nat]
     return float(here.gradient @ _newton_step(here.gradient, here.curvature, moving, 1e-6))
 
 

@@ -30,14 +30,10 @@ WELL_KNOWN = 0.3
 class MeasuredNoise:
     """Noise of the camera, from the variance of measured minus predicted level over the level.
 
-    Attributes
-    ----------
-    read_noise, read_noise_error
-        Deviation without light, and its standard error [sensor level]; None where not determined.
-    electrons, electrons_error
-        Photo-electrons per level and their standard error; None where not determined.
-    hindrance
-        Why something is not determined, or empty.
+    read_noise, read_noise_error: Deviation without light, and its standard error [sensor level]; None where not
+        determined.
+    electrons, electrons_error: Photo-electrons per level and their standard error; None where not determined.
+    hindrance: Why something is not determined, or empty.
     """
 
     read_noise: float | None = None
@@ -59,17 +55,7 @@ class MeasuredNoise:
 
 
 def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) -> MeasuredNoise:
-    """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer).
-
-    Parameters
-    ----------
-    samples
-        The observations.
-    mean
-        Predicted levels, shape (N,).
-    describes
-        Whether the model describes the images.
-    """
+    """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer)."""
     if not describes:
         return MeasuredNoise(
             hindrance="the model does not describe these images, and its misfit is not the camera's"
@@ -97,8 +83,8 @@ def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) ->
     return _photon_transfer(at, variance, error, samples.sensor)
 
 
-def noise_words(noise: MeasuredNoise) -> tuple[str, ...]:
-    """What to say where the noise is not, or not wholly, written."""
+def noise_warnings(noise: MeasuredNoise) -> tuple[str, ...]:
+    """Warn where the noise is not, or only partly, written."""
     if noise.read_noise is None and noise.electrons is None:
         return (f"the noise is not written: {noise.hindrance}",)
     return (f"of the noise, only a part is written: {noise.hindrance}",) if noise.hindrance else ()

@@ -24,7 +24,7 @@ MOST_ITERATIONS = 500
 MOST_R_S = 1e15
 MOST_STEPS = 1000
 
-OPTION_NAMES = {
+PAPER_OPTION_FLAGS = {
     "lambda_d": "--lambda-d",
     "lambda_s1": "--lambda-s1",
     "lambda_s2": "--lambda-s2",
@@ -36,29 +36,20 @@ OPTION_NAMES = {
 }
 
 WIDE_RANGE = 1.5
-"""Where the σ of the sweep within λ_s2 reach over more than this factor, it is worth a word."""
+"""Where the σ of the sweep within λ_s2 reach over more than this factor, it is reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperOptions:
     """Thresholds and starting values; the paper prints no threshold and no step.
 
-    Attributes
-    ----------
-    lambda_d
-        λ_d: difference of the mean brightness that is small enough [grey level].
-    lambda_s1
-        λ_s1: difference of the saturated pixels that is small enough, as a share of the measured number.
-    lambda_s2
-        λ_s2: difference of the total specular brightness that is small enough, as a share of the measured one.
-    sigma_step
-        σ_step [rad]; the rows of Table 1 are multiples of 0.0025.
-    sigma_start, sigma_least, sigma_most
-        Where the sweep starts, and its range [rad] (section 4.3).
-    R_d_start, R_s_start
-        Starting values [grey level]; R_s starts at the saturation level.
-    away
-        Pixels whose normal is at least this far from all half vectors count as diffuse only [rad].
+    lambda_d: λ_d: difference of the mean brightness that is small enough [grey level].
+    lambda_s1: λ_s1: difference of the saturated pixels that is small enough, as a share of the measured number.
+    lambda_s2: λ_s2: difference of the total specular brightness that is small enough, as a share of the measured one.
+    sigma_step: σ_step [rad]; the rows of Table 1 are multiples of 0.0025.
+    sigma_start, sigma_least, sigma_most: Where the sweep starts, and its range [rad] (section 4.3).
+    R_d_start, R_s_start: Starting values [grey level]; R_s starts at the saturation level.
+    away: Pixels whose normal is at least this far from all half vectors count as diffuse only [rad].
     """
 
     lambda_d: float = 0.01
@@ -77,9 +68,9 @@ class PaperOptions:
         return dict(vars(self))
 
     def problems(self) -> tuple[str, ...]:
-        """What is wrong with the values, by the names of the command line's options."""
+        """Problems of the values, by the names of the command line's options."""
         found = [
-            f"{OPTION_NAMES.get(name, name)}: expected a number above 0, found {value:g}"
+            f"{PAPER_OPTION_FLAGS.get(name, name)}: expected a number above 0, found {value:g}"
             for name, value in vars(self).items()
             if not (math.isfinite(value) and value > 0.0)
         ]
@@ -105,16 +96,8 @@ class PaperOptions:
 class PaperDiffuse:
     """R_d by section 4.2.
 
-    Attributes
-    ----------
-    R_d
-        [grey level].
-    image
-        The image used.
-    pixels
-        Number of diffuse-only pixels.
-    iterations
-        (R_d, B_r, D) of each [grey level].
+    R_d: [grey level].
+    iterations: (R_d, B_r, D) of each [grey level].
     """
 
     R_d: float
@@ -127,8 +110,8 @@ class PaperDiffuse:
         rows = [{"R_d": r, "B_r": b, "D": d} for r, b, d in self.iterations]
         return {"R_d": self.R_d, "image": self.image, "pixels": self.pixels, "iterations": rows}
 
-    def words(self) -> tuple[str, ...]:
-        """What a person should know beside the number."""
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the result."""
         return ()
 
 
@@ -136,18 +119,8 @@ class PaperDiffuse:
 class SigmaStep:
     """One σ of the sweep.
 
-    Attributes
-    ----------
-    sigma
-        [rad].
-    R_s
-        Where N_s came close enough to N_m [grey level].
-    reached
-        Whether it did.
-    brightness
-        Total specular brightness of the simulated image over the measured one.
-    iterations
-        (R_s, N_s) of each.
+    R_s: Where N_s came close enough to N_m [grey level].
+    brightness: Total specular brightness of the simulated image over the measured one.
     """
 
     sigma: float
@@ -161,20 +134,7 @@ class SigmaStep:
 class PaperSpecular:
     """R_s and σ by section 4.3.
 
-    Attributes
-    ----------
-    R_s
-        [grey level].
-    sigma
-        [rad].
-    image
-        The image used.
-    saturated
-        N_m [px].
-    steps
-        The sweep, in its order.
-    alike
-        The σ at which both the count and the brightness come as close as was asked for, ascending [rad].
+    alike: The σ at which both the count and the brightness come as close as was asked for, ascending [rad].
     """
 
     R_s: float
@@ -205,8 +165,8 @@ class PaperSpecular:
             "sweep": steps,
         }
 
-    def words(self) -> tuple[str, ...]:
-        """What a person should know beside the numbers."""
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the result."""
         if not self.alike or self.alike[-1] <= WIDE_RANGE * self.alike[0]:
             return ()
         text = (
@@ -219,17 +179,7 @@ class PaperSpecular:
 def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     """R_d from the mean brightness of the pixels without specular reflection (paper, section 4.2).
 
-    Parameters
-    ----------
-    samples
-        Uniformly chosen.
-    options
-        Thresholds and starting values.
-
-    Raises
-    ------
-    InputError
-        No image has a pixel that is diffuse only, or the iteration does not end.
+    Raises InputError: no image has a pixel that is diffuse only, or the iteration does not end.
     """
     if problems := options.problems():
         raise InputError(*problems)
@@ -270,32 +220,12 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
 
 
 def paper_specular(
-    samples: Samples,
-    options: PaperOptions,
-    *,
-    R_d: float,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    samples: Samples, options: PaperOptions, *, R_d: float, progress: Callable[[float], None] | None = None
 ) -> PaperSpecular:
     """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3).
 
-    Parameters
-    ----------
-    samples
-        Uniformly chosen.
-    options
-        Thresholds and starting values.
-    R_d
-        Diffuse coefficient [grey level].
-    threads
-        Number of threads; the result does not depend on it.
-    progress
-        Called as σ are done.
-
-    Raises
-    ------
-    InputError
-        Impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as bright.
+    Raises InputError: impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as
+        bright.
     """
     if problems := options.problems():
         raise InputError(*problems)
@@ -307,7 +237,7 @@ def paper_specular(
             "no saturated pixel in any image: the paper's method compares saturated areas. Expose longer, or use the "
             "default method"
         )
-    mine = samples.keep(samples.image == image)
+    mine = samples.select(samples.image == image)
     factor = float(mine.facts.factor[image])
     diffuse = factor * R_d * mine.diffuse[mine.sample]
     room = mine.sensor.saturated_from - mine.sensor.black_level
@@ -316,7 +246,7 @@ def paper_specular(
     steps: list[SigmaStep] = []
     sigmas = _sweep(options)
     for sigma in sigmas:
-        light = factor * mine.specular(sigma, threads=threads)[mine.sample]
+        light = factor * mine.specular(sigma)[mine.sample]
         steps.append(_match_area(light, diffuse, room, measured, total, sigma, options))
         if progress is not None:
             progress(len(steps) / len(sigmas))

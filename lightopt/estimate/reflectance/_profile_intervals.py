@@ -1,4 +1,4 @@
-"""Intervals by profile likelihood: how far a parameter can be moved while all others make the best of it."""
+"""Intervals by profile likelihood: how far a parameter can be moved while all others are refitted."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.estimate.reflectance._criterion import R_D
 from lightopt.estimate.reflectance._estimate import Estimate, Optimum
-from lightopt.estimate.reflectance._likelihood_criterion import R_D
 from lightopt.estimate.reflectance._newton import bounds, maximise
 
 Float64 = NDArray[np.float64]
@@ -30,13 +30,6 @@ def profile_interval(estimate: Estimate, place: int) -> tuple[float, float]:
     """95 % interval of one parameter, in its own coordinate (R_d, ln R_s, ln σ, …); infinite where nothing bounds it.
 
     It reaches over all of :func:`profile_regions`, and what is between them.
-
-    Parameters
-    ----------
-    estimate
-        The maximum.
-    place
-        Of a parameter that was fitted.
     """
     regions = profile_regions(estimate, place)
     return regions[0][0], regions[-1][1]
@@ -45,9 +38,9 @@ def profile_interval(estimate: Estimate, place: int) -> tuple[float, float]:
 def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float], ...]:
     """Values of one parameter that the criterion does not exclude: one interval for most images, ascending if more.
 
-    The fall of the criterion that ends a region is that of a right model times the inflation of the parameter's
-    variance. Regions are looked for around the estimate, around the other optima that are within that fall, and at the
-    points of the scan that are. Parameters as for :func:`profile_interval`.
+    The drop of the criterion that ends a region is that of a right model times the inflation of the parameter's
+    variance. Regions are searched around the estimate, around the other optima within that drop, and at the points of
+    the scan within it.
     """
     target = estimate.critical * float(estimate.inflation[estimate.free.index(place)])
     best = estimate.maximum.evaluation.value
@@ -59,7 +52,7 @@ def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float]
             there = _at_optimum(estimate, other)
             regions.append((at, at) if there is None else _around(there, place, target - drop))
     # neighbours along the scan belong together
-    for within, run in itertools.groupby(estimate.scan, key=lambda point: point.fall < target):
+    for within, run in itertools.groupby(estimate.scan, key=lambda point: point.drop < target):
         if within:
             values = [float(point.x[place]) for point in run]
             regions.append((min(values), max(values)))
@@ -110,12 +103,12 @@ def _end(estimate: Estimate, place: int, sign: float, target: float) -> float:
     distance = expected
     for _ in range(ROUNDS):
         if place == R_D and sign < 0.0 and best - distance <= 0.0:
-            if best <= 0.0 or fall(estimate, place, 0.0) <= target:
+            if best <= 0.0 or criterion_drop(estimate, place, 0.0) <= target:
                 return 0.0
             far, bounded = min(far, best), True
             distance = 0.5 * (short + far)
             continue
-        drop = fall(estimate, place, best + sign * distance)
+        drop = criterion_drop(estimate, place, best + sign * distance)
         if abs(drop / target - 1.0) < CLOSE:
             return best + sign * distance
         if drop < target:
@@ -132,18 +125,8 @@ def _end(estimate: Estimate, place: int, sign: float, target: float) -> float:
     return best + sign * 0.5 * (short + far) if bounded else sign * math.inf
 
 
-def fall(estimate: Estimate, place: int, at: float) -> float:
-    """How far twice the criterion falls where a parameter is held at `at` and all others make the best of it [nat].
-
-    Parameters
-    ----------
-    estimate
-        The maximum.
-    place
-        Of a parameter that was fitted.
-    at
-        In its own coordinate; beyond the values that it may have, infinite.
-    """
+def criterion_drop(estimate: Estimate, place: int, at: float) -> float:
+    """Drop of twice the criterion with one parameter held at `at`, all others refitted [nat]; infinite off bounds."""
     criterion = estimate.criterion
     low, high = bounds(criterion)
     if not low[place] <= at <= high[place]:

@@ -1,4 +1,4 @@
-"""How well the model describes the images, and in words what they can and cannot tell."""
+"""How well the model describes the images, and warnings about what they do not determine."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import predicted
-from lightopt.estimate.reflectance._likelihood_criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import Samples
 
 POOR_EPSILON = 0.02
 POOR_NOISE = 3.0
 MORE_NOISE = 1.5
-"""Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are worth a word."""
+"""Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are reported."""
 
 WIDE_INTERVAL = 0.02
 STRONG_CORRELATION = 0.95
@@ -25,32 +25,18 @@ STRONG_CORRELATION = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """Residuals of the pixels that a fit looked at, in sensor levels of the images as they were delivered.
+    """Residuals of the pixels of a fit, in sensor levels of the images as they were delivered.
 
-    Attributes
-    ----------
-    rms
-        Of the unsaturated pixels [sensor level].
-    typical
-        Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
-    noise
-        What the rig's noise figures make of a typical pixel of a mean of so many frames, and the quantisation of its
-        levels [sensor level].
-    image_noise
-        What the images show: how far pixels are off the plane through their neighbours, typically [sensor level].
-    explained
-        Share of the variance of the unsaturated pixels beyond the noise that the model explains, 1 for all of it.
-    epsilon
-        Share of the pixels that the model would have left out if it could.
-    tau
-        Deviation beside the sensor's noise [sensor level].
-    saturated
-        Share of the observations that are saturated.
-    misfit
-        Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not looked at.
-    describes
-        Whether the model describes the images within that: else values are those of least squares, and intervals come
-        from the scatter between lights.
+    typical: Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
+    noise: Of a typical pixel by the rig's noise figures and the number of frames, with quantisation [sensor level].
+    image_noise: By the images: typical distance of pixels from the plane through their neighbours [sensor level].
+    explained: Share of the variance of the unsaturated pixels beyond the noise that the model explains.
+    epsilon: Share of outliers.
+    tau: Deviation beside the sensor's noise [sensor level].
+    saturated: Share of the observations that are saturated.
+    misfit: Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not tested.
+    describes: Whether the model describes the images within that; else values are those of least squares, and intervals
+        come from the scatter between lights.
     """
 
     rms: float
@@ -82,10 +68,10 @@ class Quality:
         }
 
 
-def appraise(samples: Samples, found: Estimate, *, threads: int | None = None) -> Quality:
-    """Compare a fit with the pixels that it was made from; the result does not depend on the number of threads."""
+def assess_quality(samples: Samples, found: Estimate) -> Quality:
+    """Compare a fit with the pixels that it was made from."""
     sensor = samples.sensor
-    mean = mean_levels(samples, found, threads=threads)
+    mean = mean_levels(samples, found)
     level = samples.level.astype(np.float64)
     seen = ~samples.saturated & (mean < sensor.saturated_from)
     residual = (level - np.maximum(mean, 0.0))[seen]
@@ -109,28 +95,20 @@ def appraise(samples: Samples, found: Estimate, *, threads: int | None = None) -
     )
 
 
-def mean_levels(samples: Samples, found: Estimate, *, threads: int | None = None) -> NDArray[np.float64]:
+def mean_levels(samples: Samples, found: Estimate) -> NDArray[np.float64]:
     """Sensor levels, not clipped, that a fit predicts for the observations, shape (N,)."""
-    return predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
+    return predicted(samples, samples.specular(found.sigma), found.x)
 
 
-def words(
+def fit_warnings(
     found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool, placed: bool
 ) -> tuple[str, ...]:
-    """What a person should know about a fit of R_s and σ beside its numbers.
+    """Warnings about a fit of R_s and σ.
 
-    Parameters
-    ----------
-    found, quality
-        The fit.
-    interval
-        95 % of R_s [grey level].
-    shorter
-        Whether the images have more than one exposure already.
-    placed
-        As for :func:`poor_fit`.
+    interval: 95 % of R_s [grey level].
+    shorter: Whether the images have more than one exposure already.
     """
-    said: list[str] = list(poor_fit(found, quality, placed=placed))
+    warnings: list[str] = list(poor_fit_warnings(found, quality, placed=placed))
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
         low, high = interval or (found.R_s, found.R_s)
         width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
@@ -143,32 +121,27 @@ def words(
             what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
         if math.isinf(width):
             side = "upper" if high is None else "lower"
-            said.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
+            warnings.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
         elif abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL and found.describes:
-            said.append(
+            warnings.append(
                 f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s between {low:.4g} and "
                 f"{high:.4g}): add {what}"
             )
         if quality.saturated == 0.0:
-            said.append(
+            warnings.append(
                 "no pixel is saturated: R_s and σ come from the flanks and the peak of the highlight alone"
             )
-    return tuple(said)
+    return tuple(warnings)
 
 
-def poor_fit(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
-    """What to say where the model does not describe the images, or the rig file their noise.
+def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
+    """Warn where the model does not describe the images, or the rig file their noise.
 
-    Parameters
-    ----------
-    found, quality
-        The fit.
-    placed
-        Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
+    placed: Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
     """
-    said: list[str] = []
+    warnings: list[str] = []
     if quality.image_noise > MORE_NOISE * quality.noise:
-        said.append(
+        warnings.append(
             f"the images show about {quality.image_noise:.2g} sensor levels of noise, the rig file's figures make "
             f"{quality.noise:.2g}: give read_noise_levels and electrons_per_level of the sensor"
         )
@@ -181,17 +154,17 @@ def poor_fit(found: Estimate, quality: Quality, *, placed: bool = False) -> tupl
             else f"what the model leaves of these images ({quality.rms:.3g} sensor levels rms) is not much more than "
             "the noise, but neither noise nor dust"
         )
-        said.append(
+        warnings.append(
             f"{left}. The values are those of least squares over all pixels, which predict such images best, and the "
             f"intervals come from the scatter between {found.scatter}. {_reasons(found, placed=placed)}"
         )
     elif quality.poor:
-        said.append(
+        warnings.append(
             f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are unexplained, "
             f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. "
             f"{_reasons(found, placed=placed)}"
         )
-    return tuple(said)
+    return tuple(warnings)
 
 
 def _reasons(found: Estimate, *, placed: bool) -> str:

@@ -1,4 +1,4 @@
-"""What a fit hands on."""
+"""The result of a fit."""
 
 from __future__ import annotations
 
@@ -7,37 +7,30 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._cross_validation import LeftOut
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
-from lightopt.estimate.reflectance._likelihood_criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._noise import MeasuredNoise
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
+from lightopt.estimate.reflectance._predicted_images import PointsRow
 from lightopt.estimate.reflectance._profile_intervals import profile_regions
 from lightopt.estimate.reflectance._quality import Quality
-from lightopt.estimate.reflectance._saturated_regions import PointsRow
-from lightopt.estimate.reflectance._warnings import unconverged
-from lightopt.estimate.registration import Placement, PlacementInFile, Registration
+from lightopt.estimate.reflectance._warnings import convergence_warnings
+from lightopt.estimate.registration import PartFilePlacement, Placement, Registration
 from lightopt.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
 class FittedValue:
-    """A coefficient with what is known of it.
+    """A coefficient and its uncertainty.
 
-    Attributes
-    ----------
-    name
-        ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light stops
-        being saturated.
-    value
-        In the part file's unit.
-    standard_error
-        0, null in the JSON form, for a value that was held or by a method that knows none.
-    interval
-        95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value that was
-        held or by a method that knows none.
-    regions
-        Those that the interval joins where values between them are excluded; none where there is only one.
+    name: ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light
+        stops being saturated.
+    value: In the part file's unit.
+    standard_error: 0, null in the JSON form, for a value that was held or by a method that knows none.
+    interval: 95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value
+        that was held or by a method that knows none.
+    regions: Those that the interval joins where values between them are excluded; none where there is only one.
     """
 
     name: str
@@ -65,44 +58,17 @@ def _rounded(interval: Interval) -> list[float | None]:
 class FitResult:
     """Fitted reflectance.
 
-    Attributes
-    ----------
-    kind
-        Which coefficients were asked for.
-    method
-        How.
-    points
-        Point lights per panel, or ``"auto"``.
-    values
-        R_d, R_s, σ and the saturated half-angle.
-    fitted
-        Names of those that were fitted and belong into the part file.
-    gains
-        Gain of each light as it belongs into the rig file, where gains were freed; the first light's is held.
-    dark
-        Black level as it belongs into the rig file [sensor level], where it was freed.
-    noise, write_noise
-        As the images show it, and whether it belongs into the rig file.
-    registration, in_file
-        Where the part was found to lie, where that was freed, and the same as it belongs into the part file.
-    first
-        A diffuse fit's first one, of the whole model, by which it knew where the highlights are; None in other fits.
-    correlation
-        Of ln R_s and ln σ; None where they were not both fitted.
-    observations, pixels
-        Number of levels looked at, and of pixels that they belong to.
-    quality
-        Residuals.
-    words
-        What a person should know.
-    estimate
-        Of the default method.
-    left_out
-        Validation, one entry per light.
-    rows
-        One per number of points that was tried.
-    paper
-        Record of the paper's procedure.
+    points: Point lights per panel, or ``"auto"``.
+    fitted: Names of the values that were fitted and belong in the part file.
+    gains: Gain of each light for the rig file, where gains were freed; the first light's is held.
+    dark: Black level for the rig file [sensor level], where it was freed.
+    write_noise: Whether `noise` belongs in the rig file.
+    registration, file_placement: Measured placement, and the same as values of the part file, where it was freed.
+    highlight_fit: Only of a diffuse fit: that of the whole model, which locates the highlights.
+    correlation: Of ln R_s and ln σ; None where they were not both fitted.
+    observations, pixels: Number of levels that were used, and of their pixels.
+    left_out: Validation, one entry per light.
+    rows: One per number of points that was tried.
     """
 
     kind: Literal["diffuse", "specular"]
@@ -115,13 +81,13 @@ class FitResult:
     noise: MeasuredNoise | None = None
     write_noise: bool = False
     registration: Registration | None = None
-    in_file: PlacementInFile | None = None
-    first: Estimate | None = None
+    file_placement: PartFilePlacement | None = None
+    highlight_fit: Estimate | None = None
     correlation: float | None = None
     observations: int = 0
     pixels: int = 0
     quality: Quality | None = None
-    words: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     estimate: Estimate | None = None
     left_out: tuple[LeftOut, ...] = ()
     rows: tuple[PointsRow, ...] = ()
@@ -134,10 +100,10 @@ class FitResult:
     @property
     def converged(self) -> bool:
         """Whether every fit, those of validation among them, and the search for the part's place did."""
-        fits = [found for found in (self.first, self.estimate) if found is not None]
+        fits = [found for found in (self.highlight_fit, self.estimate) if found is not None]
         placed = self.registration is None or self.registration.converged
         validated = all(left.converged for left in self.left_out)
-        return placed and validated and not any(unconverged(found) for found in fits)
+        return placed and validated and not any(convergence_warnings(found) for found in fits)
 
     @property
     def placement(self) -> Placement | None:
@@ -147,11 +113,11 @@ class FitResult:
     @property
     def highlights(self) -> tuple[float, float] | None:
         """R_s [grey level] and σ [rad] by which a diffuse fit knew where the highlights are; None in other fits."""
-        return None if self.first is None else (self.first.R_s, self.first.sigma)
+        return None if self.highlight_fit is None else (self.highlight_fit.R_s, self.highlight_fit.sigma)
 
     @property
     def not_left_out(self) -> tuple[str, ...]:
-        """What validation takes from all images, those of the light that is left out among them."""
+        """Parameters that validation takes from all images, also from those of the light that is left out."""
         freed = (
             ("its own gain", self.gains),
             ("the black level", self.dark),
@@ -172,10 +138,7 @@ class FitResult:
             "values": {v.name: v.as_dict() for v in self.values},
             "highlights_by": None
             if self.highlights is None
-            else {
-                "R_s": float(f"{self.highlights[0]:.6g}"),
-                "sigma_rad": float(f"{self.highlights[1]:.6g}"),
-            },
+            else {"R_s": float(f"{self.highlights[0]:.6g}"), "sigma_rad": float(f"{self.highlights[1]:.6g}")},
             "correlation_ln_R_s_ln_sigma": self.correlation,
             "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
             "black_level": None if self.dark is None else self.dark.as_dict(),
@@ -189,7 +152,7 @@ class FitResult:
             "observations": self.observations,
             "pixels": self.pixels,
             "quality": None if self.quality is None else self.quality.as_dict(),
-            "warnings": list(self.words),
+            "warnings": list(self.warnings),
             "ridge": [
                 {
                     "sigma_rad": float(f"{point.sigma:.8g}"),
@@ -212,8 +175,8 @@ def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Inter
     return low, high
 
 
-def interval_words(interval: Interval) -> str:
-    """An interval in words."""
+def format_interval(interval: Interval) -> str:
+    """Text of an interval."""
     low, high = interval
     if low is None and high is None:
         return "no bounds"
@@ -224,9 +187,9 @@ def interval_words(interval: Interval) -> str:
     return f"{low:.6g} to {high:.6g}"
 
 
-def joined_regions(values: Iterable[FittedValue]) -> tuple[str, ...]:
-    """What to say of values whose interval joins regions between which the images do not decide."""
-    several = [f"{v.name} {' or '.join(map(interval_words, v.regions))}" for v in values if v.regions]
+def separate_region_warnings(values: Iterable[FittedValue]) -> tuple[str, ...]:
+    """Warn of intervals that join separate regions between which the images do not decide."""
+    several = [f"{v.name} {' or '.join(map(format_interval, v.regions))}" for v in values if v.regions]
     if not several:
         return ()
     text = (
@@ -251,15 +214,7 @@ def _fitted(
 
 
 def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
-    """R_d, R_s, σ and the saturated half-angle of an estimate, with standard errors and intervals.
-
-    Parameters
-    ----------
-    found
-        The estimate.
-    full_scale
-        Grey level of a saturated pixel; the half-angle is that of a point light.
-    """
+    """R_d, R_s, σ and the saturated half-angle under a point light, with standard errors and intervals."""
     values: list[FittedValue] = []
     for name, place, log in (("R_d", R_D, False), ("R_s", LOG_R_S, True), ("sigma_rad", LOG_SIGMA, True)):
         value = math.exp(found.x[place]) if log else float(found.x[place])
@@ -297,8 +252,8 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
     return gains
 
 
-def below_zero(dark: FittedValue | None) -> tuple[str, ...]:
-    """What to say of a black level that a rig file cannot hold."""
+def negative_black_level_warnings(dark: FittedValue | None) -> tuple[str, ...]:
+    """Warn of a black level that a rig file cannot hold."""
     if dark is None or dark.value >= 0.0:
         return ()
     text = (

@@ -1,4 +1,4 @@
-"""The pixels that a fit looks at, and what their geometry says of them: all that does not change while it is made."""
+"""The pixels of a fit, with their geometry and measured levels: all that does not change during the fit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Float64 = NDArray[np.float64]
 FIRST_OCTAVE_RAD = 0.001
 OCTAVES = 11
 """Pixels are kept by octave of the least angle between normal and half vector: up to 1 mrad, 2 mrad, … so that a lobe
-of any width has its flanks looked at."""
+of any width has pixels on its flanks."""
 
 BLOCKS = 24
 """Pieces along the longer side of the image: what the model gets wrong is taken as alike within each of them."""
@@ -46,18 +46,8 @@ Progress = Callable[[float], None]
 class SampleGroup:
     """Pixels of one posture under one light.
 
-    Attributes
-    ----------
-    light
-        Index in the scene.
-    posture
-        Of the part.
-    layer
-        Their light per unit of reflectance; None for pixels that no light reaches.
-    row, column
-        Shape (n,).
-    weight
-        Pixels of the image that each stands for, shape (n,).
+    layer: Their light per unit of reflectance; None for pixels that no light reaches.
+    weight: Pixels of the image that each stands for, shape (n,).
     """
 
     light: int
@@ -70,21 +60,28 @@ class SampleGroup:
     def __len__(self) -> int:
         return len(self.row)
 
+    @property
+    def diffuse(self) -> Float64:
+        """Light per unit of R_d, shape (n,)."""
+        return np.zeros(len(self)) if self.layer is None else self.layer.diffuse
+
+    @property
+    def deflection(self) -> Float64:
+        """Least angle between normal and half vector [rad], shape (n,)."""
+        return np.full(len(self), np.pi) if self.layer is None else self.layer.deflection
+
+    def specular(self, sigma: float, threads: int | None) -> Float64:
+        """Light per unit of R_s, shape (n,)."""
+        return np.zeros(len(self)) if self.layer is None else self.layer.specular(sigma, threads=threads)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ImageFacts:
-    """What the kernels must know of each image; arrays of shape (images,).
+    """Per image, for the kernels; arrays of shape (images,).
 
-    Attributes
-    ----------
-    factor
-        Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
-    light
-        Index of the light in the scene.
-    half_width
-        How far from a level the signal may have been [sensor level].
-    frames
-        Number of frames that the image is the mean of, as float64.
+    factor: Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
+    half_width: How far from a level the signal may have been [sensor level].
+    frames: Number of frames that the image is the mean of, as float64.
     """
 
     factor: Float64
@@ -97,34 +94,16 @@ class ImageFacts:
 class Samples:
     """Pixels (n) and what was measured there (N observations: a pixel has one per exposure).
 
-    Attributes
-    ----------
-    groups
-        The pixels, group after group.
-    diffuse
-        Light per unit of R_d, 0 where none arrives, shape (n,).
-    deflection
-        Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
-    weight
-        Pixels of the image that each stands for, shape (n,).
-    block
-        Piece of the image that each pixel lies in, one number per posture and piece, shape (n,).
-    sample
-        Pixel of each observation, shape (N,).
-    image
-        Image of each observation, shape (N,).
-    level
-        Sensor level, shape (N,).
-    saturated
-        Where `level` is only a lower bound, shape (N,).
-    images
-        The images.
-    facts
-        Of the images.
-    lights
-        Names of the scene's lights.
-    sensor
-        Of the camera.
+    diffuse: Light per unit of R_d, 0 where none arrives, shape (n,).
+    deflection: Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
+    weight: Pixels of the image that each stands for, shape (n,).
+    block: Piece of the image that each pixel lies in, one number per posture and piece, shape (n,).
+    sample: Pixel of each observation, shape (N,).
+    image: Image of each observation, shape (N,).
+    level: Sensor level, shape (N,).
+    saturated: Where `level` is only a lower bound, shape (N,).
+    lights: Names of the scene's lights.
+    threads: Number of threads that work on them; no result depends on it.
     """
 
     groups: tuple[SampleGroup, ...]
@@ -140,8 +119,9 @@ class Samples:
     facts: ImageFacts
     lights: tuple[str, ...]
     sensor: Sensor
+    threads: int | None = None
 
-    def keep(self, where: NDArray[np.bool_]) -> Samples:
+    def select(self, where: NDArray[np.bool_]) -> Samples:
         """Only the observations marked in `where`, shape (N,); the pixels stay."""
         return replace(
             self,
@@ -151,7 +131,7 @@ class Samples:
             saturated=self.saturated[where],
         )
 
-    def remeasured(
+    def with_levels(
         self, levels: Sequence[NDArray[np.float32]], saturated: Sequence[NDArray[np.bool_]]
     ) -> Samples:
         """The same pixels of other images of the same lights, postures and exposures; one array per image."""
@@ -159,18 +139,12 @@ class Samples:
         columns = np.concatenate([group.column for group in self.groups])[self.sample]
         stack, flags = np.stack(levels), np.stack(saturated)
         return replace(
-            self,
-            level=stack[self.image, rows, columns],
-            saturated=flags[self.image, rows, columns],
+            self, level=stack[self.image, rows, columns], saturated=flags[self.image, rows, columns]
         )
 
-    def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
+    def specular(self, sigma: float) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
-        parts = [
-            np.zeros(len(group)) if group.layer is None else group.layer.specular(sigma, threads=threads)
-            for group in self.groups
-        ]
-        return np.concatenate(parts)
+        return np.concatenate([group.specular(sigma, self.threads) for group in self.groups])
 
 
 def collect_samples(
@@ -185,27 +159,9 @@ def collect_samples(
 ) -> Samples:
     """Choose pixels by their geometry alone and look up what was measured there.
 
-    Parameters
-    ----------
-    scene
-        With the postures and lights of the observations.
-    observations
-        The images.
-    caster
-        Of the scene's part.
-    budget
-        Most pixels per octave of the deflection, per light and posture.
-    uniform
-        Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
-    threads
-        Number of threads; the result does not depend on it.
-    progress
-        Called as postures and lights are done.
+    uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
 
-    Raises
-    ------
-    InputError
-        No pixel is left.
+    Raises InputError: no pixel is left.
     """
     names = [light.name for light in scene.lights]
     groups: list[SampleGroup] = []
@@ -217,19 +173,19 @@ def collect_samples(
         groups += _choose(pixels, posture, light, caster, budget, uniform, threads)
         if progress is not None:
             progress((done + 1) / len(wanted))
-    return _assemble(scene, groups, observations)
+    return _assemble(scene, groups, tuple(observations), threads)
 
 
-def thinned(samples: Samples, budget: int) -> Samples:
+def subsample(samples: Samples, budget: int) -> Samples:
     """At most `budget` of the pixels per octave, light and posture, with the observations that there are of them."""
     groups: list[SampleGroup] = []
-    kept: list[NDArray[np.intp]] = []
+    indices: list[NDArray[np.intp]] = []
     start = 0
     for group in samples.groups:
         keep, share = _by_octave(
             samples.deflection[start : start + len(group)], budget, (len(groups), group.light)
         )
-        kept.append(start + keep)
+        indices.append(start + keep)
         start += len(group)
         groups.append(
             replace(
@@ -240,10 +196,10 @@ def thinned(samples: Samples, budget: int) -> Samples:
                 weight=group.weight[keep] / share,
             )
         )
-    pixels = np.concatenate(kept)
+    pixels = np.concatenate(indices)
     place = np.full(start, -1, np.int32)
     place[pixels] = np.arange(len(pixels), dtype=np.int32)
-    left = samples.keep(place[samples.sample] >= 0)
+    left = samples.select(place[samples.sample] >= 0)
     return replace(
         left,
         groups=tuple(groups),
@@ -255,31 +211,23 @@ def thinned(samples: Samples, budget: int) -> Samples:
     )
 
 
-def evenly_lit(samples: Samples, caster: RayCaster, *, threads: int | None = None) -> Samples:
-    """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again.
-
-    Parameters
-    ----------
-    samples
-        Under point lights.
-    caster
-        Of the part that the samples are of.
-    threads
-        Number of threads; the light does not depend on it.
-    """
+def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
+    """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
     groups = tuple(
         group
         if group.layer is None
         else replace(
             group,
             layer=light_layer(
-                group.layer.surface, replace(group.layer.light, points="auto"), caster, threads=threads
+                group.layer.surface,
+                replace(group.layer.light, points="auto"),
+                caster,
+                threads=samples.threads,
             ),
         )
         for group in samples.groups
     )
-    diffuse = [np.zeros(len(group)) if group.layer is None else group.layer.diffuse for group in groups]
-    return replace(samples, groups=groups, diffuse=np.concatenate(diffuse))
+    return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))
 
 
 def _choose(
@@ -332,8 +280,10 @@ def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> tuple
     return kept, shares[octave[kept]]
 
 
-def _assemble(scene: Scene, groups: Sequence[SampleGroup], observations: Sequence[Observation]) -> Samples:
-    names = tuple(light.name for light in scene.lights)
+def _assemble(
+    scene: Scene, groups: Sequence[SampleGroup], images: tuple[Observation, ...], threads: int | None
+) -> Samples:
+    lights = tuple(light.name for light in scene.lights)
     if not any(group.layer is not None for group in groups):
         raise InputError(
             "no pixel of the images shows a surface that a panel lights wholly, away from silhouettes, creases and "
@@ -341,21 +291,11 @@ def _assemble(scene: Scene, groups: Sequence[SampleGroup], observations: Sequenc
         )
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     facts = ImageFacts(
-        factor=np.array([scale * o.exposure for o in observations]),
-        light=np.array([names.index(o.light) for o in observations], dtype=np.int32),
-        half_width=np.array([o.half_width for o in observations]),
-        frames=np.array([float(o.frames) for o in observations]),
+        factor=np.array([scale * o.exposure for o in images]),
+        light=np.array([lights.index(o.light) for o in images], dtype=np.int32),
+        half_width=np.array([o.half_width for o in images]),
+        frames=np.array([float(o.frames) for o in images]),
     )
-    return _flatten(groups, tuple(observations), facts, names, scene.sensor)
-
-
-def _flatten(
-    groups: Sequence[SampleGroup],
-    images: tuple[Observation, ...],
-    facts: ImageFacts,
-    lights: tuple[str, ...],
-    sensor: Sensor,
-) -> Samples:
     sample: list[NDArray[np.int32]] = []
     image: list[NDArray[np.int32]] = []
     level: list[NDArray[np.float32]] = []
@@ -371,15 +311,10 @@ def _flatten(
             image.append(np.full(len(group), number, np.int32))
             level.append(seen.levels[group.row, group.column])
             saturated.append(seen.saturated[group.row, group.column])
-    no_light = [(np.zeros(len(g)), np.full(len(g), np.pi)) for g in groups]
-    layers = [
-        empty if g.layer is None else (g.layer.diffuse, g.layer.deflection)
-        for g, empty in zip(groups, no_light, strict=True)
-    ]
     return Samples(
         groups=tuple(groups),
-        diffuse=np.concatenate([d for d, _ in layers]),
-        deflection=np.concatenate([a for _, a in layers]),
+        diffuse=np.concatenate([group.diffuse for group in groups]),
+        deflection=np.concatenate([group.deflection for group in groups]),
         weight=np.concatenate([group.weight for group in groups]),
         block=_blocks(groups, images),
         sample=np.concatenate(sample),
@@ -389,7 +324,8 @@ def _flatten(
         images=images,
         facts=facts,
         lights=lights,
-        sensor=sensor,
+        sensor=scene.sensor,
+        threads=threads,
     )
 
 

@@ -1,26 +1,27 @@
-"""A rig, a part and images made ready: the scene as it was photographed, the part where it lies, the pixels."""
+"""The set-up of a fit: its options, and rig, part and images made ready."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.estimate.reflectance._estimate import Freed
-from lightopt.estimate.reflectance._options import FitOptions, Points, Progress
+from lightopt.estimate.reflectance._estimate import FreeParameters
+from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
-from lightopt.estimate.reflectance._search import rough_reflectance
+from lightopt.estimate.reflectance._search import least_squares_reflectance
 from lightopt.estimate.registration import (
     Observation,
-    Placement,
-    PlacementInFile,
+    PartFilePlacement,
     Registration,
     observed_postures,
+    part_file_placement,
     place_part,
-    placement_in_file,
     read_observations,
     register,
 )
@@ -30,6 +31,10 @@ from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
 
+Points: TypeAlias = "int | Literal['auto']"
+Progress = Callable[[str, float], None]
+"""Called with the name of the step and the share of it that is done, 0 to 1."""
+
 Float64 = NDArray[np.float64]
 
 MOST_PER_OCTAVE = 20_000
@@ -38,20 +43,40 @@ PAPER_PIXELS = 150_000
 """Pixels per image that the paper's procedure counts."""
 
 
-@dataclass(frozen=True)
-class World:
-    """What is fitted to what: a scene, the rays of its part, the images, and where the part was found to lie.
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """How to fit.
 
-    Attributes
-    ----------
-    part
-        The part file.
-    scene, caster
-        With the part where it lies.
-    observations
-        The images.
-    registration, in_file
-        Where that is, as a move and in the words of the part file; None where the part was not registered.
+    gain, dark, shift: What else is freed; `shift` is the part's placement on the stage.
+    points: Numbers of point lights per panel to try; the rig's own where empty.
+    pixels: Approximate number of pixels to use, over all images.
+    write_noise: Whether to write the noise of the images into the rig file.
+    """
+
+    method: Literal["likelihood", "paper"] = "likelihood"
+    joint: bool = False
+    gain: bool = False
+    dark: bool = False
+    shift: bool = False
+    points: tuple[Points, ...] = ()
+    pixels: int = 1_500_000
+    validate: bool = True
+    write_noise: bool = False
+    paper: PaperOptions = field(default_factory=PaperOptions)
+    threads: int | None = None
+
+    @property
+    def freed(self) -> FreeParameters:
+        """What a specular fit may change."""
+        return FreeParameters(diffuse=self.joint, gain=self.gain, dark=self.dark)
+
+
+@dataclass(frozen=True)
+class FitSetup:
+    """The inputs of a fit: the scene with its part placed, the rays of the part, the images, and the options.
+
+    registration, file_placement: How the part was placed, relative to its file and as values of the part file; None
+        where the part was not registered.
     """
 
     part: PartConfig
@@ -59,16 +84,13 @@ class World:
     caster: RayCaster
     observations: tuple[Observation, ...]
     registration: Registration | None = None
-    in_file: PlacementInFile | None = None
-
-    @property
-    def placement(self) -> Placement | None:
-        """Where the part was found; None where it was not registered."""
-        return None if self.registration is None else self.registration.placement
+    file_placement: PartFilePlacement | None = None
+    options: FitOptions = field(default_factory=FitOptions)
+    progress: Progress | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Of the registration, in words."""
+        """Those of the registration."""
         return () if self.registration is None else self.registration.warnings
 
     @property
@@ -77,118 +99,89 @@ class World:
         reflectance = self.scene.reflectance
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
 
+    def progress_of(self, step: str) -> Callable[[float], None] | None:
+        """Progress of one step."""
+        return None if self.progress is None else partial(self.progress, step)
 
-def open_world(
+    def collect(self, *, uniform: bool = False) -> Samples:
+        """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
+        pairs = len({(o.light, o.posture) for o in self.observations})
+        budget = max(20, min(MOST_PER_OCTAVE, self.options.pixels // (pairs * OCTAVES)))
+        return collect_samples(
+            self.scene,
+            self.observations,
+            caster=self.caster,
+            budget=PAPER_PIXELS if uniform else budget,
+            uniform=uniform,
+            threads=self.options.threads,
+            progress=self.progress_of("geometry"),
+        )
+
+
+def prepare_fit(
     rig: RigConfig,
     part: PartConfig,
     image_set: ImageSet,
     points: Points | None,
     options: FitOptions,
     progress: Progress | None,
-) -> World:
+) -> FitSetup:
+    """Read the images, build the scene that they show, and register the part where its shift is freed."""
     observations = read_observations(image_set, rig, part, threads=options.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(
         rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
     )
-    world = World(part, scene, cast_rays_at(scene), observations)
+    setup = FitSetup(part, scene, cast_rays_at(scene), observations, options=options, progress=progress)
     if not options.shift:
-        return world
-    return _registered(world, options, progress)
+        return setup
+    found = register_with_fit(
+        scene,
+        observations,
+        caster=setup.caster,
+        freed=FreeParameters(gain=options.gain, dark=options.dark),
+        threads=options.threads,
+        progress=progress,
+    )
+    moved = place_part(scene, found.placement)
+    file_placement = part_file_placement(
+        scene.mesh.vertices,
+        found.placement,
+        anchor=part.placement.anchor,
+        rotate_deg=part.placement.rotate_deg,
+        translate_mm=part.placement.translate_mm,
+        pivot=scene.pivot,
+    )
+    return replace(
+        setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement
+    )
 
 
-def find_part(
+def register_with_fit(
     scene: Scene,
     observations: Sequence[Observation],
     *,
     caster: RayCaster,
-    freed: Freed | None = None,
-    rough: bool = False,
+    freed: FreeParameters | None = None,
+    reduced: bool = False,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Registration:
-    """Register the part, its place refined with a first fit of the reflectance.
-
-    Parameters
-    ----------
-    scene
-        The part where its file has it.
-    observations
-        The images.
-    caster
-        Of the scene's part.
-    freed
-        What the first fit may change.
-    rough
-        Whether a part of the pixels is enough.
-    threads
-        Number of threads; the result does not depend on it.
-    progress
-        Called as the search goes on.
-    """
+    """Register the part, its placement refined with a first fit of the reflectance."""
 
     def first_reflectance(moved: Scene) -> Reflectance:
         samples = collect_samples(
             moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
         )
-        return rough_reflectance(samples, moved.reflectance, freed=freed, threads=threads)
+        return least_squares_reflectance(samples, moved.reflectance, freed=freed)
 
     return register(
         scene,
         observations,
         caster=caster,
         reflectance_at=first_reflectance,
-        rough=rough,
+        reduced=reduced,
         threads=threads,
         progress=progress,
-    )
-
-
-def _registered(world: World, options: FitOptions, progress: Progress | None = None) -> World:
-    """The same images, with the part where they show it; its place refined with a first fit of the reflectance.
-
-    Parameters
-    ----------
-    world
-        With the part where its file has it.
-    options
-        How to fit.
-    progress
-        Called as the search goes on.
-    """
-    found = find_part(
-        world.scene,
-        world.observations,
-        caster=world.caster,
-        freed=Freed(gain=options.gain, dark=options.dark),
-        threads=options.threads,
-        progress=progress,
-    )
-    moved = place_part(world.scene, found.placement)
-    placement = world.part.placement
-    in_file = placement_in_file(
-        world.scene.mesh.vertices,
-        found.placement,
-        anchor=placement.anchor,
-        rotate_deg=placement.rotate_deg,
-        translate_mm=placement.translate_mm,
-        pivot=world.scene.pivot,
-    )
-    return replace(world, scene=moved, caster=cast_rays_at(moved), registration=found, in_file=in_file)
-
-
-def collect(
-    world: World, options: FitOptions, progress: Progress | None, *, uniform: bool = False
-) -> Samples:
-    pairs = len({(o.light, o.posture) for o in world.observations})
-    budget = max(20, min(MOST_PER_OCTAVE, options.pixels // (pairs * OCTAVES)))
-    return collect_samples(
-        world.scene,
-        world.observations,
-        caster=world.caster,
-        budget=PAPER_PIXELS if uniform else budget,
-        uniform=uniform,
-        threads=options.threads,
-        progress=None if progress is None else lambda share: progress("geometry", share),
     )

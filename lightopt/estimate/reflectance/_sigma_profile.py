@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.estimate.reflectance._likelihood_criterion import LOG_SIGMA, Criterion
+from lightopt.estimate.reflectance._criterion import LOG_SIGMA, Criterion
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 
 Float64 = NDArray[np.float64]
@@ -27,18 +27,7 @@ def profile_over_sigma(
 ) -> list[Maximum]:
     """The best fit at each σ, from its own starts and from the best at its neighbours on both sides.
 
-    Parameters
-    ----------
-    criterion_at
-        The criterion at one ln σ.
-    starts_at
-        Where to climb from, by the number of the σ.
-    log_sigmas
-        ln σ, ascending.
-    free
-        Places of the parameters that are fitted; σ is not, whether or not it is among them.
-    progress
-        Called with the share that is done.
+    free: Places of the parameters that are fitted; σ is not, whether or not it is among them.
     """
     fixed = [place for place in free if place != LOG_SIGMA]
     criteria = [criterion_at(log_sigma) for log_sigma in log_sigmas]
@@ -68,14 +57,8 @@ def profile_outwards(
 ) -> list[Maximum]:
     """The best fit at each σ, from one σ outwards: a climb begins where its neighbour's ended, or at a better start.
 
-    An outlier share and a deviation take long to find, and hardly change from one σ to the next.
-
-    Parameters
-    ----------
-    criterion_at, starts_at, log_sigmas, free, progress
-        As for :func:`profile_over_sigma`.
-    begin
-        Number of the σ to begin with; there all starts are climbed from.
+    An outlier share and a deviation take long to find, and hardly change from one σ to the next. At the σ of number
+    `begin` all starts are climbed from.
     """
     fixed = [place for place in free if place != LOG_SIGMA]
     found: dict[int, Maximum] = {}

@@ -1,4 +1,4 @@
-"""How sharply the likelihood tells its parameters, where the model is right and where it is not."""
+"""Uncertainty of the likelihood's maximum, where the model is right and where it is not."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.estimate.reflectance._criterion import R_D
 from lightopt.estimate.reflectance._likelihood import Likelihood
-from lightopt.estimate.reflectance._likelihood_criterion import R_D
 from lightopt.estimate.reflectance._newton import bounds
 
 Float64 = NDArray[np.float64]
@@ -21,32 +21,24 @@ LONGEST_DIFFERENCE = 0.1
 
 AT_BOUND = 1e-6
 LEAST_INFORMATION = 0.05
-"""A noise parameter about which the images tell less than this [nat] is as good as at its bound: whatever it is within
-what they allow, the others do not feel it."""
+"""A noise parameter with less information than this [nat] is as good as at its bound: others do not depend on it."""
 
 BY_CHANCE, SURELY = 3.0, 6.0
 """A variance between pieces of the image that is this many standard deviations above what chance makes of a right
 model begins to count, and counts wholly."""
 
 
-def told_by_images(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
-    """The free parameters without a noise τ that is nothing and a share ε of no pixels.
+def determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
+    """The free parameters, without a noise τ or an outlier share ε at its bound.
 
-    Those sit at their bounds, where the likelihood has no maximum: neither information nor scores mean anything there.
-
-    Parameters
-    ----------
-    likelihood, x
-        The maximum.
-    free
-        Places of the parameters that were fitted.
+    At a bound the likelihood has no maximum: neither information nor scores mean anything there.
     """
     low, high = bounds(likelihood)
     curvature = np.diag(likelihood.evaluate(x).curvature)
     return [
         place
         for place in free
-        if place < likelihood.log_tau2
+        if place < likelihood.size - 2
         or (
             low[place] + AT_BOUND < x[place] < high[place] - AT_BOUND and curvature[place] > LEAST_INFORMATION
         )
@@ -77,27 +69,20 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
     for clusters of observations) over that of the first. A few dozen pieces carry a highlight, so that this ratio
     scatters by tenths even where the model is right: only what is beyond that scatter counts.
 
-    Parameters
-    ----------
-    likelihood, x
-        The maximum.
-    free
-        Places of the parameters that were fitted.
-
     Returns
     -------
     tuple of numpy.ndarray
-        Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise that the images do not tell.
+        Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
     """
-    told = told_by_images(likelihood, x, free)
-    rows = [list(free).index(place) for place in told]
-    inner = _inverse(information(likelihood, x, told))
-    gradients, curvatures = likelihood.by_piece(x)
-    moves = gradients[:, told] @ inner
+    places = determined_parameters(likelihood, x, free)
+    rows = [list(free).index(place) for place in places]
+    inner = _inverse(information(likelihood, x, places))
+    gradients, curvatures = likelihood.by_block(x)
+    moves = gradients[:, places] @ inner
     pieces = len(moves)
-    measured = np.sum(moves**2, axis=0) * (pieces / max(1, pieces - len(told)))
+    measured = np.sum(moves**2, axis=0) * (pieces / max(1, pieces - len(places)))
     # what each piece adds to the variance if the model is right: (C·I_b·C)_kk
-    part = curvatures[:, told][:, :, told]
+    part = curvatures[:, places][:, :, places]
     expected = np.maximum(np.einsum("ik,bij,jk->bk", inner, part, inner), 0.0)
     total = np.maximum(expected.sum(axis=0), 1e-300)
     chance = np.sqrt(2.0 * np.sum(expected**2, axis=0)) / total

@@ -1,12 +1,12 @@
-"""What speaks against a fit: no highlight, values out of range, a climb that did not end, an unsuitable R_d."""
+"""Refusals and warnings: no highlight, values out of range, a climb that did not converge, an unsuitable R_d."""
 
 from __future__ import annotations
 
 import math
 
 from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._criterion import R_D, parameter_name
 from lightopt.estimate.reflectance._estimate import Estimate
-from lightopt.estimate.reflectance._likelihood_criterion import R_D, parameter_name
 from lightopt.estimate.reflectance._samples import Samples
 
 SIGMA_RANGE = 0.001, 0.2
@@ -19,22 +19,12 @@ EDGE = 1.01
 """A value within this factor of an edge is at it."""
 
 
-def refuse_no_highlight(samples: Samples, found: Estimate, *, threads: int | None = None) -> None:
-    """Refuse images that tell nothing of R_s and σ.
+def refuse_no_highlight(samples: Samples, found: Estimate) -> None:
+    """Refuse images that do not determine R_s and σ.
 
-    Parameters
-    ----------
-    samples, found
-        The fit.
-    threads
-        Number of threads; the result does not depend on it.
-
-    Raises
-    ------
-    InputError
-        No pixel is brighter by a level for a highlight.
+    Raises InputError: no pixel is brighter by a level for a highlight.
     """
-    light = found.R_s * samples.specular(found.sigma, threads=threads)
+    light = found.R_s * samples.specular(found.sigma)
     if float(light.max()) < 1.0:
         raise InputError(
             "no highlight in any image: nothing tells R_s and σ. Add images under lights that the surface mirrors "
@@ -45,10 +35,7 @@ def refuse_no_highlight(samples: Samples, found: Estimate, *, threads: int | Non
 def refuse_out_of_range(found: Estimate) -> None:
     """Refuse values that no real surface has.
 
-    Raises
-    ------
-    InputError
-        σ at an edge of its range or beyond, or an R_s that runs away.
+    Raises InputError: σ at an edge of its range or beyond, or an R_s that runs away.
     """
     low, high = SIGMA_RANGE
     if found.sigma < low * EDGE:
@@ -70,35 +57,35 @@ def refuse_out_of_range(found: Estimate) -> None:
         )
 
 
-def unconverged(found: Estimate) -> tuple[str, ...]:
-    """What to say where the optimiser did not come to an end."""
-    said: list[str] = []
+def convergence_warnings(found: Estimate) -> tuple[str, ...]:
+    """Warn where the optimiser did not converge."""
+    warnings: list[str] = []
     if not found.maximum.converged:
         lights = found.criterion.samples.lights
         names = [parameter_name(place, lights) for place in found.maximum.unsettled]
         along = f" along {', '.join(names)}" if names else ""
-        said.append(
+        warnings.append(
             f"the fit did not converge: after {found.maximum.steps} steps it still improves{along}; its values and "
             "intervals are not those of an optimum. Other images, or fewer parameters that are freed, may help"
         )
-        return tuple(said)
+        return tuple(warnings)
     if found.unsettled_refits:
-        said.append(
+        warnings.append(
             f"{found.unsettled_refits} of the fits without one of the {found.scatter} each did not converge: the "
             "intervals, which come from their scatter, may be wrong"
         )
     best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
-    said += [
+    warnings += [
         f"the climb from σ {optimum.start_sigma:.3g} rad did not converge at σ {optimum.sigma:.3g} rad, and is not "
         "worse than the best: another optimum may lie there"
         for optimum in found.optima
         if not optimum.converged and optimum.value >= best
     ]
-    return tuple(said)
+    return tuple(warnings)
 
 
-def held_r_d(found: Estimate) -> list[str]:
-    """What to say where R_d was held at a value that the slope of the likelihood is against."""
+def held_r_d_warnings(found: Estimate) -> list[str]:
+    """Warn where the slope of the criterion contradicts the value at which R_d was held."""
     if R_D in found.free:
         return []
     here = found.maximum.evaluation

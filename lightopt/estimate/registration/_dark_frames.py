@@ -1,4 +1,4 @@
-"""Frames without light of a captured set: what the sensor shows when no panel burns, without the frame's own noise."""
+"""Dark frames of a captured set: what the sensor shows when no panel is on, without the frame's own noise."""
 
 from __future__ import annotations
 
@@ -18,30 +18,18 @@ _REACH_PX = 4
 
 
 def frames_of(entry: ImageEntry) -> int:
-    """Number of frames that an image is the mean of, as its manifest says; 1 where it says nothing."""
+    """Number of frames that an image is the mean of, from its manifest; 1 by default."""
     facts = entry.extra.get("capture")
     frames = facts.get("frames", 1) if isinstance(facts, dict) else 1
     return frames if isinstance(frames, int) and frames > 0 else 1
 
 
 def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float64 | None:
-    """What an image of a captured set would show without its light [sensor level], shape (H, W).
+    """Levels of an image of a captured set without its light [sensor level], shape (H, W).
 
     None where the set was captured without such frames: the sensor's black level is all that is known then.
 
-    Parameters
-    ----------
-    image_set
-        Whose manifest lists the frame without light of the image's posture and exposure.
-    entry
-        The image.
-    sensor
-        That took both.
-
-    Raises
-    ------
-    InputError
-        When the set was captured with frames without light, but that of the image is not listed.
+    Raises InputError: when the set was captured with frames without light, but that of the image is not listed.
     """
     if not image_set.manifest.options.get("dark"):
         return None
@@ -60,19 +48,10 @@ def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float
 
 
 def smoothed(levels: Float64, *, sensor: Sensor, frames: int) -> Float64:
-    """A frame without light, freed of noise where it shows nothing else, and of what clipping at level 0 adds.
+    """A dark frame, freed of noise where it shows nothing else, and of what clipping at level 0 adds.
 
     Where the variance in a window is that of the noise the window's mean is taken, elsewhere as much of the pixel
     itself as the variance says (Lee 1980, doi:10.1109/TPAMI.1980.4766994).
-
-    Parameters
-    ----------
-    levels
-        Mean of `frames` frames [sensor level], shape (H, W).
-    sensor
-        That took them.
-    frames
-        How many.
     """
     mean = _window_mean(levels)
     variance = np.maximum(_window_mean(levels * levels) - mean * mean, 0.0)
@@ -98,7 +77,7 @@ def _unclipped(mean: Float64, sensor: Sensor) -> Float64:
     """Mean of a signal whose noisy levels, none of which is below 0, have the mean given."""
     noise = sensor.read_noise_levels
     if noise < 0.3 or float(mean.min()) > 6.0 * noise:
-        return mean  # levels are too coarse to tell, or none is clipped
+        return mean  # levels are too coarse, or none is clipped
     signal = np.arange(-noise, 6.0 * noise, noise / 50.0)
     levels = np.arange(0.5, 14.0 * noise + 2.0)
     shown = _above((levels - signal[:, None]) / noise).sum(axis=1)

@@ -1,4 +1,4 @@
-"""What the camera measured: the images of a set, checked against the rig that they are said to come from."""
+"""Observations: the images of a set, checked against the rig that they are said to come from."""
 
 from __future__ import annotations
 
@@ -33,28 +33,14 @@ an EXR, which is not quantised, so little that it says the value itself."""
 class Observation:
     """One image.
 
-    Attributes
-    ----------
-    light
-        Name of the light.
-    posture
-        Of the part.
-    exposure
-        At which `levels` were taken; 1 for a linear EXR.
-    levels
-        Sensor levels, black level included, shape (height, width): as delivered, minus what the set's frames without
-        light show above black; or from an EXR.
-    saturated
-        Where `levels` are only a lower bound, same shape.
-    half_width
-        How far from a level the signal may have been [sensor level].
-    source
-        The file.
-    frames
-        How many frames it is the mean of.
-    subtracted
-        What of the frames without light was taken off `levels` [sensor level], shape (height, width) or the same for
-        all pixels: so much below the sensor's saturation level they are saturated.
+    exposure: At which `levels` were taken; 1 for a linear EXR.
+    levels: Sensor levels, black level included, shape (height, width): as delivered, minus what the set's frames
+        without light show above black; or from an EXR.
+    saturated: Where `levels` are only a lower bound, same shape.
+    half_width: How far from a level the signal may have been [sensor level].
+    frames: Number of frames that it is the mean of.
+    subtracted: Dark level that was taken off `levels` [sensor level], shape (height, width) or the same for all pixels:
+        so much below the sensor's saturation level they are saturated.
     """
 
     light: str
@@ -69,7 +55,7 @@ class Observation:
 
     @property
     def name(self) -> str:
-        """How messages and tables call the image."""
+        """Name of the image in messages and tables."""
         exposure = "" if self.exposure == 1.0 else f" ×{self.exposure:g}"
         return f"{self.light} {self.posture}{exposure}"
 
@@ -85,15 +71,6 @@ def read_observations(
     """Read all images of a set: PNG with the manifest's exposure, EXR only where there is no PNG.
 
     From the images of a set captured with frames without light those are subtracted.
-
-    Parameters
-    ----------
-    image_set
-        Rendered or captured.
-    rig, part
-        What the images are said to show.
-    threads
-        Number of threads; the result does not depend on it.
 
     Raises
     ------
@@ -153,19 +130,19 @@ def _manifest_problems(image_set: ImageSet, rig: RigConfig, part: PartConfig) ->
 
 def _light_problems(images: Iterable[ImageEntry], rig: RigConfig, image_set: ImageSet) -> Iterable[str]:
     lights = {light.name: light for light in rig.lights}
-    said: set[tuple[object, ...]] = set()
+    checked: set[tuple[object, ...]] = set()
     for entry in images:
         key = (entry.light, entry.light_elevation_deg, entry.light_azimuth_deg)
-        if key in said:
+        if key in checked:
             continue
-        said.add(key)
+        checked.add(key)
         if entry.light not in lights:
             yield f'{image_set.folder}: light "{entry.light}" is not in {rig.source.path}; it has {", ".join(lights)}'
             continue
         light = lights[entry.light]
-        turn = math.remainder(entry.light_azimuth_deg - light.azimuth_deg, 360.0)
-        tilt = entry.light_elevation_deg - light.elevation_deg
-        if max(abs(turn), abs(tilt)) > ANGLE_TOLERANCE_DEG:
+        azimuth = math.remainder(entry.light_azimuth_deg - light.azimuth_deg, 360.0)
+        elevation = entry.light_elevation_deg - light.elevation_deg
+        if max(abs(azimuth), abs(elevation)) > ANGLE_TOLERANCE_DEG:
             index = list(lights).index(entry.light)
             yield (
                 f"{image_set.folder}: {entry.light} stood at elevation {entry.light_elevation_deg:g}°, azimuth "

@@ -1,4 +1,4 @@
-"""Levels of single pixels under any placement and reflectance of the part: what finding the part compares."""
+"""Measured and predicted levels of single pixels, under any placement and reflectance of the part."""
 
 from __future__ import annotations
 
@@ -17,28 +17,17 @@ from lightopt.scene import PartView, Scene, view_from_part
 Float64 = NDArray[np.float64]
 
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
-_SHIFTS = np.array([0.6180339887498949, 0.4142135623730951])
+_OFFSETS = np.array([0.6180339887498949, 0.4142135623730951])
 """Additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSet:
-    """Pixels of one posture and what was measured there.
+    """Pixels of one posture, shape (n,), and what was measured there.
 
-    Attributes
-    ----------
-    posture
-        Of the part.
-    row, column
-        Shape (n,).
-    images
-        The images of the posture.
-    levels
-        Sensor levels above black, one row per image, shape (images, n).
-    saturated
-        Where those are lower bounds, same shape.
-    rays
-        Of each pixel: 1 for one at its centre, more for a mean over its area.
+    levels: Sensor levels above black, one row per image, shape (images, n).
+    saturated: Where those are lower bounds, same shape.
+    rays: Per pixel: 1 for one at its centre, more for a mean over its area.
     """
 
     posture: Posture
@@ -59,7 +48,7 @@ class PixelSet:
         *,
         rays: int = 1,
     ) -> PixelSet:
-        """What the images of a posture have at some pixels."""
+        """Look up some pixels in the images of a posture."""
         return PixelSet(
             posture=posture,
             row=row,
@@ -77,7 +66,7 @@ class PixelSet:
             return self.column.astype(np.float64) + 0.5, self.row.astype(np.float64) + 0.5
         # a lattice shifted from pixel to pixel: an edge along rows meets its rays one after another and not in threes
         x, y = (np.arange(self.rays)[:, None] * _LATTICE).T
-        along, down = (np.arange(len(self.row))[:, None] * _SHIFTS).T[:, :, None]
+        along, down = (np.arange(len(self.row))[:, None] * _OFFSETS).T[:, :, None]
         return (self.column[:, None] + (x + along) % 1.0).ravel(), (
             self.row[:, None] + (y + down) % 1.0
         ).ravel()
@@ -113,21 +102,6 @@ def light_at(
 
     Arrays of shape (images, n) and (sigmas, images, n); 0 where a ray misses the part or no light arrives, NaN where
     only some of a panel is seen.
-
-    Parameters
-    ----------
-    scene
-        For the names of the lights.
-    pixels
-        The pixels.
-    view
-        From :func:`view_of_placed`.
-    caster
-        Of the part, in its own frame.
-    sigmas
-        Widths of the lobe [rad].
-    threads
-        Number of threads; the result does not depend on it.
     """
     columns, rows = pixels.positions
     hits, surface = trace_samples(caster, scene.mesh, view.camera, columns, rows)

@@ -1,4 +1,4 @@
-"""What registration compares in its last stages: the light of inner pixels and of the outline under any placement."""
+"""Registration, step 2: the least-squares problem of inner pixels and of the outline."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from lightopt.core.least_squares import Limits
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
-from lightopt.estimate.registration._placement import Placement, place_part
-from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PosturePixels, trace_pixels
 from lightopt.scene import Scene
@@ -25,7 +24,7 @@ OUTLINE_PIXELS = 800
 """Pixels per posture: away from silhouettes and creases, also in the first stage, and across silhouettes."""
 
 MOST_ENTRIES = 15_000_000
-"""Entries of the matrix of slopes; with many images fewer pixels of each are looked at."""
+"""Entries of the Jacobian; with many images fewer pixels of each are used."""
 
 OUTLINE_HALF_WIDTH_PX = 2
 OUTLINE_RAYS = 9
@@ -35,13 +34,13 @@ OUTLINE_SHARE = 0.3
 """An edge pixel is this share of the contrast off its prediction, since images are sampled at points or blurred."""
 
 OUTLINE_PX = 0.3
-"""What the outline alone determines is known to about this, however many pixels it crosses: they are off together."""
+"""Accuracy of what the outline alone determines, however many pixels it crosses: they are off together."""
 
 LEAST_CORRELATION = 0.5
 """An outline is used where predicted and measured levels across it correlate by more than this."""
 
 CLEAR = 3.5
-"""Only pixels are looked at that the model has this many standard deviations clear of black and of saturation."""
+"""Only pixels are used that the model has this many standard deviations clear of black and of saturation."""
 
 GAIN_SPREAD = 0.3
 DARK_SPREAD = 3.0
@@ -58,9 +57,9 @@ round part would seem to determine its turn."""
 
 _SIGMA_STEP = 0.003
 
-_SAME_PLACE_PX = 0.1
-_SAME_LOG_SIGMA = 0.02
-"""Derivatives by the pose, which take six times the light, are kept for parameters so near to where they were taken."""
+_CACHE_PX = 0.1
+_CACHE_LOG_SIGMA = 0.02
+"""Derivatives by the pose, which take six evaluations, are reused for parameters so near to where they were taken."""
 
 
 def choose_pixels(
@@ -69,36 +68,23 @@ def choose_pixels(
     placement: Placement,
     *,
     outline: bool,
-    few: bool = False,
+    reduced: bool = False,
     threads: int | None = None,
 ) -> tuple[list[PixelSet], list[PixelSet]]:
-    """Inner pixels, and pixels across the outline where asked for; one set per posture that shows any.
+    """Inner pixels, and pixels across the outline where `outline`; one set per posture that shows any.
 
-    Parameters
-    ----------
-    scene
-        The part where its file has it.
-    images
-        Of all postures.
-    placement
-        About where the part lies.
-    outline
-        Whether to choose pixels across the outline.
-    few
-        Whether for the first stage or a rough place.
-    threads
-        Number of threads; the result does not depend on it.
+    reduced: Whether fewer pixels are enough, for the first stage or a rough placement.
     """
     placed = place_part(scene, placement)
     caster = RayCaster(placed.mesh.vertices, placed.mesh.faces)
     inner: list[PixelSet] = []
     edges: list[PixelSet] = []
-    most = FIRST_INNER_PIXELS if few else INNER_PIXELS
+    most = FIRST_INNER_PIXELS if reduced else INNER_PIXELS
     budget = max(200, min(most, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 1))))
     for posture in dict.fromkeys(o.posture for o in images):
         mine = [o for o in images if o.posture == posture]
         pixels = trace_pixels(placed, posture, caster, threads=threads)
-        clean = _some(np.flatnonzero(pixels.clean), budget)
+        clean = _random_subset(np.flatnonzero(pixels.clean), budget)
         if len(clean):
             inner.append(
                 PixelSet.look_up(
@@ -114,7 +100,7 @@ def choose_pixels(
     return inner, edges
 
 
-def _some(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def _random_subset(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     if len(index) <= most:
         return index
     return np.sort(np.random.default_rng(0).choice(index, most, replace=False))
@@ -129,30 +115,15 @@ def _across_outline(pixels: PosturePixels) -> tuple[NDArray[np.int32], NDArray[n
     wide: Bool = np.asarray(ndimage.binary_dilation(shows, iterations=reach), np.bool_)
     # the image's border is no outline
     narrow: Bool = np.asarray(ndimage.binary_erosion(shows, iterations=reach, border_value=1), np.bool_)
-    index = _some(np.flatnonzero(wide & ~narrow), OUTLINE_PIXELS)
+    index = _random_subset(np.flatnonzero(wide & ~narrow), OUTLINE_PIXELS)
     row, column = np.unravel_index(index, pixels.shape)
     return row.astype(np.int32), column.astype(np.int32)
 
 
-class Refinement:
-    """The problem of registration's last stages, for :func:`lightopt.core.least_squares.solve`.
+class RefinementProblem:
+    """The problem that :func:`lightopt.core.least_squares.solve` solves in each stage.
 
-    Which pixels count is decided once, by what the model predicts at the start.
-
-    Parameters
-    ----------
-    scene
-        The part where its file has it.
-    frame
-        Of its poses.
-    inner, edges
-        From :func:`choose_pixels`.
-    start
-        Parameters to begin with, shape (K,).
-    caster
-        Of the scene's part.
-    threads
-        Number of threads; the result does not depend on it.
+    Which pixels count is decided once, by what the model predicts at the `start`, shape (K,).
     """
 
     def __init__(
@@ -168,26 +139,28 @@ class Refinement:
     ) -> None:
         self._scene, self._frame, self._caster, self._threads = scene, frame, caster, threads
         self._sets = [*inner, *edges]
-        self._light = _joined([_number(scene, p) for p in self._sets]).astype(np.intp)
-        self._scale = _joined([_each(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets])
+        self._light = _joined([_light_indices(scene, p) for p in self._sets]).astype(np.intp)
+        self._scale = _joined(
+            [_per_observation(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets]
+        )
         self._measured = _joined([p.levels.ravel() for p in self._sets])
-        frames = _joined([_each(p, [float(o.frames) for o in p.images]) for p in self._sets])
-        taken = _joined([_subtracted(p) for p in self._sets])
-        self.correlated = _flags([np.full(p.levels.size, p.rays > 1) for p in self._sets])
+        frames = _joined([_per_observation(p, [float(o.frames) for o in p.images]) for p in self._sets])
+        subtracted = _joined([_subtracted(p) for p in self._sets])
+        self.correlated = _joined_flags([np.full(p.levels.size, p.rays > 1) for p in self._sets])
         self.weight = np.ones(len(self._measured))
-        self._last: tuple[Float64, Float64] | None = None
-        self._changes: tuple[Placement, float, list[Float64]] | None = None
+        self._light_cache: tuple[Float64, Float64] | None = None
+        self._derivative_cache: tuple[Placement, float, list[Float64]] | None = None
         self._used = np.ones(len(self._measured), np.bool_)
         self._noise = np.ones(len(self._measured))
         sensor = scene.sensor
-        self._top = sensor.saturated_from - sensor.black_level - taken
+        self._top = sensor.saturated_from - sensor.black_level - subtracted
         here = self._levels(start)
         noise = np.sqrt(sensor.noise_variance(np.where(np.isfinite(here), here, 0.0), frames=frames))
-        full = _flags([p.saturated.ravel() for p in self._sets])
+        full = _joined_flags([p.saturated.ravel() for p in self._sets])
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
         # a pixel that half a pixel further has no prediction, beside a shadow, has no slope: it would pull nowhere, and
         # the cost would jump where it is lost
-        lost = np.isnan(np.concatenate(self._change_by_pose(start))).any(axis=0)
+        lost = np.isnan(np.concatenate(self._pose_derivatives(start))).any(axis=0)
         self._used = np.isfinite(here) & ~full & (self.correlated | (inside & ~lost))
         self._noise = noise
         if len(edges):
@@ -207,17 +180,17 @@ class Refinement:
         found[:, SIGMA] = gain * spread[1] * (light[2] - light[3]) / (2.0 * _SIGMA_STEP)
         found[np.arange(len(found)), GAINS + self._light] = found[:, R_D] + found[:, R_S]
         found[:, -1] = 1.0
-        for axis, change in enumerate(self._change_by_pose(x)):
+        for axis, change in enumerate(self._pose_derivatives(x)):
             found[:, axis] = gain * (spread[0] * change[0] + spread[1] * change[1])
         return found / self._noise[:, None]
 
-    def _change_by_pose(self, x: Float64) -> list[Float64]:
+    def _pose_derivatives(self, x: Float64) -> list[Float64]:
         # of the light per unit of R_d and of R_s with x, y and turn, each of shape (2, n)
         place = self._frame.placement(x[POSE])
-        if self._changes is not None:
-            at, log_sigma, known = self._changes
+        if self._derivative_cache is not None:
+            at, log_sigma, known = self._derivative_cache
             moved = self._frame.distance_px(at, place)
-            if moved < _SAME_PLACE_PX and abs(x[SIGMA] - log_sigma) < _SAME_LOG_SIGMA:
+            if moved < _CACHE_PX and abs(x[SIGMA] - log_sigma) < _CACHE_LOG_SIGMA:
                 return known
         steps = self._frame.pixel_steps
         width = np.where(self.correlated, _OUTLINE_STEP, _INNER_STEP)
@@ -225,7 +198,7 @@ class Refinement:
         for axis, off in enumerate(np.eye(3)):
             ahead, behind = (self._light_at(x, sign * off * steps) for sign in (1.0, -1.0))
             found.append((ahead - behind) / (2.0 * width * steps[axis]))
-        self._changes = place, float(x[SIGMA]), found
+        self._derivative_cache = place, float(x[SIGMA]), found
         return found
 
     def _levels(self, x: Float64) -> Float64:
@@ -237,8 +210,8 @@ class Refinement:
 
     def _light_at(self, x: Float64, off: Float64 | None = None) -> Float64:
         # per unit of R_d, and of R_s at σ and to both sides of it, shape (4, n); moved, at σ alone, shape (2, n)
-        if off is None and self._last is not None and np.array_equal(self._last[0], x):
-            return self._last[1]
+        if off is None and self._light_cache is not None and np.array_equal(self._light_cache[0], x):
+            return self._light_cache[1]
         sigma = math.exp(x[SIGMA])
         sigmas = [sigma]
         if off is None:
@@ -254,7 +227,7 @@ class Refinement:
             parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
         found = np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
         if off is None:
-            self._last = x.copy(), found
+            self._light_cache = x.copy(), found
         return found
 
     def _weigh_outline(self, start: Float64, here: Float64) -> None:
@@ -267,7 +240,7 @@ class Refinement:
             if pixels.rays > 1:
                 mine = here[begin : begin + size].reshape(pixels.levels.shape)
                 bright = [float(np.median(row[row > 0.0])) if np.any(row > 0.0) else 0.0 for row in mine]
-                contrast[begin : begin + size] = _each(pixels, bright)
+                contrast[begin : begin + size] = _per_observation(pixels, bright)
             begin += size
         edge &= contrast > CLEAR * self._noise
         self._noise = np.where(edge, np.hypot(OUTLINE_SHARE * contrast, self._noise), self._noise)
@@ -293,17 +266,17 @@ def _joined(parts: Sequence[Float64]) -> Float64:
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def _flags(parts: Sequence[Bool]) -> Bool:
+def _joined_flags(parts: Sequence[Bool]) -> Bool:
     return np.concatenate(parts) if parts else np.zeros(0, np.bool_)
 
 
-def _each(pixels: PixelSet, values: Sequence[float]) -> Float64:
+def _per_observation(pixels: PixelSet, values: Sequence[float]) -> Float64:
     return np.repeat(np.asarray(values, np.float64), len(pixels.row))
 
 
-def _number(scene: Scene, pixels: PixelSet) -> Float64:
+def _light_indices(scene: Scene, pixels: PixelSet) -> Float64:
     names = [light.name for light in scene.lights]
-    return _each(pixels, [names.index(o.light) for o in pixels.images])
+    return _per_observation(pixels, [names.index(o.light) for o in pixels.images])
 
 
 def _subtracted(pixels: PixelSet) -> Float64:
@@ -322,7 +295,7 @@ def start_parameters(scene: Scene, frame: PoseFrame, placement: Placement) -> Fl
     return np.array([*frame.pose(placement), *of_surface, *np.zeros(len(scene.lights)), 0.0])
 
 
-def limits_of(scene: Scene, frame: PoseFrame, start: Float64) -> Limits:
+def parameter_limits(scene: Scene, frame: PoseFrame, start: Float64) -> Limits:
     """Where the parameters may go: around nominal poses, around the reflectance at the start."""
     lights = len(scene.lights)
     nominal = start.copy()

@@ -1,8 +1,14 @@
-"""Registration: where on the stage the part lies, from its images.
+"""Registration: find the placement of a part on the stage from its images.
 
-A shifted and turned part is not a shifted and turned image: its normals turn under lights that stay. So the part is
-moved, and its pixels are traced anew. A search by outline and diffuse light comes first, then robust least squares over
-the light of the part's inner pixels, and over its outline where those do not determine the place.
+A shifted and rotated part is not a shifted and rotated image: its normals turn under lights that stay. So the part is
+moved, and its pixels are traced anew.
+
+Input: a scene with the part at its file placement, and observations of it. Output: a :class:`Registration`. Steps:
+
+1. `_image_checks`: refuse images that cannot show where the part is.
+2. `_coarse_search`: search by outline and diffuse light.
+3. `_refinement`: robust least squares over the part's inner pixels, and over its outline where those do not determine
+   the placement. `_revolution` finds out beforehand whether a rotation is observable at all.
 """
 
 from __future__ import annotations
@@ -16,23 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.least_squares import Solution, solve
-from lightopt.estimate.registration._coarse_search import (
-    coarse_pixels,
-    refuse_useless_images,
-    search_placement,
-)
+from lightopt.estimate.registration._coarse_search import coarse_pixels, search_placement
+from lightopt.estimate.registration._image_checks import refuse_useless_images
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._placement import Placement, place_part
-from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.estimate.registration._refinement import (
     OUTLINE_PX,
     POSE,
-    Refinement,
+    RefinementProblem,
     choose_pixels,
-    limits_of,
+    parameter_limits,
     start_parameters,
 )
-from lightopt.estimate.registration._revolution import hidden_turns
+from lightopt.estimate.registration._revolution import unobservable_rotation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
 from lightopt.scene import Scene
@@ -57,26 +59,14 @@ ALONG_AXIS = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Registration:
-    """Where the part lies, and how surely.
+    """A placement and how well the images determine it.
 
-    Attributes
-    ----------
-    placement
-        With standard errors and what of it the images determine.
-    pose_errors
-        Standard errors of the shift of the part's middle in x and y [mm] and of the turn about it [rad]; those of the
-        placement are larger where the part lies off the stage's axis.
-    converged
-        Whether a further step would change nothing, the part kept its place in the last stage, and the place is none of
-        the furthest allowed.
-    iterations
-        Steps of the least squares.
-    cost_before, cost_after
-        Robust cost per pixel of the last stage's pixels where it began and where it ended.
-    outline
-        Whether the outline was used along.
-    warnings
-        In words: directions that the images do not determine, or a search that did not converge.
+    pose_errors: Standard errors of the shift of the part's middle in x and y [mm] and of the turn about it [rad]; those
+        of the placement are larger where the part lies off the stage's axis.
+    converged: Whether a further step would change nothing, the part kept its place in the last stage, and the place is
+        none of the furthest allowed.
+    cost_before, cost_after: Robust cost per pixel where the last stage began and where it ended.
+    warnings: Directions that the images do not determine, or a search that did not converge.
     """
 
     placement: Placement
@@ -89,7 +79,7 @@ class Registration:
     warnings: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, bool | int | float]:
-        """JSON form of how the search went; the place itself is the placement's."""
+        """JSON form, without the placement."""
         return {
             "converged": self.converged,
             "iterations": self.iterations,
@@ -105,29 +95,25 @@ def register(
     *,
     caster: RayCaster,
     reflectance_at: Callable[[Scene], Reflectance] | None = None,
-    rough: bool = False,
+    reduced: bool = False,
     threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Registration:
-    """Find the part's place on the stage.
+    """Find the part's placement on the stage.
 
     Parameters
     ----------
     scene
-        The part where its file has it, with the lights and postures of the observations.
+        The part at its file placement, with the lights and postures of the observations.
     observations
         The images.
     caster
         Of the scene's part.
     reflectance_at
-        A reflectance for the refinement, given the scene with the part about where it lies; that of the scene by
-        default.
-    rough
-        Whether a part of the pixels is enough: for words on where the part lies.
-    threads
-        Number of threads; the result does not depend on it.
-    progress
-        Called with what is going on and the share of it that is done, 0 to 1.
+        A reflectance for the refinement, given the scene with the part placed by the coarse search; that of the scene
+        by default.
+    reduced
+        Whether fewer pixels are enough, for a placement that is only reported.
 
     Raises
     ------
@@ -148,7 +134,7 @@ def register(
         observations,
         start,
         caster=caster,
-        rough=rough,
+        reduced=reduced,
         threads=threads,
         progress=stage("refining the part's place"),
     )
@@ -160,36 +146,21 @@ def refine_placement(
     start: Placement,
     *,
     caster: RayCaster,
-    rough: bool = False,
+    reduced: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Registration:
-    """Refine a placement that is good to about a pixel, highlights included; to a small part of a pixel.
+    """Refine a placement that is good to about a pixel, highlights included, to a small part of a pixel.
 
-    R_d, R_s, σ, the lights' gains and the dark level are adjusted along, since those of a misplaced part are never
-    quite right. A pixel counts by the sensor's variance of its level. Which pixels count at all is decided by the model
-    and not by what noise made of them: those just below saturation that are not saturated are the darker ones.
+    R_d, R_s, σ, the lights' gains and the dark level are adjusted as well, since those of a misplaced part are never
+    quite right. A pixel counts by the sensor's variance of its level. The model decides which pixels count at all, not
+    the noisy level: those just below saturation that are not saturated are the darker ones.
 
-    Parameters
-    ----------
-    scene
-        The part where its file has it, with a reflectance that is about right.
-    observations
-        The images.
-    start
-        Where to begin.
-    caster
-        Of the scene's part.
-    rough
-        Whether all stages have as few pixels as the first.
-    threads
-        Number of threads; the result does not depend on it.
-    progress
-        Called as the refinement goes on.
+    reduced: Whether all stages have as few pixels as the first.
     """
     frame = PoseFrame.of(scene)
     x = start_parameters(scene, frame, start)
-    limits = limits_of(scene, frame, x)
+    limits = parameter_limits(scene, frame, x)
     solution: Solution | None = None
     outline = False
     iterations, moved = 0, math.inf
@@ -200,13 +171,13 @@ def refine_placement(
             observations,
             frame.placement(x[POSE]),
             outline=outline,
-            few=rough or number == 0,
+            reduced=reduced or number == 0,
             threads=threads,
         )
         if number == 0:
-            hidden = hidden_turns(scene, frame, inner, x[POSE], caster=caster)
+            hidden = unobservable_rotation(scene, frame, inner, x[POSE], caster=caster)
             limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
-        problem = Refinement(scene, frame, inner, edges, x, caster=caster, threads=threads)
+        problem = RefinementProblem(scene, frame, inner, edges, x, caster=caster, threads=threads)
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
         moved = frame.distance_px(frame.placement(x[POSE]), frame.placement(solution.x[POSE]))
@@ -223,10 +194,10 @@ def refine_placement(
                 break
         number += 1
     assert solution is not None
-    return _registration(solution, frame, iterations, moved, outline=outline)
+    return _result(solution, frame, iterations, moved, outline=outline)
 
 
-def _registration(
+def _result(
     solution: Solution, frame: PoseFrame, iterations: int, moved: float, *, outline: bool
 ) -> Registration:
     # `moved` by so much in the last stage [px]
@@ -234,22 +205,22 @@ def _registration(
     share = np.sum(np.square(directions), axis=0)
     # exactly as in the part file, not but for rounding
     pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[POSE])
-    words = _undetermined_words(directions, share)
+    warnings = _undetermined_warnings(directions, share)
     known, errors = share <= ALONG_AXIS, solution.errors[POSE]
     converged = solution.converged
     if len(directions) < 3:
         if solution.at_limit[POSE].any():
             converged = False
             limit = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
-            word = f"the part was looked for up to {limit} from where its file has it, and seems to lie further off; "
-            words = (*words, word + "correct its placement in the part file")
+            text = f"the part was looked for up to {limit} from where its file has it, and seems to lie further off; "
+            warnings = (*warnings, text + "correct its placement in the part file")
         elif not converged:
-            word = f"the search for the part's place did not converge; the place is the best of {iterations} steps, "
-            words = (*words, word + "and its errors may be larger than stated")
+            text = f"the search for the part's place did not converge; the place is the best of {iterations} steps, "
+            warnings = (*warnings, text + "and its errors may be larger than stated")
         elif moved >= SETTLED_PX:
             converged = False
-            word = f"the search for the part's place did not converge: its last stage moved it by {moved:.1f} px, "
-            words = (*words, word + "and its errors may be larger than stated")
+            text = f"the search for the part's place did not converge: its last stage moved it by {moved:.1f} px, "
+            warnings = (*warnings, text + "and its errors may be larger than stated")
     return Registration(
         placement=replace(
             frame.placement(pose, solution.covariance[POSE, POSE]),
@@ -261,12 +232,12 @@ def _registration(
         cost_before=solution.cost_before,
         cost_after=solution.cost_after,
         outline=outline,
-        warnings=words,
+        warnings=warnings,
     )
 
 
-def _undetermined_words(directions: Float64, share: Float64) -> tuple[str, ...]:
-    # one line for each direction in which the images do not determine the place
+def _undetermined_warnings(directions: Float64, share: Float64) -> tuple[str, ...]:
+    # one for each direction in which the images do not determine the placement
     end = "cannot be determined from these images; assumed as in the part file"
     if len(directions) == 3:
         return (f"where the part lies {end}",)
@@ -274,11 +245,11 @@ def _undetermined_words(directions: Float64, share: Float64) -> tuple[str, ...]:
     named = [name for name, s in zip(names, share, strict=True) if s > ALONG_AXIS]
     if len(named) == len(directions):
         return tuple(f"{name} {end}" for name in named)
-    words: list[str] = []
+    warnings: list[str] = []
     for x, y, turn in directions:
         angle = math.degrees(math.atan2(y, x)) % 180.0
         along = f"the shift along {angle:.0f}° from x"
-        words.append(
+        warnings.append(
             f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a turn {end}"
         )
-    return tuple(words)
+    return tuple(warnings)

@@ -1,7 +1,7 @@
-"""Whether what the images show of a part is a body of revolution, so that its turn shows nowhere.
+"""Find out whether the visible surface is a body of revolution, whose rotation is unobservable.
 
-The facets of its mesh turn with the model, the part has none: where nothing but facets determines a turn, the turn is
-undetermined.
+The facets of a mesh rotate with the model, the real part has none: where nothing but facets determines a rotation, it
+is undetermined.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration._pixels import PixelSet, view_of_placed
-from lightopt.estimate.registration._pose import PoseFrame
+from lightopt.estimate.registration._placement import PoseFrame
 from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
 from lightopt.scene import Scene
 
 Float64 = NDArray[np.float64]
 
-TURNS = np.concatenate([np.radians([1.9, 3.7, 6.0, 11.0]), np.radians(137.50776) * np.arange(5, 17)])
-"""Turns to compare [rad]: within the reach of a registration, and all round, by the golden angle."""
+ROTATIONS = np.concatenate([np.radians([1.9, 3.7, 6.0, 11.0]), np.radians(137.50776) * np.arange(5, 17)])
+"""Rotations to compare [rad]: within the reach of a registration, and all round, by the golden angle."""
 
 DEPTH_FACTOR = 3.0
 """Facets of a body of revolution are off it by up to one chord error, two of them by up to 1.7 (measured, 24 to 720
@@ -44,28 +44,15 @@ AXIS_PRIOR = 1e-4
 """Weight of the part's middle for the axis, against normals: flat surface has no axis of its own."""
 
 
-def hidden_turns(
+def unobservable_rotation(
     scene: Scene, frame: PoseFrame, sets: Sequence[PixelSet], pose: Float64, *, caster: RayCaster
 ) -> Float64:
-    """Directions of poses, shape (u, 3), u = 0 or 1, in which a turn changes nothing but facets at the given pixels.
+    """Directions of poses, shape (u, 3), u = 0 or 1, in which a rotation changes only facets at the given pixels.
 
-    The part is turned about its middle, and about the axis to which its normals point. A pixel sees the same surface
+    The part is rotated about its middle, and about the axis to which its normals point. A pixel sees the same surface
     where its depth along the normal and its normal differ by no more than two facets may be off a common body of
     revolution: r (1 − cos Δφ/2) of their azimuthal extent Δφ; Δφ/2, or a share of the angle between the normals of
-    their corners. One pixel that sees more, such as a flat, a key, a hole, or nothing, makes the turn visible.
-
-    Parameters
-    ----------
-    scene
-        The part where its file has it.
-    frame
-        Of its poses.
-    sets
-        Pixels off creases and silhouettes, one set per posture.
-    pose
-        Of the part, shape (3,).
-    caster
-        Of the scene's part.
+    their corners. One pixel that sees more, such as a flat, a key, a hole, or nothing, makes the rotation observable.
     """
     if not sets or scene.mesh.normals is None:
         return np.zeros((0, 3))
@@ -74,14 +61,14 @@ def hidden_turns(
     fitted = _axis(np.concatenate([n.points for n in nominal]), np.concatenate([n.normals for n in nominal]))
     # normals of coarse facets are less exact than the bounding box, unless that is of an odd number of sections
     for axis in (np.zeros(2), fitted):
-        if not any(_changes(pixels, nominal, pose, axis, float(turn)) for turn in TURNS):
+        if not any(_is_observable(pixels, nominal, pose, axis, float(rotation)) for rotation in ROTATIONS):
             return np.array([[axis[1], -axis[0], 1.0]])
     return np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
 class _Surface:
-    """What n pixels see: points from the part's middle and normals, axes of the part; how far off facets may be.
+    """What n pixels see: points from the part's middle and normals, in the part's axes; how far off facets may be.
 
     `depth` is the chord error [mm], `angle` the azimuthal extent, `bend` the greatest difference of corners' normals
     [rad] of the facets, shape (n,).
@@ -93,12 +80,12 @@ class _Surface:
     angle: Float64
     bend: Float64
 
-    def turned(self, about: Float64, foot: Float64) -> _Surface:
-        """Turned about the vertical axis through a point."""
+    def rotated(self, about: Float64, foot: Float64) -> _Surface:
+        """Rotated about the vertical axis through a point."""
         return replace(self, points=(self.points - foot) @ about.T + foot, normals=self.normals @ about.T)
 
 
-def _differ(before: _Surface, after: _Surface, least_depth: float) -> bool:
+def _differs(before: _Surface, after: _Surface, least_depth: float) -> bool:
     # whether any pixel sees more than other facets of the same body of revolution
     if len(after.points) != len(before.points):
         return True
@@ -144,16 +131,16 @@ class _Pixels:
         return radius.max(axis=1, initial=0.0) * (1.0 - np.cos(0.5 * angle)), angle, bend
 
 
-def _changes(
-    pixels: Sequence[_Pixels], nominal: Sequence[_Surface], pose: Float64, axis: Float64, turn: float
+def _is_observable(
+    pixels: Sequence[_Pixels], nominal: Sequence[_Surface], pose: Float64, axis: Float64, rotation: float
 ) -> bool:
-    # whether a turn about an axis of the part, x and y from its middle, changes more than facets
-    about, foot = rotation_z(turn), np.array([*axis, 0.0])
+    # whether a rotation about an axis of the part, x and y from its middle, changes more than facets
+    about, foot = rotation_z(rotation), np.array([*axis, 0.0])
     # the axis stays where the pose has it
     shift = rotation_z(float(pose[2])) @ (foot - about @ foot)
-    turned = pose + np.array([shift[0], shift[1], turn])
+    rotated = pose + np.array([shift[0], shift[1], rotation])
     return any(
-        _differ(before, one.trace(turned).turned(about, foot), LEAST_DEPTH_PX * one.pixel)
+        _differs(before, one.trace(rotated).rotated(about, foot), LEAST_DEPTH_PX * one.pixel)
         for one, before in zip(pixels, nominal, strict=True)
     )
 

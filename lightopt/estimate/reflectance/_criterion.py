@@ -1,4 +1,4 @@
-"""What a fit makes as large as possible, as a function of all parameters."""
+"""The criterion that a fit maximises, as a function of all parameters, and what its two kinds share."""
 
 from __future__ import annotations
 
@@ -24,14 +24,7 @@ R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
 class Evaluation:
     """A criterion at a vector of parameters.
 
-    Attributes
-    ----------
-    value
-        Log-likelihood [nat].
-    gradient
-        Shape (K,).
-    curvature
-        Positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K).
+    curvature: Positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K).
     """
 
     value: float
@@ -60,42 +53,32 @@ class Criterion(Protocol):
 
 
 def parameter_name(place: int, lights: tuple[str, ...]) -> str:
-    """What a place in the vector of parameters is called; `lights` are the names of the scene's lights."""
+    """Name of a place in the vector of parameters, for messages."""
     names = ["R_d", "R_s", "σ", "the dark level"]
     names += [f"the gain of {light}" for light in lights]
     names += ["the deviation beside the noise", "the share of outliers"]
     return names[place]
 
 
-def sum_pieces(
+def sum_in_chunks(
     add: Callable[[int, int, Float64, Float64], float],
     count: int,
     size: int,
     *,
-    piece: int,
+    chunk: int,
     threads: int | None,
 ) -> tuple[float, Float64, Float64]:
-    """Value, gradient and curvature of all observations, worked out in pieces side by side.
+    """Value, gradient and curvature of all observations, computed in chunks in parallel.
 
-    Parameters
-    ----------
-    add
-        Returns the value of the observations from one number to another, and adds to the gradient, shape (K,), and the
-        curvature, shape (K, K), that it is given.
-    count, size
-        Number of observations, and of parameters K.
-    piece
-        Observations at a time.
-    threads
-        Number of threads; the result does not depend on it.
+    add: Returns the value of the observations `start` to `end`, and adds to gradient (K,) and curvature (K, K).
     """
 
     def one(start: int) -> tuple[float, Float64, Float64]:
         gradient, curvature = np.zeros(size), np.zeros((size, size))
-        value = add(start, min(start + piece, count), gradient, curvature)
+        value = add(start, min(start + chunk, count), gradient, curvature)
         return value, gradient, curvature
 
-    parts = in_threads(one, range(0, count, piece), threads)
+    parts = in_threads(one, range(0, count, chunk), threads)
     if len(parts) == 1:
         return parts[0]
     return (
@@ -107,31 +90,13 @@ def sum_pieces(
 
 @kernel
 def image_factors(factors: Float64, lights: NDArray[np.int32], x: Float64) -> Float64:
-    """Levels per unit of light in each image at the gains of the parameters `x`, shape (M,).
-
-    Parameters
-    ----------
-    factors, lights
-        Exposure by gain as the rig has it, and the light, shape (M,).
-    x
-        Parameters, shape (K,).
-    """
+    """Levels per unit of light in each image at the gains of the parameters `x`; all of shape (M,)."""
     return np.array([factors[m] * math.exp(x[4 + lights[m]]) for m in range(len(factors))])
 
 
 @kernel
 def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tuple[float, float]:
-    """Specular light of pixel `i` per unit of R_s, and its slope by ln σ.
-
-    Parameters
-    ----------
-    i
-        Number of the pixel.
-    specular
-        At the nodes of ln σ, shape (n, w).
-    c, dc
-        Weights of the nodes for the light and for its slope, shape (w,).
-    """
+    """Specular light of pixel `i` per unit of R_s, and its slope by ln σ; `c`, `dc` are the nodes' weights for both."""
     s = ds = 0.0
     for k in range(len(c)):
         s += c[k] * specular[i, k]
@@ -143,18 +108,11 @@ def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tu
 def add_curvature(
     bend: float, gain: int, r_d: float, r_s: float, sigma: float, signal: float, curvature: Float64
 ) -> None:
-    """Add what one observation bends the criterion by to the upper triangle of the curvature.
+    """Add the curvature of one observation to the upper triangle.
 
-    Parameters
-    ----------
-    bend
-        Minus the second derivative by the level.
-    gain
-        Place of the gain of its light.
-    r_d, r_s, sigma, signal
-        Slopes of the level by R_d, ln R_s, ln σ and ln gain; that by the dark level is 1.
-    curvature
-        Shape (K, K).
+    bend: Minus the second derivative of the criterion by the level.
+    gain: Place of the gain of its light.
+    r_d, r_s, sigma, signal: Slopes of the level by R_d, ln R_s, ln σ and ln gain; that by the dark level is 1.
     """
     by_r_d, by_r_s, by_sigma = bend * r_d, bend * r_s, bend * sigma
     curvature[0, 0] += by_r_d * r_d

@@ -1,21 +1,32 @@
-"""Whether images show this part on this rig at all, and what they show where they do not.
+"""Refuse images that do not show this part on this rig, or nothing useful, and report what is wrong with them.
 
-The criterion is the residual against noise, beyond what a model of the right part with a wrong reflectance leaves. The
-share of variance that the model explains is none: of an evenly lit plate there is no variance to explain.
+The criterion of :func:`refuse_mismatch` is the residual against noise, beyond what a model of the right part with a
+wrong reflectance leaves. The share of variance that the model explains would be no criterion: of an evenly lit plate
+there is no variance to explain.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, counted
+from lightopt.estimate.registration._observations import Observation
+from lightopt.estimate.registration._pixels import PixelSet, light_at, view_of_placed
+from lightopt.geometry import RayCaster
+from lightopt.scene import Scene
 
 Array = NDArray[np.floating]
 
-FOREIGN = 0.45
+CLEAR = 3.5
+LEAST_BRIGHT_SHARE = 1e-3
+"""Images are black where fewer pixels than this share are this many standard deviations of noise above black."""
+
+MISMATCH_SHARE = 0.45
 """A residual beyond the noise of more than this share of the predicted levels (root mean squares) is that of another
 part, another place or another rig: a wrong reflectance of the right part leaves less once the lights' gains are
 adjusted."""
@@ -23,44 +34,77 @@ adjusted."""
 SUSPICIOUS = 0.15
 """From this share on, the images of a nearly symmetric part may be mirrored or turned …"""
 
-FAR_BETTER = 0.5
+BETTER_SHARE = 0.5
 """… and are where that leaves less than this share of the squared residual."""
 
 BLACK_SHARE = 0.02
 """Images with less than this share of the light that is predicted are black."""
 
-MOST_FULL = 0.5
+MOST_SATURATED = 0.5
 """Images of which more pixels than this share are saturated are refused for that."""
 
-_ALL, _BACK = slice(None), slice(None, None, -1)
+_ALL, _REVERSED = slice(None), slice(None, None, -1)
 
 FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {
     "mirrored left to right": (
-        (_ALL, _BACK),
+        (_ALL, _REVERSED),
         "flip the images; turning them, or the camera's roll, undoes no mirror",
     ),
     "mirrored top to bottom": (
-        (_BACK, _ALL),
+        (_REVERSED, _ALL),
         "flip the images; turning them, or the camera's roll, undoes no mirror",
     ),
-    "turned by 180°": ((_BACK, _BACK), "turn them, or correct the camera's roll in the rig"),
+    "turned by 180°": ((_REVERSED, _REVERSED), "turn them, or correct the camera's roll in the rig"),
 }
-"""What may have been done to images: by its name, rows and columns that undo it, and what to do."""
+"""Flips of images: by name, the rows and columns that undo it, and the remedy."""
+
+
+def refuse_useless_images(
+    scene: Scene,
+    sets: Sequence[PixelSet],
+    observations: Sequence[Observation],
+    *,
+    caster: RayCaster,
+    threads: int | None = None,
+) -> None:
+    """Refuse images that cannot show where the part is.
+
+    Raises InputError: the part is outside the view, or all images are saturated or black where it is expected.
+    """
+    where = observations[0].source.parent
+    images = counted(len(observations), "image")
+    shown: list[NDArray[np.bool_]] = []
+    for pixels in sets:
+        view = view_of_placed(scene, pixels.posture, 0.0, 0.0, 0.0)
+        light, _ = light_at(scene, pixels, view, caster, threads=threads)
+        shown.append(~np.isfinite(light) | (light > 0.0))
+    if not any(lit.any() for lit in shown):
+        raise InputError(
+            f"{where}: no pixel of the {images} shows a lit surface of the part where its file has it; check the "
+            "part's placement, the postures, and where the rig's camera and lights look"
+        )
+    lit = {p.posture: np.any(s, axis=0) for p, s in zip(sets, shown, strict=True)}
+    at = {p.posture: (p.row[lit[p.posture]], p.column[lit[p.posture]]) for p in sets}
+    expected = [o for o in observations if o.posture in at]
+    if all(bool(o.saturated[at[o.posture]].all()) for o in expected):
+        raise InputError(
+            f"{where}: every pixel of the part is saturated in each of {images}: they show nothing; take them with a "
+            "shorter exposure or less light"
+        )
+    sensor = scene.sensor
+    above = sensor.black_level + CLEAR * math.sqrt(sensor.noise_variance(0.0)) + 0.5
+    seen = [o.levels[at[o.posture]] for o in expected]
+    if max(float(np.mean(levels > above)) if levels.size else 0.0 for levels in seen) < LEAST_BRIGHT_SHARE:
+        mean = float(np.mean([levels.mean() for levels in seen if levels.size])) - sensor.black_level
+        raise InputError(
+            f"{where}: the {images} are black where the part is expected: {max(mean, 0.0):.3g} sensor levels above the "
+            "black level on the mean; check the lens cap, that the lights burn, and the exposure"
+        )
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far images are off a model; root mean squares, all in the same unit.
-
-    Attributes
-    ----------
-    residual
-        Measured minus predicted.
-    noise
-        Of the sensor.
-    level
-        Predicted.
-    """
+    """How far images are off a model: root mean squares of residual, noise and predicted level, in one unit."""
 
     residual: float
     noise: float
@@ -78,20 +122,15 @@ class Agreement:
         return float(np.sqrt(self.excess)) / max(self.level, self.noise, 1e-12)
 
     @property
-    def foreign(self) -> bool:
+    def mismatch(self) -> bool:
         """Whether the images show something else than the model."""
-        return self.share > FOREIGN
+        return self.share > MISMATCH_SHARE
 
 
 def agreement(measured: Array, predicted: Array, noise: Array) -> Agreement:
-    """Compare levels above black with those of a model.
+    """Compare levels above black with those of a model, both clipped where the camera clips.
 
-    Parameters
-    ----------
-    measured, predicted
-        Clipped where the camera clips, of one shape.
-    noise
-        Standard deviation of the sensor's noise, same shape.
+    noise: Standard deviation of the sensor's noise, same shape.
     """
     if not measured.size:
         return Agreement(0.0, 0.0, 0.0)
@@ -134,10 +173,10 @@ def refuse_mismatch(
         return
     flipped = {name: agreement(measured(flip), model, noise) for name, (flip, _) in FLIPS.items()}
     best = min(flipped, key=lambda name: flipped[name].residual)
-    if not flipped[best].foreign and flipped[best].excess < FAR_BETTER * own.excess:
+    if not flipped[best].mismatch and flipped[best].excess < BETTER_SHARE * own.excess:
         hint = f"they fit far better {best}: {FLIPS[best][1]}"
-    elif own.foreign:
-        hint = _what_they_show(seen, model, picked(level) >= full)
+    elif own.mismatch:
+        hint = _other_cause(seen, model, picked(level) >= full)
     else:
         return
     raise InputError(
@@ -146,8 +185,8 @@ def refuse_mismatch(
     )
 
 
-def _what_they_show(seen: Array, model: Array, full: NDArray[np.bool_]) -> str:
-    # why images, in no way flipped, may be so far from the model
+def _other_cause(seen: Array, model: Array, full: NDArray[np.bool_]) -> str:
+    # why images that are not flipped may be so far from the model
     mean, expected = float(seen.mean()), float(model.mean())
     if mean < BLACK_SHARE * expected:
         return (
@@ -155,7 +194,7 @@ def _what_they_show(seen: Array, model: Array, full: NDArray[np.bool_]) -> str:
             "cap, that the lights burn, and the exposure"
         )
     share = float(full.mean())
-    if share > MOST_FULL:
+    if share > MOST_SATURATED:
         return (
             f"{100.0 * share:.0f} % of their pixels that can be judged are saturated; take them with a shorter "
             "exposure or less light"

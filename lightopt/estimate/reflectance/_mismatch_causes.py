@@ -1,4 +1,7 @@
-"""Refuse images that do not show this part on this rig, and say what would fit better."""
+"""Causes of a poor fit: the part displaced, images mirrored or turned, lights exchanged.
+
+The fit is repeated for each, since a reflectance that was fitted to wrong images is another one.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,9 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
 from lightopt.estimate.reflectance._quality import Quality
-from lightopt.estimate.reflectance._samples import Samples, collect_samples, thinned
-from lightopt.estimate.reflectance._search import estimate
-from lightopt.estimate.reflectance._setup import World, find_part
+from lightopt.estimate.reflectance._samples import Samples, collect_samples, subsample
+from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._setup import FitSetup, register_with_fit
 from lightopt.estimate.registration import FLIPS, Agreement, Observation, PoseFrame, agreement, place_part
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
@@ -26,14 +29,14 @@ Float64 = NDArray[np.float64]
 
 LEAST_SHIFT_PX = 0.5
 LEAST_EXPLAINED = 0.5
-"""A part is said to be displaced when moving it by half a pixel or more takes away half of the squared residual beyond
+"""A part is reported as displaced when moving it by half a pixel or more takes away half of the squared residual beyond
 the noise: a wrong reflectance is not blamed on the place."""
 
-LEAST_MISSED = 0.1
+LEAST_EXCESS = 0.1
 """Residuals beyond the noise count from this share of its variance on."""
 
 LEAST_CERTAIN = 3.0
-"""And when the displacement is so many of its standard errors."""
+"""A displacement counts from this many of its standard errors on."""
 
 BUDGET = 250
 """Pixels per octave, light and posture that are compared at both places."""
@@ -42,25 +45,20 @@ LEVEL_CAP = 0.15
 """Residuals count as at most this share of the sensor's full scale, dust and all."""
 
 TRIAL_LIGHTS = 6
-"""Lights whose images the part is looked for in."""
+"""Lights whose images a displaced part is searched in."""
 
 FLIP_BUDGET = 150
 MOST_LIGHTS = 8
-"""Lights are only exchanged with each other, in trials, where there are no more than these."""
+"""Exchanged lights are only tried where there are no more than these."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Displacement:
-    """Where else the part may lie.
+    """Another placement of the part that explains the residual.
 
-    Attributes
-    ----------
-    pixels, mm, turn
-        Shift of its middle, in the image [px] and on the stage [mm], and its turn [rad].
-    explains
-        Share of the mean squared residual beyond the noise that is gone with the part there.
-    posture
-        Whose images alone say so; None where those of all postures do.
+    pixels, mm, turn: Shift of its middle, in the image [px] and on the stage [mm], and its rotation [rad].
+    explains: Share of the mean squared residual beyond the noise that it removes.
+    posture: The only posture whose images were compared; None for all.
     """
 
     pixels: float
@@ -70,7 +68,7 @@ class Displacement:
     posture: Posture | None = None
 
     @property
-    def words(self) -> str:
+    def message(self) -> str:
         """What is displaced, by how much, and what to do."""
         moved = (
             f"with the part shifted by {self.pixels:.1f} px ({self.mm:.2f} mm) and turned by "
@@ -84,47 +82,23 @@ class Displacement:
         )
 
 
-def refuse_other_images(
-    world: World,
-    samples: Samples,
-    found: Estimate,
-    quality: Quality,
-    *,
-    threads: int | None = None,
-) -> bool:
-    """Refuse images that do not show this part on this rig where its file has it.
+def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate, quality: Quality) -> bool:
+    """Refuse images that do not show this part on this rig at its file placement; the error says what fits better.
 
-    Parameters
-    ----------
-    world
-        What was fitted to what.
-    samples, found, quality
-        The fit.
-    threads
-        Number of threads; the result does not depend on it.
-
-    Returns
-    -------
-    bool
-        Whether the part's place is no reason for a poor fit: it was fitted, or no other place explains what is missed.
-
-    Raises
-    ------
-    InputError
-        With what would fit better: the part displaced, mirrored or turned images, exchanged lights.
+    Returns whether the placement is no reason for a poor fit: it was fitted, or no other explains the residual.
     """
     if quality.describes and not quality.poor:
-        return world.registration is not None
+        return setup.registration is not None
     excluded = True
-    if world.registration is None:
-        shift, excluded = find_displacement(world, samples, quality, threads=threads)
+    if setup.registration is None:
+        shift, excluded = find_displacement(setup, samples, quality)
         if shift is not None:
-            raise InputError(f"the images do not look like this part where its file has it: {shift.words}")
-    own = _agreement(samples, found, threads)
-    if not own.foreign:
+            raise InputError(f"the images do not look like this part where its file has it: {shift.message}")
+    own = _agreement(samples, found)
+    if not own.mismatch:
         return excluded
     hint = (
-        _what_fits_better(samples, quality.floor**2, threads)
+        _better_explanation(samples, quality.floor**2)
         or "check that rig, part, placement and postures are those of the images"
     )
     raise InputError(
@@ -135,33 +109,34 @@ def refuse_other_images(
 
 
 def find_displacement(
-    world: World, samples: Samples, quality: Quality, *, threads: int | None = None
+    setup: FitSetup, samples: Samples, quality: Quality
 ) -> tuple[Displacement | None, bool]:
-    """Where else the part may lie; None where that explains too little of the residual, or nothing for certain.
+    """Another placement that explains the residual, if any, and whether all others are excluded by a converged search.
 
-    And whether no other place explains it, which nobody knows where the search did not converge.
-
-    Where no place explains the images of all postures, those of the first are looked at alone: a camera or a stage that
-    is off moves the part in each posture another way. Parameters as for :func:`refuse_other_images`.
+    Where no placement explains the images of all postures, those of the first are compared alone: a camera or a stage
+    that is off moves the part in each posture another way.
     """
-    found, excluded = _displacement(world.scene, world.observations, samples, quality, threads)
-    postures = list(dict.fromkeys(o.posture for o in world.observations))
+    found, excluded = _displacement(setup.scene, setup.observations, samples, quality)
+    postures = list(dict.fromkeys(o.posture for o in setup.observations))
     if found is not None or len(postures) < 2:
         return found, excluded
-    mine = [o for o in world.observations if o.posture == postures[0]]
+    mine = [o for o in setup.observations if o.posture == postures[0]]
     alike = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
-    found, _ = _displacement(world.scene, mine, samples.keep(alike), quality, threads)
+    found, _ = _displacement(setup.scene, mine, samples.select(alike), quality)
     return None if found is None else replace(found, posture=postures[0]), excluded
 
 
 def _displacement(
-    scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality, threads: int | None
+    scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality
 ) -> tuple[Displacement | None, bool]:
-    # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one. And
-    # whether the place is excluded as a reason
+    # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
     try:
-        registration = find_part(
-            scene, _of_some_lights(observations), caster=cast_rays_at(scene), rough=True, threads=threads
+        registration = register_with_fit(
+            scene,
+            _light_subset(observations),
+            caster=cast_rays_at(scene),
+            reduced=True,
+            threads=samples.threads,
         )
     except InputError:  # a trial: those few lights show nothing
         return None, False
@@ -175,32 +150,32 @@ def _displacement(
     if not certain.any() or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
         return None, excluded
     moved = place_part(scene, place)
-    there = collect_samples(moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=threads)
+    there = collect_samples(
+        moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=samples.threads
+    )
     # the same fit at both places: what another reflectance explains is not blamed on the place
-    here = thinned(samples, BUDGET)
+    here = subsample(samples, BUDGET)
     noise = quality.floor**2
-    before, after = (_missed(some, noise, threads) for some in (here, there))
-    explains = _explained(before, after, noise)
+    before, after = (_excess_residual(some, noise) for some in (here, there))
+    explains = explained_share(before, after, noise)
     if explains <= LEAST_EXPLAINED:
         return None, excluded
     return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=explains), False
 
 
-def _of_some_lights(observations: Sequence[Observation]) -> list[Observation]:
+def _light_subset(observations: Sequence[Observation]) -> list[Observation]:
     # picked at random, since rigs list rings of lights in turns: a place is found, not measured
     lights = list(dict.fromkeys(o.light for o in observations))
     some = np.random.default_rng(0).permutation(len(lights))[:TRIAL_LIGHTS]
     return [o for o in observations if lights.index(o.light) in some]
 
 
-def _levels(samples: Samples, found: Estimate, threads: int | None) -> tuple[Float64, Float64]:
+def _levels(samples: Samples, found: Estimate) -> tuple[Float64, Float64]:
     # measured and predicted, clipped where the camera clips
-    return clipped_levels(
-        samples, predicted(samples, samples.specular(found.sigma, threads=threads), found.x)
-    )
+    return clipped_levels(samples, predicted(samples, samples.specular(found.sigma), found.x))
 
 
-def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
+def _excess_residual(samples: Samples, noise: float) -> Float64:
     """Mean square of residuals beyond the noise's [sensor level²], shape (2,).
 
     Each up to a cap, which dust does not move, and whole, which highlights of few pixels do. Fitted anew, since a
@@ -208,9 +183,9 @@ def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
     no highlight, that takes those of the images for dust. Over all pixels alike, since flipped images have their
     highlights where few pixels were chosen.
     """
-    found = estimate(samples, threads=threads)
+    found = fit_reflectance(samples)
     weight = samples.weight[samples.sample]
-    square = np.square(np.subtract(*_levels(samples, found, threads)))
+    square = np.square(np.subtract(*_levels(samples, found)))
     none = np.zeros(len(samples.diffuse))
     dull = np.square(np.subtract(*clipped_levels(samples, predicted(samples, none, found.x))))
     cap = (LEVEL_CAP * samples.sensor.max_level) ** 2
@@ -220,28 +195,28 @@ def _missed(samples: Samples, noise: float, threads: int | None) -> Float64:
     return np.maximum(np.array([capped, whole]) - noise, 0.0)
 
 
-def _explained(before: Float64, after: Float64, noise: float) -> float:
-    # share of what was missed that is gone, by the measure that says more; one that is lost in the noise says nothing
-    worth = before > LEAST_MISSED * noise
-    return float(np.max(1.0 - after[worth] / before[worth], initial=0.0))
+def explained_share(before: Float64, after: Float64, noise: float) -> float:
+    # share of the excess that is gone, by the measure that shows more; one that is lost in the noise shows nothing
+    significant = before > LEAST_EXCESS * noise
+    return float(np.max(1.0 - after[significant] / before[significant], initial=0.0))
 
 
-def _agreement(samples: Samples, found: Estimate, threads: int | None) -> Agreement:
-    level, model = _levels(samples, found, threads)
+def _agreement(samples: Samples, found: Estimate) -> Agreement:
+    level, model = _levels(samples, found)
     black = samples.sensor.black_level
     frames = samples.facts.frames[samples.image]
     noise = np.sqrt(samples.sensor.noise_variance(model - black, frames=frames))
     return agreement(level - black, model - black, noise)
 
 
-def _what_fits_better(samples: Samples, noise: float, threads: int | None) -> str | None:
-    few = thinned(samples, FLIP_BUDGET)
-    own = _missed(few, noise, threads)
+def _better_explanation(samples: Samples, noise: float) -> str | None:
+    few = subsample(samples, FLIP_BUDGET)
+    own = _excess_residual(few, noise)
     gone = {
-        f"{name}: {remedy}": _explained(own, _missed(_flipped(few, flip), noise, threads), noise)
+        f"{name}: {remedy}": explained_share(own, _excess_residual(_flipped(few, flip), noise), noise)
         for name, (flip, remedy) in FLIPS.items()
     }
-    swaps, share = _swaps(few, own, noise, threads)
+    swaps, share = _swaps(few, own, noise)
     if swaps:
         exchanged = " and ".join(f"{a} and {b} exchanged" for a, b in swaps)
         gone[f"with {exchanged}: check which light is plugged in where"] = share
@@ -252,20 +227,18 @@ def _what_fits_better(samples: Samples, noise: float, threads: int | None) -> st
 def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
     levels = [image.levels[flip] for image in samples.images]
     saturated = [image.saturated[flip] for image in samples.images]
-    return samples.remeasured(levels, saturated)
+    return samples.with_levels(levels, saturated)
 
 
-def _swaps(
-    samples: Samples, own: Float64, noise: float, threads: int | None
-) -> tuple[list[tuple[str, str]], float]:
-    # pairs of lights whose images fit better exchanged, the best first, and the share of what is missed that is gone
+def _swaps(samples: Samples, own: Float64, noise: float) -> tuple[list[tuple[str, str]], float]:
+    # pairs of lights whose images fit better exchanged, the best first, and the share of the excess that is gone
     swaps: list[tuple[str, str]] = []
     gone = 0.0
     seen = {image.light for image in samples.images}
     lights = [light for light in samples.lights if light in seen]
     while 2 <= len(lights) <= MOST_LIGHTS:
         shares = {
-            pair: _explained(own, _missed(_exchanged(samples, [*swaps, pair]), noise, threads), noise)
+            pair: explained_share(own, _excess_residual(_exchanged(samples, [*swaps, pair]), noise), noise)
             for pair in itertools.combinations(lights, 2)
         }
         best = max(shares, key=lambda pair: shares[pair])
@@ -284,4 +257,4 @@ def _exchanged(samples: Samples, pairs: list[tuple[str, str]]) -> Samples:
         by_key.get((other.get(image.light, image.light), image.posture, image.exposure), image)
         for image in samples.images
     ]
-    return samples.remeasured([image.levels for image in taken], [image.saturated for image in taken])
+    return samples.with_levels([image.levels for image in taken], [image.saturated for image in taken])

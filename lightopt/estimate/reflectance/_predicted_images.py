@@ -1,41 +1,69 @@
-"""How area and perimeter of the saturated region compare with the measured ones (paper, section 4.4)."""
+"""Whole images that a fit predicts, and their saturated regions compared with measured ones (paper, section 4.4)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.estimate.reflectance._likelihood_criterion import LOG_R_S, LOG_SIGMA, R_D
-from lightopt.estimate.reflectance._predict import predict_images
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
-from lightopt.optics import saturated_region
+from lightopt.optics import Reflectance, saturated_region
+from lightopt.rendering import render_posture
 from lightopt.scene import Scene
+
+Float64 = NDArray[np.float64]
+
+
+def predict_images(
+    scene: Scene,
+    x: Float64,
+    observations: Sequence[Observation],
+    *,
+    caster: RayCaster,
+    threads: int | None = None,
+) -> Iterator[tuple[Observation, NDArray[np.float32], NDArray[np.bool_]]]:
+    """Per observation: itself, the sensor levels predicted for it, not clipped, and where the part is.
+
+    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
+    """
+    names = [light.name for light in scene.lights]
+    reflectance = Reflectance(
+        R_d=float(x[R_D]),
+        R_s=math.exp(x[LOG_R_S]),
+        sigma=math.exp(x[LOG_SIGMA]),
+        full_scale=scene.reflectance.full_scale,
+    )
+    scale = scene.sensor.max_level / scene.reflectance.full_scale
+    for posture in dict.fromkeys(o.posture for o in observations):
+        shown = [o for o in observations if o.posture == posture]
+        wanted = {o.light for o in shown}
+        lights = tuple(light for light in scene.lights if light.name in wanted)
+        images = render_posture(
+            replace(scene, lights=lights, reflectance=reflectance), posture, caster=caster, threads=threads
+        )
+        by_name = {image.light: image.level for image in images.lights}
+        for o in shown:
+            gain = math.exp(x[FIRST_GAIN + names.index(o.light)])
+            factor = np.float32(scale * o.exposure * gain)
+            offset = np.float32(scene.sensor.black_level + x[DARK])
+            yield o, by_name[o.light] * factor + offset, images.geometry.hit
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointsRow:
     """The fit with one number of points per panel: a row of the paper's Table 1.
 
-    Attributes
-    ----------
-    points
-        m, or ``"auto"``.
-    R_d, R_s
-        [grey level].
-    sigma
-        [rad].
-    area, measured_area
-        Saturated pixels of all images together, predicted and measured [px].
-    perimeter, measured_perimeter
-        Of the saturated regions of all images together [px].
-    likelihood
-        Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the greatest
-        reproduces the images best: area and perimeter of a noisy image hardly tell two numbers of points apart.
+    area, measured_area: Saturated pixels of all images together, predicted and measured [px].
+    perimeter, measured_perimeter: Of the saturated regions of all images together [px].
+    likelihood: Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the
+        greatest reproduces the images best: area and perimeter of a noisy image hardly tell two numbers of points
+        apart.
     """
 
     points: int | Literal["auto"]
@@ -50,7 +78,7 @@ class PointsRow:
 
     @property
     def misfit(self) -> float:
-        """Relative deviations of area and perimeter, added: what section 4.4 of the paper looks at."""
+        """Relative deviations of area and perimeter, added (paper, section 4.4)."""
         area = abs(self.area - self.measured_area) / max(self.measured_area, 1)
         return area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0)
 
@@ -83,22 +111,7 @@ def compare_regions(
 
     Both are taken from whole levels, since the camera delivers no others.
 
-    Parameters
-    ----------
-    scene
-        With the lights and postures of the images.
-    x
-        Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
-    observations
-        The images.
-    points
-        Of the panels.
-    caster
-        Of the scene's part.
-    likelihood
-        Mean log-likelihood of a level, for the row.
-    threads
-        Number of threads; the row does not depend on it.
+    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
     """
     top = scene.sensor.saturated_from
     areas, perimeters = np.zeros(2), np.zeros(2)

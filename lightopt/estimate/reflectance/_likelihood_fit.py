@@ -1,0 +1,268 @@
+"""The estimate where the model describes the images: the greatest likelihood of noise and outliers.
+
+A subset of the samples is scanned over σ, from where least squares ended. Every peak is climbed, first on the subset,
+then on all samples, which decide between peaks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.estimate.reflectance._criterion import LOG_SIGMA
+from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, ScanPoint
+from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at
+from lightopt.estimate.reflectance._newton import Maximum, maximise
+from lightopt.estimate.reflectance._samples import Samples, subsample
+from lightopt.estimate.reflectance._sigma_profile import profile_outwards
+from lightopt.estimate.reflectance._sigma_scan import (
+    SAME_PEAK,
+    SigmaScan,
+    climb_from_peaks,
+    optimum_of,
+    scan_budget,
+    scan_points,
+)
+from lightopt.estimate.reflectance._uncertainty import uncertainty
+
+Float64 = NDArray[np.float64]
+
+SUBSET_SHARE = 4
+"""By how much fewer pixels than least squares the likelihood scans: it starts where least squares end."""
+
+CLOSE_CALL = 20.0
+"""Peaks and points of the scan within this of the best [nat] are evaluated on all samples, which decide."""
+
+MOST_RESTARTS = 3
+
+TABLE_NODES, WIDE_TABLE_NODES = 5, 9
+MOST_TABLES = 8
+USUAL_TABLE = 0.06
+NARROWEST_TABLE, WIDEST_TABLE = 0.003, 0.24
+TABLE_DEVIATIONS, TABLE_INTERVALS = 6.0, 3.0
+"""The likelihood's specular light is tabulated at ln σ this many standard errors around the estimate, without and with
+what the model gets wrong, so that it is a smooth function of σ whatever quadrature is behind it."""
+
+
+@dataclass(frozen=True)
+class Climb:
+    """A climb of the likelihood that ended, and how sharp the maximum is."""
+
+    likelihood: Likelihood
+    maximum: Maximum
+    free: tuple[int, ...]
+    covariance: Float64
+    inflation: Float64
+
+    @property
+    def value(self) -> float:
+        """Log-likelihood of the maximum [nat]."""
+        return self.maximum.evaluation.value
+
+    @property
+    def table_width(self) -> float:
+        """Half-width in ln σ that a table around this maximum should have."""
+        if LOG_SIGMA not in self.free:
+            return USUAL_TABLE
+        i = self.free.index(LOG_SIGMA)
+        error = math.sqrt(self.covariance[i, i])
+        wanted = error * max(TABLE_DEVIATIONS, TABLE_INTERVALS * math.sqrt(self.inflation[i]))
+        return float(np.clip(wanted, NARROWEST_TABLE, WIDEST_TABLE))
+
+    @property
+    def relevant_drop(self) -> float:
+        """How far below this maximum something may be and still matter, for the intervals or by chance [nat]."""
+        return max(CLOSE_CALL, 0.5 * CHI2_95 * float(np.max(self.inflation, initial=1.0)))
+
+    def as_estimate(self, scan: tuple[ScanPoint, ...]) -> Estimate:
+        """The estimate at this maximum."""
+        return Estimate(
+            x=self.maximum.x,
+            free=self.free,
+            covariance=self.covariance,
+            inflation=self.inflation,
+            criterion=self.likelihood,
+            maximum=self.maximum,
+            scan=scan,
+            mean_log_likelihood=self.value / max(1, len(self.likelihood.samples.level)),
+            unexplained=_outlier_share(self.maximum.x),
+        )
+
+
+@dataclass(frozen=True)
+class Peak:
+    """An optimum of all samples; `climb` is None for one far below the best, where only the subset was climbed."""
+
+    start_sigma: float
+    maximum: Maximum
+    climb: Climb | None
+
+    @property
+    def value(self) -> float:
+        """Log-likelihood [nat]."""
+        return self.maximum.evaluation.value
+
+    @property
+    def optimum(self) -> Optimum:
+        """As it is reported."""
+        criterion = None if self.climb is None else self.climb.likelihood
+        return optimum_of(self.start_sigma, self.maximum, criterion)
+
+
+def likelihood_estimate(samples: Samples, scan: SigmaScan, report: Callable[[str, float], None]) -> Estimate:
+    """Maximise the likelihood of all samples from what a scan by least squares found."""
+    few = subsample(scan.samples, max(50, scan_budget(samples) // SUBSET_SHARE))
+    profile = _profile_on_subset(few, scan, lambda share: report("scanning σ", 0.5 + 0.5 * share))
+    coarse: dict[int, Climb] = {}
+
+    def climb_on_subset(x: Float64) -> Maximum:
+        ended = climb(few, x, scan.free, USUAL_TABLE)
+        coarse[id(ended.maximum)] = ended
+        return ended.maximum
+
+    tops = climb_from_peaks(profile, climb_on_subset)
+    report("refining", 0.2)
+    best, peaks = best_first(_climb_on_all(samples, [(start, coarse[id(top)]) for start, top in tops]))
+    report("refining", 0.9)
+    points, better = _profile_on_all(samples, few, profile, best)
+    for _ in range(MOST_RESTARTS):
+        if better is None:
+            break
+        again = _final_climb(samples, climb(few, better, scan.free, USUAL_TABLE), start=better)
+        start = math.exp(better[LOG_SIGMA])
+        best, peaks = best_first([*peaks, Peak(start, again.maximum, again)])
+        points, better = _profile_on_all(samples, few, profile, best)
+    found = best.as_estimate(())
+    if better is not None:  # there is something better still: reported, and not passed for the best
+        found = replace(found, maximum=replace(found.maximum, converged=False))
+        points = scan_points(profile, share=_share_of(few, samples))
+    report("refining", 1.0)
+    return replace(
+        found,
+        scan=points,
+        optima=tuple(peak.optimum for peak in peaks),
+        unexplained=max(found.unexplained, _outlier_share(tops[0][1].x)),
+        lack_of_fit=scan.lack_of_fit,
+    )
+
+
+def climb(samples: Samples, x: Float64, free: Sequence[int], width: float) -> Climb:
+    """Maximise the likelihood from `x`, the specular light tabulated around its σ.
+
+    Where the climb leaves the table, a table is made around the place that it left for.
+    """
+    moves = 0
+    while True:
+        count = TABLE_NODES if width <= USUAL_TABLE else WIDE_TABLE_NODES
+        offsets = width * np.linspace(-1.0, 1.0, count) if LOG_SIGMA in free else np.zeros(1)
+        nodes = x[LOG_SIGMA] + offsets
+        table = np.stack([samples.specular(math.exp(node)) for node in nodes], axis=1)
+        likelihood = Likelihood(samples, nodes, table)
+        maximum = maximise(likelihood, x, free)
+        moves += 1
+        inside = abs(float(maximum.x[LOG_SIGMA] - x[LOG_SIGMA])) <= 0.7 * width
+        if inside or LOG_SIGMA not in free or moves == MOST_TABLES:
+            settled = replace(maximum, converged=maximum.converged and (inside or LOG_SIGMA not in free))
+            return Climb(likelihood, settled, tuple(free), *uncertainty(likelihood, maximum.x, free))
+        x = maximum.x.copy()
+        x[LOG_SIGMA] = np.clip(x[LOG_SIGMA], nodes[0] - width, nodes[-1] + width)
+
+
+def best_first(peaks: Sequence[Peak]) -> tuple[Climb, list[Peak]]:
+    """The best climb, and all peaks from the best on, without those that ended where a better one did."""
+    distinct: list[Peak] = []
+    for peak in sorted(peaks, key=lambda one: -one.value):
+        at = peak.maximum.x[LOG_SIGMA]
+        if all(abs(at - other.maximum.x[LOG_SIGMA]) > SAME_PEAK for other in distinct):
+            distinct.append(peak)
+    best = distinct[0].climb
+    assert best is not None  # one that is not far below has been climbed to
+    return best, distinct
+
+
+def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Callable[[float], None]) -> list[Maximum]:
+    def starts_at(number: int) -> list[Float64]:
+        # what least squares leave at this σ, and the usual start with its wide shoulders
+        at = scan.profile[number].x
+        other = at.copy()
+        other[-2] = math.log(scan.mean_square(number))
+        other[-1] = scan.starts[number][-1]
+        return [other, scan.starts[number]]
+
+    values = [point.evaluation.value for point in scan.profile]
+    return profile_outwards(
+        lambda at: likelihood_at(few, at),
+        starts_at,
+        scan.log_sigmas,
+        scan.free,
+        begin=values.index(max(values)),
+        progress=progress,
+    )
+
+
+def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Climb]]) -> list[Peak]:
+    # optima of the subset, the best first, as optima of all samples. One that is far below stays where it is, with the
+    # value that all samples have there, unless that is not far below
+    best = tops[0][1].value
+    close = [(start, top) for start, top in tops if best - top.value < CLOSE_CALL]
+    finals = [(start, _final_climb(samples, top)) for start, top in close]
+    peaks = [Peak(start, final.maximum, final) for start, final in finals]
+    least = max(final.value - final.relevant_drop for _, final in finals)
+    for start, top in tops[len(close) :]:
+        there = _best_at(samples, top.maximum.x, top.free)
+        if there.evaluation.value > least:
+            final = _final_climb(samples, top)
+            peaks.append(Peak(start, final.maximum, final))
+        else:
+            peaks.append(Peak(start, replace(there, converged=top.maximum.converged), None))
+    return peaks
+
+
+def _final_climb(samples: Samples, coarse: Climb, *, start: Float64 | None = None) -> Climb:
+    # on all samples, with a table as wide as the maximum needs
+    x = coarse.maximum.x if start is None else start
+    final = climb(samples, x, coarse.free, coarse.table_width)
+    if not 0.5 * coarse.table_width <= final.table_width <= 1.5 * coarse.table_width:
+        final = climb(samples, final.maximum.x, coarse.free, final.table_width)
+    return final
+
+
+def _profile_on_all(
+    samples: Samples, few: Samples, profile: Sequence[Maximum], final: Climb
+) -> tuple[tuple[ScanPoint, ...], Float64 | None]:
+    # The profile of the subset with the estimate itself on it. Where the subset does not surely prefer the estimate,
+    # all samples decide: they either have something better to climb from, or show how much worse it is.
+    share = _share_of(few, samples)
+    if LOG_SIGMA not in final.free:
+        return scan_points([replace(profile[0], x=final.maximum.x)]), None
+    here = _best_at(few, final.maximum.x, final.free)
+    value = here.evaluation.value
+    near = max(CLOSE_CALL, share * final.relevant_drop)
+    shown: list[Maximum] = [replace(here, x=final.maximum.x)]
+    for point in profile:
+        if point.evaluation.value > value - near:
+            whole = _best_at(samples, point.x, final.free)
+            if whole.evaluation.value > final.value:
+                return (), whole.x
+            worse = share * (final.value - whole.evaluation.value)
+            point = replace(whole, evaluation=replace(whole.evaluation, value=value - worse))
+        shown.append(point)
+    return scan_points(shown, share=share), None
+
+
+def _best_at(samples: Samples, x: Float64, free: Sequence[int]) -> Maximum:
+    # the best of all other parameters at the σ of `x`
+    likelihood = likelihood_at(samples, float(x[LOG_SIGMA]))
+    return maximise(likelihood, x, [place for place in free if place != LOG_SIGMA])
+
+
+def _share_of(few: Samples, samples: Samples) -> float:
+    return len(few.sample) / max(1, len(samples.sample))
+
+
+def _outlier_share(x: Float64) -> float:
+    return 1.0 / (1.0 + math.exp(-x[-1]))

@@ -1,0 +1,246 @@
+"""First step of a fit: least squares of clipped levels over the whole range of σ.
+
+It finds every peak of the profile over σ, and whether the model describes the images at all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion
+from lightopt.estimate.reflectance._estimate import FreeParameters, Optimum, ScanPoint
+from lightopt.estimate.reflectance._lack_of_fit import LackOfFit, find_dust, measure_lack_of_fit
+from lightopt.estimate.reflectance._likelihood import predicted
+from lightopt.estimate.reflectance._newton import Maximum, maximise
+from lightopt.estimate.reflectance._samples import Samples, subsample
+from lightopt.estimate.reflectance._sigma_profile import peaks, profile_over_sigma
+
+Float64 = NDArray[np.float64]
+
+SCAN_SAMPLES = 50_000
+"""Pixels of the scan over σ, in all."""
+
+SCAN_STRIDE = 5
+"""The scan takes each fifth node of the specular table: 25 σ, each 1.29 times the one before."""
+
+WEAK_START = 0.1
+"""Share of the R_s that saturates as many pixels as measured, from which least squares climb as well."""
+
+MOST_PEAKS = 4
+SAME_PEAK = 0.02
+"""Climbs that end within this of ln σ have found the same peak."""
+
+HELD_SIGMA = 0.05
+"""Width of a lobe that is neither fitted nor given [rad]."""
+
+Climbs = list[tuple[float, Maximum]]
+"""σ of a peak of the profile [rad], and where the climb from it ended; the best first."""
+
+LEAST_DIFFUSE = 0.1
+"""R_d is guessed where at least this much light arrives per unit of it."""
+
+START_EPSILON = 0.03
+START_DEVIATION = 4.0
+"""A climb begins with wide shoulders [sensor level], so that pixels far from the first guess still pull at it."""
+
+
+@dataclass(frozen=True)
+class SigmaScan:
+    """Least squares over all σ.
+
+    samples: Those of the scan; `criterion` and `profile` are without dust.
+    free: Places of the parameters that are fitted, those of the likelihood's noise last.
+    log_sigmas, starts: ln σ of the profile, and where the climbs at each began, shape (K,).
+    """
+
+    samples: Samples
+    free: tuple[int, ...]
+    log_sigmas: list[float]
+    starts: list[Float64]
+    criterion: LeastSquares
+    profile: list[Maximum]
+    climbs: Climbs
+    lack_of_fit: LackOfFit
+
+    @property
+    def best(self) -> Maximum:
+        """The least squares of all."""
+        return self.climbs[0][1]
+
+    def mean_square(self, number: int) -> float:
+        """Of the profile at one of its σ [sensor level²], from the value of the criterion."""
+        count = max(1, len(self.criterion.samples.sample))
+        return math.exp(-2.0 * self.profile[number].evaluation.value / count - 1.0) / (2.0 * math.pi)
+
+
+def scan_sigma(
+    samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Callable[[float], None]
+) -> SigmaScan:
+    """Fit a subset of the samples by least squares at each σ of the range, and climb from the peaks.
+
+    held: Values (R_d, R_s, σ) of those that are not fitted.
+    """
+    few = subsample(samples, scan_budget(samples))
+    free = free_places(samples, freed)
+    guess = first_guess(few)
+    r_d = guess if freed.diffuse or held is None else float(held[0])
+    table = SpecularTable(few)
+    log_r_s = None
+    if freed.specular:
+        log_sigmas = [float(node) for node in table.nodes[::SCAN_STRIDE]]
+        columns = [table.column(number) for number in range(0, len(table.nodes), SCAN_STRIDE)]
+    else:
+        log_sigmas = [math.log(HELD_SIGMA if held is None else held[2])]
+        columns = [few.specular(math.exp(log_sigmas[0]))]
+        log_r_s = None if held is None else math.log(max(held[1], 1e-6))
+    starts = [
+        start_at(few, column, math.exp(at), r_d) for at, column in zip(log_sigmas, columns, strict=True)
+    ]
+    if log_r_s is not None:
+        starts[0][LOG_R_S] = log_r_s
+    fitted = free[:-2]
+
+    def search(
+        some: Samples, starts_at: Callable[[int], list[Float64]]
+    ) -> tuple[LeastSquares, list[Maximum], Climbs]:
+        criterion = LeastSquares(some, table)
+        by_sigma = {
+            at: LeastSquares(some, table, fixed=(at, column))
+            for at, column in zip(log_sigmas, columns, strict=True)
+        }
+        profile = profile_over_sigma(by_sigma.__getitem__, starts_at, log_sigmas, fitted, progress=progress)
+        if LOG_SIGMA not in fitted:
+            return by_sigma[log_sigmas[0]], profile, [(math.exp(log_sigmas[0]), profile[0])]
+        return criterion, profile, climb_from_peaks(profile, lambda x: maximise(criterion, x, fitted))
+
+    def saturating_and_weak(number: int) -> list[Float64]:
+        weak = starts[number].copy()
+        weak[LOG_R_S] += math.log(WEAK_START) if LOG_R_S in fitted else 0.0
+        return [starts[number], weak]
+
+    criterion, profile, climbs = search(few, saturating_and_weak)
+    best = climbs[0][1].x
+    dust = find_dust(few, predicted(few, criterion.light(best), best))
+    if dust.any():
+        first = profile
+        criterion, profile, climbs = search(few.select(~dust), lambda number: [first[number].x])
+    lack = measure_lack_of_fit(criterion, climbs[0][1].x, dust=float(np.mean(dust)))
+    return SigmaScan(few, tuple(free), log_sigmas, starts, criterion, profile, climbs, lack)
+
+
+def climb_from_peaks(profile: Sequence[Maximum], climb: Callable[[Float64], Maximum]) -> Climbs:
+    """Climb from each peak of a profile to its top."""
+    tops: Climbs = []
+    for peak in peaks(profile)[:MOST_PEAKS]:
+        top = climb(peak.x)
+        if all(abs(top.x[LOG_SIGMA] - other.x[LOG_SIGMA]) > SAME_PEAK for _, other in tops):
+            tops.append((math.exp(peak.x[LOG_SIGMA]), top))
+    return sorted(tops, key=lambda one: -one[1].evaluation.value)
+
+
+def free_places(samples: Samples, freed: FreeParameters) -> list[int]:
+    """Places of the parameters to fit, those of the likelihood's noise last."""
+    places = [R_D] if freed.diffuse else []
+    if freed.specular:
+        places += [LOG_R_S, LOG_SIGMA]
+    if freed.dark:
+        places.append(DARK)
+    if freed.gain:
+        # a common factor of all gains is one of R_d and R_s: the first light that was used keeps its own
+        used = sorted(set(samples.facts.light.tolist()))
+        places += [FIRST_GAIN + light for light in used[1:]]
+    size = FIRST_GAIN + len(samples.lights) + 2
+    return [*places, size - 2, size - 1]
+
+
+def scan_budget(samples: Samples) -> int:
+    """Pixels per octave, light and posture that the scan and least squares use."""
+    return max(50, SCAN_SAMPLES // (8 * len(samples.groups)))
+
+
+def scan_points(profile: Sequence[Maximum], *, share: float = 1.0) -> tuple[ScanPoint, ...]:
+    """A profile as it is reported; `share` of the observations of the estimate are in the profile's criterion."""
+    best = max(one.evaluation.value for one in profile)
+    points = [
+        ScanPoint(x=one.x, value=one.evaluation.value, drop=2.0 * (best - one.evaluation.value) / share)
+        for one in profile
+    ]
+    return tuple(sorted(points, key=lambda point: point.sigma))
+
+
+def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:
+    """The end of a climb as it is reported."""
+    return Optimum(
+        start_sigma=start_sigma,
+        x=top.x,
+        value=top.evaluation.value,
+        converged=top.converged,
+        criterion=criterion,
+    )
+
+
+def first_guess(samples: Samples) -> float:
+    """R_d [grey level] as the median over the half of the usable pixels that is furthest from any highlight.
+
+    Raises InputError: every pixel is saturated or black.
+    """
+    diffuse = samples.diffuse[samples.sample]
+    away = samples.deflection[samples.sample]
+    lit = diffuse > 0.0
+    full = samples.saturated
+    black = samples.level <= samples.sensor.black_level
+    if not lit.any() or bool(np.all(full[lit])):
+        raise InputError(
+            "every pixel that the lights reach is saturated; nothing tells how bright the surface is. Add images "
+            "at a shorter exposure"
+        )
+    if bool(np.all(black[lit])):
+        raise InputError(
+            "every pixel that the lights reach is black; nothing tells how bright the surface is. Add images at a "
+            "longer exposure, and check that the light was on"
+        )
+    usable = lit & ~full & (diffuse >= LEAST_DIFFUSE)
+    if not usable.any():
+        usable = lit & ~full
+    usable &= away >= np.median(away[usable])
+    light = samples.facts.factor[samples.image] * diffuse
+    return max(0.0, float(np.median((samples.level - samples.sensor.black_level)[usable] / light[usable])))
+
+
+def saturating_r_s(samples: Samples, specular: Float64, r_d: float) -> float:
+    """R_s [grey level] with which as many pixels are saturated as were measured.
+
+    Without any saturated pixel, that of a least-squares line through what R_d leaves.
+
+    specular: Per unit of R_s, shape (n,).
+    """
+    factor = samples.facts.factor[samples.image]
+    light = factor * specular[samples.sample]
+    base = samples.sensor.black_level + factor * r_d * samples.diffuse[samples.sample]
+    count = int(samples.saturated.sum())
+    reached = light > 0.0
+    if count:
+        missing = np.maximum(samples.sensor.saturated_from - base, 0.0)[reached]
+        needed = np.sort(missing / light[reached])
+        if len(needed):
+            return max(float(needed[min(count, len(needed)) - 1]), 1e-3)
+        return 1.0
+    square = float(light @ light)
+    return max(float(light @ (samples.level - base)) / square, 1e-3) if square > 0.0 else 1.0
+
+
+def start_at(samples: Samples, specular: Float64, sigma: float, r_d: float) -> Float64:
+    """Parameters to climb from at a given σ, shape (K,); arguments as in :func:`saturating_r_s`, σ in [rad]."""
+    x = np.zeros(FIRST_GAIN + len(samples.lights) + 2)
+    x[R_D], x[LOG_SIGMA] = r_d, math.log(sigma)
+    x[LOG_R_S] = math.log(saturating_r_s(samples, specular, r_d))
+    x[-2] = 2.0 * math.log(START_DEVIATION)
+    x[-1] = math.log(START_EPSILON / (1.0 - START_EPSILON))
+    return x
