@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Index, Int32
 from lightopt.defects._placed import PlacedDefect, surface_coordinates
 from lightopt.defects._profile import height_gradient, radial_place
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,8 +28,8 @@ class Marks:
         By which R_d and σ are multiplied, shape (j,).
     """
 
-    index: NDArray[np.intp]
-    label: NDArray[np.int32]
+    index: Index
+    label: Int32
     normals: Float64
     R_d_factor: Float64
     sigma_factor: Float64

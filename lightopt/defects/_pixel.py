@@ -20,12 +20,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.defects._profile import height_gradient, radial_place
 from lightopt.defects._shape import SHAPE_KINDS, DefectShape
-
-Float64 = NDArray[np.float64]
 
 PER_OCTAVE = 4
 LEAST_OCTAVE, MOST_OCTAVE = -5, 3

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.defects._shape import DefectShape
-
-Float64 = NDArray[np.float64]
 
 LEAST_NORMAL_COSINE = 0.5
 """Points whose normal is more than 60° from the defect's are another side of the part."""
@@ -101,7 +99,7 @@ def tangent_references(normals: Float64, *, x_axis: Float64, y_axis: Float64) ->
 
 def surface_coordinates(
     defect: PlacedDefect, points: Float64, normals: Float64
-) -> tuple[Float64, Float64, NDArray[np.bool_]]:
+) -> tuple[Float64, Float64, Bool]:
     """Coordinates x, y of points in a defect's tangent plane [mm], and whether they belong to its surface.
 
     Projection onto the tangent plane stands for lengths along the surface: on a radius of curvature R they differ at a

@@ -6,12 +6,10 @@ from typing import Any, Protocol
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh as EmbreeMesh
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.geometry._packets import packet_scene
-
-Float64 = NDArray[np.float64]
 
 SURFACE_OFFSET = 1e-5
 """Shadow rays start this fraction of the mesh's radius off the surface: 0.25 µm on a 50 mm part. Embree's own hits lie
@@ -21,7 +19,7 @@ within 1e-7 of the radius of the surface, and an offset 100 times smaller alread
 class RayRecorder(Protocol):
     """What a benchmark passes to :class:`RayCaster` to keep the rays exactly as Embree saw them."""
 
-    def __call__(self, query: str, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> None: ...
+    def __call__(self, query: str, origins: Float32, directions: Float32) -> None: ...
 
 
 class RayCaster:
@@ -39,9 +37,7 @@ class RayCaster:
         Called with every batch of rays in Embree's own units (for benchmarks).
     """
 
-    def __init__(
-        self, vertices: Float64, faces: NDArray[np.int32], *, recorder: RayRecorder | None = None
-    ) -> None:
+    def __init__(self, vertices: Float64, faces: Int32, *, recorder: RayRecorder | None = None) -> None:
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         self.centre: Float64 = 0.5 * (low + high)
         self.radius = float(0.5 * np.linalg.norm(high - low))
@@ -63,7 +59,7 @@ class RayCaster:
         """Number of rays cast so far."""
         return self._rays_cast
 
-    def first_hit(self, origin: Float64, directions: Float64) -> NDArray[np.int32]:
+    def first_hit(self, origin: Float64, directions: Float64) -> Int32:
         """Index of the first face that each ray meets, −1 where none; shape (k,).
 
         Parameters
@@ -77,14 +73,8 @@ class RayCaster:
         return self._run("INTERSECT", origins32, directions32)
 
     def occluded(
-        self,
-        points: Float64,
-        normals: Float64,
-        targets: Float64,
-        *,
-        point_index: NDArray[np.int32],
-        target_index: NDArray[np.int32],
-    ) -> NDArray[np.bool_]:
+        self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32, target_index: Int32
+    ) -> Bool:
         """Whether the mesh blocks the way from a surface point to a target; shape (k,).
 
         Ray i goes from ``points[point_index[i]]`` to ``targets[target_index[i]]``.
@@ -106,15 +96,13 @@ class RayCaster:
         return self._run("OCCLUDED", origins32, directions32) >= 0
 
     def occluded_from(
-        self, points: Float64, normals: Float64, targets: Float64, *, point_index: NDArray[np.int32]
-    ) -> NDArray[np.bool_]:
+        self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32
+    ) -> Bool:
         """As :meth:`occluded`, with a target of its own for each ray: targets of shape (k, 3)."""
         index = np.arange(len(point_index), dtype=np.int32)
         return self.occluded(points, normals, targets, point_index=point_index, target_index=index)
 
-    def _run(
-        self, query: str, origins: NDArray[np.float32], directions: NDArray[np.float32]
-    ) -> NDArray[np.int32]:
+    def _run(self, query: str, origins: Float32, directions: Float32) -> Int32:
         with self._lock:
             self._rays_cast += len(origins)
             if self._recorder is not None:
@@ -132,7 +120,7 @@ class RayCaster:
 @kernel
 def _primary_rays(
     origin: Float64, directions: Float64, centre: Float64, radius: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32, Float32]:
     # each ray starts near the mesh's bounding sphere, not at the far camera: the rounding of its origin to float32
     # then is that of the part's size, not of the camera's distance
     n = len(directions)
@@ -163,11 +151,11 @@ def _shadow_rays(
     points: Float64,
     normals: Float64,
     targets: Float64,
-    point_index: NDArray[np.int32],
-    target_index: NDArray[np.int32],
+    point_index: Int32,
+    target_index: Int32,
     centre: Float64,
     radius: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32, Float32]:
     n = len(point_index)
     origins32 = np.empty((n, 3), np.float32)
     directions32 = np.empty((n, 3), np.float32)

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import InputError
 from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
 from lightopt.geometry._soup import Soup, check_budget
@@ -213,9 +213,9 @@ def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
 
 
 def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> Soup:
-    vertices: list[NDArray[np.float64]] = []
-    faces: list[NDArray[np.int64]] = []
-    normals: list[NDArray[np.float64]] = []
+    vertices: list[Float64] = []
+    faces: list[Int64] = []
+    normals: list[Float64] = []
     start = 0
     for part in parts:
         vertices.append(np.asarray(part["vertices"], dtype=np.float64))
@@ -244,7 +244,7 @@ def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertic
     )
 
 
-def _fans(polygons: NDArray[np.int64]) -> NDArray[np.int64]:
+def _fans(polygons: Int64) -> Int64:
     """Triangles (0, k, k+1) of polygons with the same number of corners, shape (m, 3)."""
     corners = polygons.shape[1]
     return np.stack([polygons[:, (0, k, k + 1)] for k in range(1, corners - 1)], axis=1).reshape(-1, 3)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import InputError
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -66,10 +67,7 @@ def glb_triangle_count(name: str, tree: dict[str, Any]) -> int:
 
 
 def placed(
-    matrix: NDArray[np.float64],
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    normals: NDArray[np.float64] | None,
+    matrix: Float64, vertices: Float64, faces: Int64, normals: Float64 | None
 ) -> dict[str, NDArray[Any]]:
     """Vertices, faces and normals after an affine transform, shape (4, 4); a mirror turns the winding."""
     linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
@@ -127,7 +125,7 @@ def parse_glb(name: str, data: bytes) -> list[dict[str, NDArray[Any]]]:
     return parts
 
 
-def _local(node: dict[str, Any]) -> NDArray[np.float64]:
+def _local(node: dict[str, Any]) -> Float64:
     """Transform of a node into its parent's frame, shape (4, 4)."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T

@@ -3,11 +3,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -28,21 +26,15 @@ class Hits:
         Along the ray from its origin [mm], shape (k,).
     """
 
-    ray: NDArray[np.int32]
-    face: NDArray[np.int32]
+    ray: Int32
+    face: Int32
     u: Float64
     v: Float64
     points: Float64
     distance: Float64
 
 
-def resolve_hits(
-    face: NDArray[np.int32],
-    origin: Float64,
-    directions: Float64,
-    vertices: Float64,
-    faces: NDArray[np.int32],
-) -> Hits:
+def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Float64, faces: Int32) -> Hits:
     """Solve the hits that :meth:`RayCaster.first_hit` found, leaving out the rays that met nothing.
 
     Embree's float32 answer is good to about 1e-5 of the distance, which is not enough for the normals of a glossy
@@ -64,12 +56,8 @@ def resolve_hits(
 
 @kernel
 def _resolve(
-    face: NDArray[np.int32],
-    origin: Float64,
-    directions: Float64,
-    vertices: Float64,
-    faces: NDArray[np.int32],
-) -> tuple[NDArray[np.int32], NDArray[np.int32], Float64, Float64, Float64, Float64]:
+    face: Int32, origin: Float64, directions: Float64, vertices: Float64, faces: Int32
+) -> tuple[Int32, Int32, Float64, Float64, Float64, Float64]:
     count = 0
     for i in range(len(face)):
         if face[i] >= 0:

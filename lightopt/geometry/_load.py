@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.errors import InputError
 from lightopt.geometry._formats import read_glb, read_obj, read_ply, read_stl
 from lightopt.geometry._normals import carried_normals, smooth_normals
@@ -213,7 +213,7 @@ def _vertex_warnings(soup: Soup, merged: int) -> list[str]:
     return warnings
 
 
-def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> TriangleMesh:
+def _compact(vertices: Float64, faces: Int32) -> TriangleMesh:
     used = np.zeros(len(vertices), dtype=np.bool_)
     used[faces] = True
     number = np.cumsum(used, dtype=np.int32) - 1

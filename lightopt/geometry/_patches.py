@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lightopt.core.errors import InputError
 from lightopt.geometry._bisection import build_pieces, count_pieces, find_pieces
@@ -43,15 +43,15 @@ class Patches:
         Which edge of its triangle was cut: k runs from corner k to corner k + 1, shape (c,), uint8.
     """
 
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int32]
-    centroids: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    areas: NDArray[np.float64]
-    face: NDArray[np.int32]
-    roots: NDArray[np.int32]
-    children: NDArray[np.int32]
-    cut_edge: NDArray[np.uint8]
+    vertices: Float64
+    triangles: Int32
+    centroids: Float64
+    normals: Float64
+    areas: Float64
+    face: Int32
+    roots: Int32
+    children: Int32
+    cut_edge: UInt8
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -63,11 +63,11 @@ class Patches:
         return len(self.triangles)
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Float64:
         """Corners of the patches [mm], shape (p, 3, 3); made anew on each call."""
         return self.vertices[self.triangles]
 
-    def patch_at(self, face: ArrayLike, u: ArrayLike, v: ArrayLike) -> NDArray[np.int32]:
+    def patch_at(self, face: ArrayLike, u: ArrayLike, v: ArrayLike) -> Int32:
         """Patch that holds each point of the mesh's surface; every point of a face belongs to exactly one.
 
         Parameters
@@ -108,7 +108,7 @@ class Patches:
 
 
 def refine(
-    mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: NDArray[np.bool_] | None = None
+    mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: Bool | None = None
 ) -> Patches:
     """Patches of a mesh: every face bisected at its longest edge until no edge is longer than `max_edge_mm`.
 
@@ -164,11 +164,7 @@ def refine(
 
 
 def estimate_patch_count(
-    mesh: TriangleMesh,
-    max_edge_mm: float,
-    *,
-    select: NDArray[np.bool_] | None = None,
-    limit: int = 10_000_000,
+    mesh: TriangleMesh, max_edge_mm: float, *, select: Bool | None = None, limit: int = 10_000_000
 ) -> int:
     """Count the patches that :func:`refine` would make, without making them.
 
@@ -198,7 +194,7 @@ def estimate_patch_count(
     return int(count_pieces(mesh.vertices, mesh.faces, selected, max_edge_mm, limit))
 
 
-def _checked(mesh: TriangleMesh, max_edge_mm: float, select: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _checked(mesh: TriangleMesh, max_edge_mm: float, select: Bool | None) -> Bool:
     if not (math.isfinite(max_edge_mm) and max_edge_mm > 0.0):
         raise InputError(f"patches: expected an edge length above 0 mm, found {max_edge_mm}")
     if select is None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32, Int64
 from lightopt.core.errors import InputError, counted
 
 # Peak of loading and smoothing a binary STL of 1.3 million triangles: 700 bytes each, measured.
@@ -40,9 +40,9 @@ class Soup:
         What was noticed while reading.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    normals: NDArray[np.float64] | None
+    vertices: Float64
+    faces: Int64
+    normals: Float64 | None
     format: str
     repeats_vertices: bool
     warnings: tuple[str, ...] = ()
@@ -98,7 +98,7 @@ def check_soup(name: str, soup: Soup, unit_mm: float) -> None:
         )
 
 
-def keep_faces_with_area(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+def keep_faces_with_area(vertices: Float64, faces: Int32) -> Bool:
     """Tell which faces have an area, and so a direction, shape (m,)."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     u, v, w = b - a, c - a, c - b

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt64
 from lightopt.core.kernels import kernel
 
 
@@ -27,9 +28,9 @@ class EdgePairs:
         Number of edges used by one face, and by three or more.
     """
 
-    corners: NDArray[np.int32]
-    same_direction: NDArray[np.bool_]
-    rim: NDArray[np.bool_]
+    corners: Int32
+    same_direction: Bool
+    rim: Bool
     open_edges: int
     nonmanifold_edges: int
 
@@ -50,18 +51,18 @@ class MeshEdges:
         All corners, those of an edge together, shape (3·m,).
     """
 
-    ends: NDArray[np.int64]
-    uses: NDArray[np.int64]
-    corners: NDArray[np.int64]
-    order: NDArray[np.int64]
+    ends: Int64
+    uses: Int64
+    corners: Int64
+    order: Int64
 
     @property
-    def faces(self) -> NDArray[np.int64]:
+    def faces(self) -> Int64:
         """The first and the last of the faces at the edge, shape (e, 2)."""
         return self.corners // 3
 
 
-def merge_rows(rows: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def merge_rows(rows: Float64) -> tuple[Int32, Int32]:
     """Find the unique rows of an array by exact value, in order of first occurrence.
 
     Parameters
@@ -103,7 +104,7 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
     )
 
 
-def edge_pairs(faces: NDArray[np.int32]) -> EdgePairs:
+def edge_pairs(faces: Int32) -> EdgePairs:
     """Match the edges of all faces.
 
     Parameters
@@ -125,13 +126,13 @@ def edge_pairs(faces: NDArray[np.int32]) -> EdgePairs:
     )
 
 
-def _corner_vertices(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _corner_vertices(faces: NDArray[np.integer]) -> tuple[Int64, Int64]:
     """The vertices at which the edge of each corner begins and ends, shape (3·m,)."""
     return faces.reshape(-1).astype(np.int64), faces[:, (1, 2, 0)].reshape(-1).astype(np.int64)
 
 
 @kernel
-def _merge_bits(bits: NDArray[np.uint64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
     n, k = bits.shape
     size = 16
     while size < 2 * n:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 
@@ -37,9 +38,9 @@ class TriangleMesh:
         length.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    normals: NDArray[np.float64] | None = None
+    vertices: Float64
+    faces: Int32
+    normals: Float64 | None = None
 
     def __post_init__(self) -> None:
         vertices = _rows_of_three("vertices", self.vertices)
@@ -68,21 +69,21 @@ class TriangleMesh:
         object.__setattr__(self, "normals", normals)
 
     @property
-    def bounds(self) -> NDArray[np.float64]:
+    def bounds(self) -> Float64:
         """Lowest and highest corner of the bounding box of all vertices [mm], shape (2, 3)."""
         if not len(self.vertices):
             raise InputError("mesh: no vertices, so no bounding box")
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
 
-def face_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
+def face_normals(mesh: TriangleMesh) -> Float64:
     """Outward unit normals of the facets, part file's frame, shape (m, 3); zero for faces without area."""
     cross = _cross(mesh.vertices, mesh.faces)
     length = np.sqrt(np.einsum("ij,ij->i", cross, cross))
     return cross / np.where(length > 0.0, length, 1.0)[:, None]
 
 
-def face_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
+def face_areas(mesh: TriangleMesh) -> Float64:
     """Areas of the flat facets [mm²], shape (m,)."""
     cross = _cross(mesh.vertices, mesh.faces)
     return 0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross))
@@ -116,7 +117,7 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
 
 
 @kernel
-def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def _cross(vertices: Float64, faces: Int32) -> Float64:
     # normals as long as twice the areas
     result = np.empty((len(faces), 3))
     for i in range(len(faces)):
@@ -129,7 +130,7 @@ def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[n
     return result
 
 
-def _rows_of_three(name: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rows_of_three(name: str, values: Float64) -> Float64:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"mesh {name}: expected shape (n, 3), found {array.shape}")

@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.optics._sensor import Sensor
 
-Levels = NDArray[np.float32] | NDArray[np.float64]
-Quantised = NDArray[np.uint8] | NDArray[np.uint16]
-Float64 = NDArray[np.float64]
+Levels = Float32 | Float64
+Quantised = UInt8 | NDArray[np.uint16]
 
 _BLOCK_PIXELS = 1 << 18
 """Pixels worked on at a time: bounds the float64 copies. Noise is drawn block by block, so changing it
@@ -82,7 +82,7 @@ def expose(
     return quantised
 
 
-def _check_finite(block: NDArray[np.float64], *, top: int) -> None:
+def _check_finite(block: Float64, *, top: int) -> None:
     finite = np.isfinite(block)
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
@@ -92,7 +92,7 @@ def _check_finite(block: NDArray[np.float64], *, top: int) -> None:
         )
 
 
-def _add_noise(signal: NDArray[np.float64], *, sensor: Sensor, rng: np.random.Generator) -> None:
+def _add_noise(signal: Float64, *, sensor: Sensor, rng: np.random.Generator) -> None:
     """Add shot and read noise to the signal above black [sensor level], in place."""
     if sensor.electrons_per_level is not None:
         # Only light makes shot noise: what is below zero (a dark-corrected input) is left as it is.
@@ -126,7 +126,7 @@ def _poisson(mean: Float64, uniform: Float64, normal: Float64) -> Float64:
     return counts
 
 
-def saturated(quantised: Quantised, sensor: Sensor) -> NDArray[np.bool_]:
+def saturated(quantised: Quantised, sensor: Sensor) -> Bool:
     """Where the delivered level reaches the sensor's saturation level; boolean, shape of `quantised`."""
     return quantised >= sensor.saturated_from
 

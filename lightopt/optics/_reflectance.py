@@ -36,8 +36,5 @@ class Reflectance:
             By which R_d and σ are multiplied.
         """
         return replace(
-            self,
-            R_d=self.R_d * R_d_factor,
-            R_s=self.R_s / sigma_factor**2,
-            sigma=self.sigma * sigma_factor,
+            self, R_d=self.R_d * R_d_factor, R_s=self.R_s / sigma_factor**2, sigma=self.sigma * sigma_factor
         )

@@ -9,6 +9,7 @@ from typing import Any, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 
 Level = TypeVar("Level", bound=np.floating[Any])
@@ -78,9 +79,7 @@ class Sensor:
     def noise_variance(self, signal: float, *, frames: int = 1) -> float: ...
 
     @overload
-    def noise_variance(
-        self, signal: NDArray[Level], *, frames: int | NDArray[np.float64] = 1
-    ) -> NDArray[Level]: ...
+    def noise_variance(self, signal: NDArray[Level], *, frames: int | Float64 = 1) -> NDArray[Level]: ...
 
     def noise_variance(self, signal: Any, *, frames: Any = 1) -> Any:
         """Variance of a delivered level: read noise and shot noise, of which averaging leaves less, and rounding.

@@ -34,15 +34,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.rendering._lobe import out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._panel import PanelNumbers
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
-State = NDArray[np.uint8]
 
 BELOW, VISIBLE, BLOCKED = 1, 2, 3
 """What a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle."""
@@ -62,8 +58,8 @@ LEAST_STRIPS, MOST_STRIPS = 2, 16
 
 @kernel
 def places_beside_chords(
-    state: State, stake: Float64, across: Float64, along: Float64
-) -> tuple[Bool, NDArray[np.int64], Float64, Float64, Bool]:
+    state: UInt8, stake: Float64, across: Float64, along: Float64
+) -> tuple[Bool, Int64, Float64, Float64, Bool]:
     """Places that tell whether the edge of the shadow is straight inside the crossed cells where that matters.
 
     They are on both sides of the chord between the edge's crossings, as far from it as the edge may be without harm.
@@ -125,11 +121,11 @@ def add_visible_cells(
     normals: Float64,
     views: Float64,
     panel: PanelNumbers,
-    point: NDArray[np.int32],
+    point: Int32,
     s: Float64,
     t: Float64,
     cell: float,
-    state: State,
+    state: UInt8,
     diffuse_level: float,
     specular_level: float,
     inverse_two_sigma_squared: float,
@@ -194,11 +190,11 @@ def add_crossed_cells(
     normals: Float64,
     views: Float64,
     panel: PanelNumbers,
-    point: NDArray[np.int32],
+    point: Int32,
     s: Float64,
     t: Float64,
     cell: float,
-    state: State,
+    state: UInt8,
     across: Float64,
     along: Float64,
     stake: Float64,
@@ -249,7 +245,7 @@ def add_crossed_cells(
 
 
 @kernel
-def _cell_kind(state: State, i: int, row: int, column: int) -> int:
+def _cell_kind(state: UInt8, i: int, row: int, column: int) -> int:
     # VISIBLE, BLOCKED, or 0 where the edge of the shadow crosses the cell
     visible = blocked = 0
     for corner in range(4):
@@ -263,7 +259,7 @@ def _cell_kind(state: State, i: int, row: int, column: int) -> int:
 
 @kernel
 def _chord(
-    state: State, across: Float64, along: Float64, i: int, row: int, column: int, first: int
+    state: UInt8, across: Float64, along: Float64, i: int, row: int, column: int, first: int
 ) -> tuple[bool, float, float, float, float, float]:
     # the chord that cuts off the visible stretch of a cell's boundary that begins with corner `first`, if one does: its
     # ends (ax, ay), (bx, by) and the sign with which sign·((bx − ax)·(y − ay) − (by − ay)·(x − ax)) ≥ 0 is visible.
@@ -292,14 +288,7 @@ def _chord(
 
 @kernel
 def _visible_strips(
-    state: State,
-    across: Float64,
-    along: Float64,
-    i: int,
-    row: int,
-    column: int,
-    strips: int,
-    runs: Float64,
+    state: UInt8, across: Float64, along: Float64, i: int, row: int, column: int, strips: int, runs: Float64
 ) -> int:
     # strips [s0, s1] × [t0, t1], in cells, that cover the visible area of a cell; returns their number
     count = 0

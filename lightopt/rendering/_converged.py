@@ -11,8 +11,8 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
@@ -23,8 +23,6 @@ from lightopt.rendering._penumbra import PenumbraLight, shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
-
-Float64 = NDArray[np.float64]
 
 DIFFUSE_TOLERANCE = 1e-4
 """Error of the diffuse quadrature per unit of R_d: 0.025 level of 255."""
@@ -70,8 +68,8 @@ class PanelSight:
         Whether the point was shaded as one in a penumbra, shape (k,).
     """
 
-    verdict: NDArray[np.uint8]
-    penumbra: NDArray[np.bool_]
+    verdict: UInt8
+    penumbra: Bool
 
 
 def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> ConvergedPanel:
@@ -111,7 +109,7 @@ def shade_converged(
     surface: SurfacePoints,
     converged: ConvergedPanel,
     *,
-    sample: NDArray[np.intp],
+    sample: Index,
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
@@ -144,11 +142,11 @@ def shade_seeing(
     surface: SurfacePoints,
     converged: ConvergedPanel,
     *,
-    sample: NDArray[np.intp],
+    sample: Index,
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
-    verdict: NDArray[np.uint8] | None = None,
+    verdict: UInt8 | None = None,
 ) -> tuple[Float64, Float64, PanelSight]:
     """As :func:`shade_converged`, and what the points see of the panel, for :func:`shade_again`.
 
@@ -178,9 +176,9 @@ def shade_again(
     surface: SurfacePoints,
     converged: ConvergedPanel,
     *,
-    index: NDArray[np.intp],
+    index: Index,
     sight: PanelSight,
-    sample: NDArray[np.intp],
+    sample: Index,
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
@@ -223,7 +221,7 @@ def shade_again(
 
 
 def _unshadowed(
-    surface: SurfacePoints, converged: ConvergedPanel, verdict: NDArray[np.uint8], reflectance: Reflectance
+    surface: SurfacePoints, converged: ConvergedPanel, verdict: UInt8, reflectance: Reflectance
 ) -> tuple[Float64, Float64]:
     # light of the whole panel, of weight 1, where nothing is in the way
     return _whole_panel(
@@ -252,12 +250,12 @@ def _penumbra_light(converged: ConvergedPanel, reflectance: Reflectance) -> Penu
 
 def _add_penumbrae(
     surface: SurfacePoints,
-    uncertain: NDArray[np.bool_],
+    uncertain: Bool,
     light: PenumbraLight,
     caster: RayCaster,
     diffuse: Float64,
     specular: Float64,
-) -> NDArray[np.bool_]:
+) -> Bool:
     # works out the uncertain points into the two arrays; returns which of them see the panel in part
     penumbra = np.zeros(len(surface), np.bool_)
     index = np.flatnonzero(uncertain)
@@ -280,7 +278,7 @@ def probe_targets(light: PanelLight) -> Float64:
     )
 
 
-def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> NDArray[np.bool_]:
+def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> Bool:
     """Which probes each point's face, whatever its normal, faces and sees, shape (k, 5)."""
     point, target = facing_pairs(replace(surface, normals=surface.facets), targets, geometric=False)
     blocked = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=target)
@@ -289,16 +287,14 @@ def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) ->
     return clear
 
 
-def verdict_of_probes(
-    surface: SurfacePoints, targets: Float64, clear: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
+def verdict_of_probes(surface: SurfacePoints, targets: Float64, clear: Bool) -> UInt8:
     """What the coarse rays say of each point with its own normal, from :func:`panel_probes`, shape (k,)."""
     above = np.zeros_like(clear)
     above[facing_pairs(surface, targets, geometric=False)] = True
     return _verdict((clear & above).sum(axis=1), above.sum(axis=1))
 
 
-def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> NDArray[np.uint8]:
+def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> UInt8:
     targets = probe_targets(light)
     point, target = facing_pairs(surface, targets, geometric=True)
     blocked = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=target)
@@ -309,7 +305,7 @@ def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster
     )
 
 
-def _verdict(clear: NDArray[np.intp], all_above: NDArray[np.intp]) -> NDArray[np.uint8]:
+def _verdict(clear: Index, all_above: Index) -> UInt8:
     verdict = np.full(len(clear), _MIXED, np.uint8)
     verdict[clear == 0] = _HIDDEN
     verdict[clear == all_above] = _CLEAR
@@ -317,18 +313,14 @@ def _verdict(clear: NDArray[np.intp], all_above: NDArray[np.intp]) -> NDArray[np
     return verdict
 
 
-def _disagreeing(
-    verdict: NDArray[np.uint8], sample: NDArray[np.intp], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _disagreeing(verdict: UInt8, sample: Index, shape: tuple[int, int]) -> Bool:
     # points whose rays disagree among themselves or with those of a neighbouring sample
     near_clear = _neighbours((verdict == _CLEAR) | (verdict == _MIXED), sample, shape)
     near_hidden = _neighbours((verdict == _HIDDEN) | (verdict == _MIXED), sample, shape)
     return near_clear & near_hidden & (verdict != _DARK)
 
 
-def _neighbours(
-    flags: NDArray[np.bool_], sample: NDArray[np.intp], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _neighbours(flags: Bool, sample: Index, shape: tuple[int, int]) -> Bool:
     # whether any of the 3 × 3 samples around each point is flagged
     grid = np.zeros((shape[0] + 2, shape[1] + 2), np.bool_)
     inner = grid[1:-1, 1:-1]
@@ -344,7 +336,7 @@ def _whole_panel(
     points: Float64,
     normals: Float64,
     views: Float64,
-    verdict: NDArray[np.uint8],
+    verdict: UInt8,
     panel: PanelNumbers,
     panel_nodes: int,
     inverse_two_sigma_squared: float,

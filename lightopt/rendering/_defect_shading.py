@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Index, Int32
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
@@ -20,8 +20,6 @@ from lightopt.rendering._converged import ConvergedPanel, PanelSight, shade_agai
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -40,8 +38,8 @@ class DisturbedSamples:
         Of all of them.
     """
 
-    index: NDArray[np.intp]
-    label: NDArray[np.int32]
+    index: Index
+    label: Int32
     surface: SurfacePoints
     reflectance: Reflectance
 
@@ -50,7 +48,7 @@ class DisturbedSamples:
         panel: PanelLight | ConvergedPanel,
         sight: PanelSight | None,
         *,
-        sample: NDArray[np.intp],
+        sample: Index,
         shape: tuple[int, int],
         caster: RayCaster | None,
     ) -> tuple[Float64, Float64]:

@@ -33,11 +33,6 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     whole = replace(light, points="auto")
     panel = converged_panel(whole, centre=origin[0], radius=1.0)
     _, specular = shade_converged(
-        surface,
-        panel,
-        sample=np.zeros(1, np.intp),
-        shape=(1, 1),
-        reflectance=scene.reflectance,
-        caster=None,
+        surface, panel, sample=np.zeros(1, np.intp), shape=(1, 1), reflectance=scene.reflectance, caster=None
     )
     return float(scene.reflectance.R_s * specular[0] * light.total_weight / whole.total_weight)

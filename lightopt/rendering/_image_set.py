@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load_rig, points_problem
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
@@ -326,11 +326,7 @@ def _add_image(
         posture = _bits(images.posture.elevation_deg) << 64 | _bits(images.posture.rotation_deg)
         rng = image_rng(seed, light=light_index, posture=posture, exposure=_bits(exposure))
     levels = expose(
-        image.level,
-        sensor=scene.sensor,
-        exposure=exposure,
-        full_scale=scene.reflectance.full_scale,
-        rng=rng,
+        image.level, sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale, rng=rng
     )
     entry = ImageEntry(
         light=light.name,
@@ -339,7 +335,7 @@ def _add_image(
         posture=images.posture,
         exposure=exposure,
     )
-    linear: dict[str, NDArray[np.float32]] = {"Y": image.level}
+    linear: dict[str, Float32] = {"Y": image.level}
     if image.diffuse is not None and image.specular is not None:
         linear |= {"diffuse.Y": image.diffuse, "specular.Y": image.specular}
     # the exposures of an image share its EXR; one that was lost or damaged is not known
@@ -356,7 +352,7 @@ def _degrees(angle: float) -> float:
     return round(float(np.degrees(angle)), 9)
 
 
-def _geometry_channels(geometry: Geometry) -> dict[str, NDArray[np.float32]]:
+def _geometry_channels(geometry: Geometry) -> dict[str, Float32]:
     channels = {f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")}
     channels |= {f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")}
     labels = {} if geometry.defect is None else {"defect": geometry.defect.astype(np.float32)}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
@@ -18,8 +19,6 @@ from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 Progress = Callable[[float, int], None]
 """Called with the share of the posture that is done (0 to 1) and the number of rays cast so far."""
 
@@ -71,9 +70,9 @@ class Geometry:
     points: Float32
     normals: Float32
     distance: Float32
-    patch: NDArray[np.int32]
-    hit: NDArray[np.bool_]
-    defect: NDArray[np.int32] | None = None
+    patch: Int32
+    hit: Bool
+    defect: Int32 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,11 +325,7 @@ class _Job:
         return disturbed_samples(self.scene.defects, surface, self.scene.reflectance)
 
     def _shade(
-        self,
-        surface: SurfacePoints,
-        panel: PanelLight | ConvergedPanel,
-        sample: NDArray[np.intp],
-        grid: tuple[int, int],
+        self, surface: SurfacePoints, panel: PanelLight | ConvergedPanel, sample: Index, grid: tuple[int, int]
     ) -> tuple[Float64, Float64, PanelSight | None]:
         caster = self.caster if self.shadows else None
         reflectance = self.scene.reflectance

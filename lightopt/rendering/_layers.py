@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.geometry import RayCaster
@@ -26,8 +26,6 @@ from lightopt.rendering._lobe import (
 from lightopt.rendering._panel import PanelNumbers, panel_numbers, terms_at
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
-
-Float64 = NDArray[np.float64]
 
 _PIECE = 8192
 
@@ -63,7 +61,7 @@ class LightLayer:
     nodes: int
     rules: tuple[Float64, Float64]
 
-    def take(self, index: NDArray[np.intp]) -> LightLayer:
+    def take(self, index: Index) -> LightLayer:
         """The points at `index`, shape (j,)."""
         return replace(
             self,

@@ -12,12 +12,10 @@ import math
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.rendering._panel import PanelNumbers, point_terms, terms_at
-
-Float64 = NDArray[np.float64]
 
 MAX_NODES = 48
 """Most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many."""
@@ -321,11 +319,7 @@ def mirror_point(
     p: Float64, n: Float64, v: Float64, n_dot_v: float, panel: PanelNumbers
 ) -> tuple[float, float]:
     """Where the mirrored view meets the panel's plane, (s, t) in the panel's sides; its centre where it never does."""
-    mx, my, mz = (
-        2.0 * n_dot_v * n[0] - v[0],
-        2.0 * n_dot_v * n[1] - v[1],
-        2.0 * n_dot_v * n[2] - v[2],
-    )
+    mx, my, mz = (2.0 * n_dot_v * n[0] - v[0], 2.0 * n_dot_v * n[1] - v[1], 2.0 * n_dot_v * n[2] - v[2])
     cx, cy, cz = panel.centre_x - p[0], panel.centre_y - p[1], panel.centre_z - p[2]
     towards = mx * panel.outward_x + my * panel.outward_y + mz * panel.outward_z
     ahead = cx * panel.outward_x + cy * panel.outward_y + cz * panel.outward_z

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.optics import MAX_LOBE_EXPONENT, lambert, torrance_sparrow
 from lightopt.scene import PanelLight
@@ -131,9 +129,9 @@ def point_terms(
 
 @kernel
 def terms_at(
-    p: NDArray[np.float64],
-    n: NDArray[np.float64],
-    v: NDArray[np.float64],
+    p: Float64,
+    n: Float64,
+    v: Float64,
     n_dot_v: float,
     qx: float,
     qy: float,

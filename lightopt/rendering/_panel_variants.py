@@ -11,8 +11,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
 from lightopt.optics import MIN_COS_VIEW
@@ -22,9 +22,6 @@ from lightopt.rendering._panel import PanelNumbers, panel_numbers
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import panel_grid
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 CELLS = 4
 """Cells along a side of a panel of which a part hides some."""
@@ -103,7 +100,7 @@ def _kernel(
     normals: Float64,
     references: Float64,
     views: Float64,
-    number: NDArray[np.int64],
+    number: Int64,
     whole: int,
     cells: Bool,
     panel: PanelNumbers,

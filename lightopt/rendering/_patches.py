@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Patches, RayCaster, TriangleMesh, estimate_patch_count, face_normals, refine
 from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._images import trace_posture
 from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
-
-Float64 = NDArray[np.float64]
 
 DEFAULT_PATCH_BUDGET = 200_000
 """Patches visible in at least one posture, unless asked otherwise."""
@@ -54,25 +53,25 @@ class PatchTable:
 
     patches: Patches
     postures: tuple[Posture, ...]
-    visible: NDArray[np.bool_]
-    grazing: NDArray[np.bool_]
+    visible: Bool
+    grazing: Bool
     max_edge: float
     footprint: float
     seen_faces: int = 0
     exceeded: int = 0
 
-    def inspectable(self, posture: Posture) -> NDArray[np.intp]:
+    def inspectable(self, posture: Posture) -> Index:
         """Indices of the patches that the camera sees in a posture, not at a grazing angle, ascending."""
         row = self.postures.index(posture)
         return np.flatnonzero(self.visible[row] & ~self.grazing[row])
 
-    def left_out(self, posture: Posture) -> NDArray[np.intp]:
+    def left_out(self, posture: Posture) -> Index:
         """Indices of the patches that the camera sees in a posture at a grazing angle, ascending."""
         row = self.postures.index(posture)
         return np.flatnonzero(self.visible[row] & self.grazing[row])
 
     @property
-    def inspectable_anywhere(self) -> NDArray[np.bool_]:
+    def inspectable_anywhere(self) -> Bool:
         """Whether a patch is inspectable in one posture or more, shape (p,)."""
         return np.any(
             [seen & ~grazing for seen, grazing in zip(self.visible, self.grazing, strict=True)], axis=0
@@ -158,10 +157,10 @@ class PatchPixels:
         Raveled pixel indices, ascending within a patch.
     """
 
-    start: NDArray[np.int64]
-    pixels: NDArray[np.int64]
+    start: Int64
+    pixels: Int64
 
-    def of(self, patch: int) -> NDArray[np.int64]:
+    def of(self, patch: int) -> Int64:
         """Raveled indices of the pixels whose centre shows a patch; empty for a patch smaller than a pixel."""
         return self.pixels[self.start[patch] : self.start[patch + 1]]
 
@@ -234,7 +233,7 @@ def _most_cuts(budget: int, shown: int) -> int:
     return max(budget - shown, budget // 2)
 
 
-def patch_pixels(patch: NDArray[np.int32], count: int) -> PatchPixels:
+def patch_pixels(patch: Int32, count: int) -> PatchPixels:
     """Turn a geometry image's patch channel round: from which patch a pixel shows to which pixels show a patch.
 
     Parameters
@@ -261,7 +260,7 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
     return columns, rows
 
 
-def _longest_edge(mesh: TriangleMesh, faces: NDArray[np.bool_]) -> float:
+def _longest_edge(mesh: TriangleMesh, faces: Bool) -> float:
     corners = mesh.vertices[mesh.faces[faces]]
     return float(np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(initial=0.0)))
 
@@ -287,7 +286,7 @@ def grain_of(areas: Float64) -> float:
 
 def sight_of(
     points: Float64, normals: Float64, facets: Float64, view: PartView, caster: RayCaster
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[Bool, Bool]:
     """Which points of the surface the camera sees, and which of these at a grazing angle.
 
     Parameters
@@ -311,7 +310,7 @@ def sight_of(
     return visible, grazing
 
 
-def visible_points(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> NDArray[np.bool_]:
+def visible_points(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> Bool:
     """Whether the camera sees points of the surface: in the image, from the front, with nothing in between.
 
     Parameters

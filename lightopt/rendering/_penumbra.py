@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
 from lightopt.rendering._cells import (
@@ -28,10 +29,6 @@ from lightopt.rendering._cells import (
 )
 from lightopt.rendering._panel import PanelNumbers
 from lightopt.rendering._surface import SurfacePoints
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
-State = NDArray[np.uint8]
 
 GRIDS = (8, 4, 4)
 """Cells along each side of the panel; of a cell whose piece of edge is bent; and of such a cell of that finer grid."""
@@ -79,7 +76,7 @@ class _Squares:
     Lower corners `s`, `t` and `cell`, the side of a cell of the grid, in units of the panel's sides, from 0 to 1.
     """
 
-    point: NDArray[np.int32]
+    point: Int32
     s: Float64
     t: Float64
     cell: float
@@ -167,7 +164,7 @@ def _shade_squares(work: _Work, squares: _Squares, *, depth: int) -> Bool:
     return (state == VISIBLE).any(axis=(1, 2)) & (state == BLOCKED).any(axis=(1, 2))
 
 
-def _look_at_corners(work: _Work, squares: _Squares, n: int) -> State:
+def _look_at_corners(work: _Work, squares: _Squares, n: int) -> UInt8:
     # what is seen at the corners of the cells, (q, n + 1, n + 1)
     square, row, column = (
         a.ravel()
@@ -177,9 +174,7 @@ def _look_at_corners(work: _Work, squares: _Squares, n: int) -> State:
     return state.reshape(len(squares.point), n + 1, n + 1)
 
 
-def _look(
-    work: _Work, squares: _Squares, square: NDArray[np.intp], x: NDArray[Any], y: NDArray[Any]
-) -> State:
+def _look(work: _Work, squares: _Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
     # what is seen at places (x, y) of squares, counted in cells of their grid
     surface, point = work.surface, squares.point[square]
     s, t = squares.s[square] + x * squares.cell, squares.t[square] + y * squares.cell
@@ -197,10 +192,10 @@ def _horizon_state(
     normals: Float64,
     facets: Float64,
     panel: PanelNumbers,
-    point: NDArray[np.int32],
+    point: Int32,
     s: Float64,
     t: Float64,
-) -> tuple[State, NDArray[np.int32], Float64]:
+) -> tuple[UInt8, Int32, Float64]:
     # what the horizon decides: below the interpolated one there is no light, below the face's own plane the face is in
     # the way; the rest needs a ray
     state = np.empty(len(point), np.uint8)
@@ -228,7 +223,7 @@ def _horizon_state(
 
 
 def _edge_crossings(
-    work: _Work, squares: _Squares, state: State, stake: Float64, *, vertical: bool
+    work: _Work, squares: _Squares, state: UInt8, stake: Float64, *, vertical: bool
 ) -> Float64:
     # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the
     # side from its first corner; ½ where it does not cross
@@ -262,7 +257,7 @@ def _edge_crossings(
 
 
 def _bent_edges(
-    work: _Work, squares: _Squares, state: State, stake: Float64, across: Float64, along: Float64
+    work: _Work, squares: _Squares, state: UInt8, stake: Float64, across: Float64, along: Float64
 ) -> Bool:
     # cells where the edge of the shadow is not the chord between its crossings, as far as that matters
     bent, cell, x, y, expected = places_beside_chords(state, stake, across, along)

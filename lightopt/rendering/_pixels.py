@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
@@ -15,9 +15,6 @@ from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
 """What a pixel sees of a panel: nothing, all of it, or (penumbrae) something that is not predicted here."""
@@ -58,8 +55,8 @@ class PosturePixels:
 
     posture: Posture
     view: PartView
-    row: NDArray[np.int32]
-    column: NDArray[np.int32]
+    row: Int32
+    column: Int32
     surface: SurfacePoints
     clean: Bool
     shape: tuple[int, int]
@@ -81,7 +78,7 @@ def trace_pixels(
     left, top, right, bottom = screen_window(view.camera, scene.mesh)
     columns = np.arange(left, right, dtype=np.int32)
 
-    def block(first: int) -> tuple[NDArray[np.int32], NDArray[np.int32], SurfacePoints]:
+    def block(first: int) -> tuple[Int32, Int32, SurfacePoints]:
         rows = np.arange(first, min(first + _BLOCK_ROWS, bottom), dtype=np.int32)
         column, row = (a.ravel() for a in np.meshgrid(columns, rows))
         x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
@@ -110,7 +107,7 @@ def trace_pixels(
 
 def panel_verdict(
     pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, threads: int | None = None
-) -> NDArray[np.uint8]:
+) -> UInt8:
     """What each pixel sees of a panel: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (k,).
 
     Parameters
@@ -128,7 +125,7 @@ def panel_verdict(
     targets = _probes(light)
     asked = np.flatnonzero(surface.front)
 
-    def piece(start: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    def piece(start: int) -> tuple[Index, Index, Index]:
         some = surface.take(asked[start : start + _PIECE])
         point, target = facing_pairs(some, targets, geometric=True)
         blocked = caster.occluded(some.points, some.facets, targets, point_index=point, target_index=target)
@@ -169,9 +166,7 @@ def _probes(light: PanelLight) -> Float64:
     )
 
 
-def _edges(
-    surface: SurfacePoints, row: NDArray[np.int32], column: NDArray[np.int32], shape: tuple[int, int]
-) -> Bool:
+def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, int]) -> Bool:
     # pixels that differ from the next one to the right or below by a step, by a crease, or by seeing no part at all
     index = np.full((shape[0] + 1, shape[1] + 1), -1, np.int32)
     index[row, column] = np.arange(len(row), dtype=np.int32)
@@ -192,7 +187,7 @@ def _edges(
     return edge
 
 
-def _spread(flags: Bool, row: NDArray[np.int32], column: NDArray[np.int32]) -> Bool:
+def _spread(flags: Bool, row: Int32, column: Int32) -> Bool:
     # pixels with a flagged one within MARGIN_PX rows and columns
     if not len(row):
         return flags.copy()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
@@ -12,20 +12,12 @@ from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
 
-Float64 = NDArray[np.float64]
-
-
 PAIRS_AT_ONCE = 1 << 20
 """Pairs of surface point and point light that are worked on at once: some 60 MiB, and 0.2 s, for Ctrl-C to be heard."""
 
 
 def shade_points(
-    surface: SurfacePoints,
-    light: PanelLight,
-    *,
-    points: int,
-    sigma: float,
-    caster: RayCaster | None,
+    surface: SurfacePoints, light: PanelLight, *, points: int, sigma: float, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of a panel of m points, per unit of R_d and R_s; two arrays of shape (k,).
 
@@ -80,9 +72,7 @@ def _shade_piece(
     )
 
 
-def facing_pairs(
-    surface: SurfacePoints, targets: Float64, *, geometric: bool
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def facing_pairs(surface: SurfacePoints, targets: Float64, *, geometric: bool) -> tuple[Int32, Int32]:
     """Pairs (surface point, target) for which light can arrive at all, as two index arrays of the same length.
 
     Parameters
@@ -99,13 +89,8 @@ def facing_pairs(
 
 @kernel
 def _facing(
-    points: Float64,
-    normals: Float64,
-    facets: Float64,
-    front: NDArray[np.bool_],
-    targets: Float64,
-    geometric: bool,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    points: Float64, normals: Float64, facets: Float64, front: Bool, targets: Float64, geometric: bool
+) -> tuple[Int32, Int32]:
     point = np.empty(len(points) * len(targets), np.int32)
     target = np.empty(len(points) * len(targets), np.int32)
     count = 0
@@ -134,9 +119,9 @@ def _accumulate(
     normals: Float64,
     views: Float64,
     targets: Float64,
-    point: NDArray[np.int32],
-    target: NDArray[np.int32],
-    clear: NDArray[np.bool_],
+    point: Int32,
+    target: Int32,
+    clear: Bool,
     panel: PanelNumbers,
     weight: float,
     inverse_two_sigma_squared: float,

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.geometry import Hits, RayCaster, TriangleMesh, resolve_hits
 from lightopt.scene import PinholeCamera, pixel_directions
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -36,12 +34,12 @@ class SurfacePoints:
     normals: Float64
     facets: Float64
     views: Float64
-    front: NDArray[np.bool_]
+    front: Bool
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def take(self, index: NDArray[np.intp]) -> SurfacePoints:
+    def take(self, index: Index) -> SurfacePoints:
         """The points at `index`, shape (j,)."""
         return SurfacePoints(
             self.points[index], self.normals[index], self.facets[index], self.views[index], self.front[index]
@@ -49,7 +47,7 @@ class SurfacePoints:
 
 
 def interpolate_surface(
-    mesh: TriangleMesh, face: NDArray[np.int32], u: Float64, v: Float64, points: Float64, eye: Float64
+    mesh: TriangleMesh, face: Int32, u: Float64, v: Float64, points: Float64, eye: Float64
 ) -> SurfacePoints:
     """Normals and view directions at points of a mesh.
 
@@ -108,15 +106,15 @@ def trace_samples(
 @kernel
 def _interpolate(
     vertices: Float64,
-    faces: NDArray[np.int32],
+    faces: Int32,
     vertex_normals: Float64,
     smooth: bool,
-    face: NDArray[np.int32],
+    face: Int32,
     u: Float64,
     v: Float64,
     points: Float64,
     eye: Float64,
-) -> tuple[Float64, Float64, Float64, NDArray[np.bool_]]:
+) -> tuple[Float64, Float64, Float64, Bool]:
     k = len(face)
     normals = np.empty((k, 3))
     facets = np.empty((k, 3))

@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32, Float64, Int32, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
@@ -30,8 +30,6 @@ from lightopt.rendering._panel_variants import panel_variants
 from lightopt.rendering._points import PAIRS_AT_ONCE, facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
-
-Float64 = NDArray[np.float64]
 
 CONVERGED_AT_ONCE = 1 << 13
 """Surface points under a converged panel that are worked on at once: some 0.1 s, so that Ctrl-C is heard."""
@@ -74,7 +72,7 @@ class VariantLevels:
         Of the variants, shape (k, t).
     """
 
-    plain: NDArray[np.float32]
+    plain: Float32
     good: Float64
     varied: Float64
 
@@ -148,7 +146,7 @@ def shade_variants(
     )
 
 
-def _float32(reflectance: Reflectance, diffuse: Float64, specular: Float64) -> NDArray[np.float32]:
+def _float32(reflectance: Reflectance, diffuse: Float64, specular: Float64) -> Float32:
     return (reflectance.R_d * diffuse + reflectance.R_s * specular).astype(np.float32)
 
 
@@ -251,8 +249,8 @@ def _point_kernel(
     references: Float64,
     views: Float64,
     grid: Float64,
-    first: NDArray[np.int64],
-    target: NDArray[np.int32],
+    first: Int64,
+    target: Int32,
     panel: PanelNumbers,
     weight: float,
     inverse_good: float,

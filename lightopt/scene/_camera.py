@@ -3,11 +3,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
-
-Float64 = NDArray[np.float64]
 
 _UNDISTORT_STEPS = 50
 _UNDISTORT_TOLERANCE = 1e-13

@@ -9,17 +9,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import DefectConfig, PartConfig, PixelPlaceConfig, RigConfig
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, PlacedDefect, tangent_direction
 from lightopt.geometry import RayCaster, SurfaceFinder, SurfacePlace, resolve_hits, surface_place
 from lightopt.scene._camera import pixel_directions
 from lightopt.scene._scene import Placement, Scene, view_from_part
-
-Float64 = NDArray[np.float64]
 
 SNAP_MM = 0.5
 """A position in mm is moved to the nearest place of the surface, by at most this much."""
@@ -60,11 +58,7 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
         )
         placed.append(
             PlacedDefect(
-                name=defect.name,
-                shape=defect.shape,
-                position=place.point,
-                normal=place.normal,
-                along=along,
+                name=defect.name, shape=defect.shape, position=place.point, normal=place.normal, along=along
             )
         )
     if problems:

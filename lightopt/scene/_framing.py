@@ -3,12 +3,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.geometry import TriangleMesh
 from lightopt.scene._camera import PinholeCamera, pixel_footprint, project
-
-Float64 = NDArray[np.float64]
 
 _WINDOW_MARGIN_PX = 2
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.scene._camera import PinholeCamera, pixel_directions, project
 from lightopt.scene._light import PanelLight
-
-Float64 = NDArray[np.float64]
 
 _NEAR_MM = 1e-3
 
@@ -107,7 +105,7 @@ def _clip(polygon: Float64, plane: Float64, least: float) -> Float64:
     return np.array(kept).reshape(-1, 3)
 
 
-def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> NDArray[np.bool_]:
+def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> Bool:
     """Whether the way from one point to others passes through a panel; shape (k,).
 
     Parameters

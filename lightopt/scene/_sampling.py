@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.scene._light import PanelLight
-
-Float64 = NDArray[np.float64]
 
 COARSE_SHARE = 0.1
 """A saturated area that is off by more than this share is worth a warning."""

@@ -3,16 +3,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
 from lightopt.geometry import TriangleMesh, transformed
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import PinholeCamera
 from lightopt.scene._light import PanelLight
-
-Float64 = NDArray[np.float64]
 
 
 def _identity() -> Float64:
