@@ -12,10 +12,7 @@ def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str,
 
     Without a part, of the rig file alone.
 
-    Raises
-    ------
-    OSError
-        The mesh cannot be read.
+    Raises OSError: The mesh cannot be read
     """
     hashes = {"rig": _file(rig)}
     if part is not None:

@@ -27,18 +27,10 @@ def load_rig(path: Path | str) -> RigConfig:
 
     Parameters
     ----------
-    path
-        The YAML file.
+    path: The YAML file
 
-    Returns
-    -------
-    RigConfig
-        What the file says, in its own units; ``source`` names file, hash and lines.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        With one message per thing that is wrong, sorted by line.
+    Returns: What the file says, in its own units; ``source`` names file, hash and lines.
+    Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
     return _load(Path(path), RigConfig, "lightopt-rig/1")
 
@@ -48,19 +40,11 @@ def load_part(path: Path | str) -> PartConfig:
 
     Parameters
     ----------
-    path
-        The YAML file.
+    path: The YAML file
 
-    Returns
-    -------
-    PartConfig
-        What the file says, in its own units; ``source`` names file, hash and lines, and
+    Returns: What the file says, in its own units; ``source`` names file, hash and lines, and
         ``source.resolve(part.mesh.file)`` is the path of the mesh.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        With one message per thing that is wrong, sorted by line.
+    Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
     return _load(Path(path), PartConfig, "lightopt-part/1")
 

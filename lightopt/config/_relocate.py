@@ -26,17 +26,11 @@ def copied_text(
 
     Parameters
     ----------
-    config
-        The configuration, as read from its file.
-    folder
-        Where the copy will lie.
-    values
-        What else the copy says anew, as for :func:`with_values`.
+    config: The configuration, as read from its file
+    folder: Where the copy will lie
+    values: What else the copy says anew, as for :func:`with_values`
 
-    Raises
-    ------
-    InputError
-        As of :func:`with_values`.
+    Raises InputError: As of :func:`with_values`
     """
     said = dict(values or {})
     for keys, name in _names(config).items():

@@ -13,10 +13,7 @@ def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
 
     Rules that tie keys together are not in it; :func:`load_rig` and :func:`load_part` check those too.
 
-    Raises
-    ------
-    ValueError
-        For another kind.
+    Raises ValueError: For another kind
     """
     models = {"rig": RigConfig, "part": PartConfig}
     if kind not in models:

@@ -30,14 +30,10 @@ class Source:
 
     Parameters
     ----------
-    path
-        The YAML file, as it was given.
-    sha256
-        Hash of the file's bytes, hexadecimal; empty for a configuration that was built in code.
-    lines
-        Line number (1-based) of each path of keys in the file.
-    text
-        The file's text as it was read; empty for a configuration that was built in code.
+    path: The YAML file, as it was given
+    sha256: Hash of the file's bytes, hexadecimal; empty for a configuration that was built in code
+    lines: Line number (1-based) of each path of keys in the file
+    text: The file's text as it was read; empty for a configuration that was built in code
 
     Examples
     --------

@@ -36,12 +36,7 @@ def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
 
     Parameters
     ----------
-    share
-        The share.
-    digits
-        Decimals.
-    short_of
-        What a lower share must not be mistaken for, such as a target; no other below 1 is mistaken for all.
+    short_of: What a lower share must not be mistaken for, such as a target; no other below 1 is mistaken for all
 
     Examples
     --------
@@ -63,8 +58,7 @@ class LightoptError(Exception):
 
     Parameters
     ----------
-    *messages
-        One or more messages for the person at the machine: what is wrong and where (file, line, key), what was
+    *messages: One or more messages for the person at the machine: what is wrong and where (file, line, key), what was
         expected, what was found, what to do. Each is shown on a line of its own.
     """
 
@@ -120,8 +114,8 @@ class Interrupted(KeyboardInterrupt):
 
     Parameters
     ----------
-    *messages
-        What state things are in and how to go on, for the person at the machine; each is shown on a line of its own.
+    *messages: What state things are in and how to go on, for the person at the machine; each is shown on a line of its
+        own
     """
 
     def __init__(self, *messages: str) -> None:

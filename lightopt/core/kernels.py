@@ -91,10 +91,7 @@ call_address: Any = intrinsic(_call)
 def fingerprint(compiled: Any) -> str:
     """Digest of all that the machine code of a kernel depends on, but the types of its arguments and the processor.
 
-    Raises
-    ------
-    TypeError
-        When the kernel uses something whose content has no digest, such as a module of the package.
+    Raises TypeError: When the kernel uses something whose content has no digest, such as a module of the package
     """
     return _fingerprint(compiled.py_func)
 

@@ -10,15 +10,7 @@ Share = Callable[[float], None]
 
 
 class Work:
-    """Units of work, counted by any thread and told by the calling one.
-
-    Parameters
-    ----------
-    total
-        Units in all.
-    tell
-        Called with the share that is done; None for nobody.
-    """
+    """Units of work, counted by any thread and told by the calling one."""
 
     def __init__(self, total: float, tell: Share | None) -> None:
         self._total = max(1.0, float(total))

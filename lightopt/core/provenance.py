@@ -59,10 +59,8 @@ def provenance(inputs: Mapping[str, Any], options: Mapping[str, Any]) -> dict[st
 
     Parameters
     ----------
-    inputs
-        Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives.
-    options
-        What was asked for, JSON-able.
+    inputs: Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives
+    options: What was asked for, JSON-able
     """
     return {**computed_by(), "inputs": dict(inputs), "options": dict(options)}
 
@@ -99,13 +97,7 @@ def versions() -> dict[str, str]:
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, in hex.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be read.
-    """
+    """SHA-256 of a file's bytes, in hex."""
     digest = hashlib.sha256()
     with Path(path).open("rb") as file:
         while block := file.read(_BLOCK_BYTES):
@@ -118,10 +110,7 @@ def files_sha256(folder: Path, names: Iterable[str]) -> str:
 
     Parameters
     ----------
-    folder
-        Where they lie.
-    names
-        Relative to it, in their order.
+    names: Relative to it, in their order
     """
     digest = hashlib.sha256()
     for name in names:
@@ -137,10 +126,8 @@ def differences(there: Mapping[str, Any], now: Mapping[str, Any], *, partly: boo
 
     Parameters
     ----------
-    there, now
-        Of the earlier and of the present run, JSON of any depth.
-    partly
-        Whether `now` is only a part of what is known of the present run.
+    there, now: Of the earlier and of the present run, JSON of any depth
+    partly: Whether `now` is only a part of what is known of the present run
     """
     old, new = dict(_leaves(there)), dict(_leaves(now))
     keys = new if partly else dict.fromkeys((*old, *new))

@@ -59,12 +59,8 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
 
     Parameters
     ----------
-    tasks
-        Taken up as threads become free, so that a long generator costs no memory.
-    threads
-        Number of threads; with one the calling thread does the work.
-    done
-        Called from the calling thread after each task; an exception that it raises stops the rest, too.
+    tasks: Taken up as threads become free, so that a long generator costs no memory
+    done: Called from the calling thread after each task; an exception that it raises stops the rest, too
     """
     if threads == 1:
         for function, arguments in tasks:

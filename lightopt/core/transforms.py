@@ -28,8 +28,7 @@ def direction(*, elevation: float, azimuth: float) -> Float64:
 
     Parameters
     ----------
-    elevation, azimuth
-        [rad]. Elevation is measured from the table plane: π/2 is straight above, and it may pass π/2.
+    elevation, azimuth: [rad]. Elevation is measured from the table plane: π/2 is straight above, and it may pass π/2.
     """
     c, s = np.cos(elevation), np.sin(elevation)
     return np.array([c * np.cos(azimuth), c * np.sin(azimuth), s])
@@ -69,8 +68,7 @@ def posture_rotation(*, elevation: float, rotation: float) -> Float64:
 
     Parameters
     ----------
-    elevation, rotation
-        The posture's tilt θ_j and rotation φ_j [rad].
+    elevation, rotation: The posture's tilt θ_j and rotation φ_j [rad]
     """
     return rotation_x(elevation) @ rotation_z(rotation)
 
@@ -80,12 +78,9 @@ def rigid_transform(points: Float64, rotation: Float64, pivot: Float64) -> Float
 
     Parameters
     ----------
-    points
-        [mm], shape (..., 3).
-    rotation
-        Shape (3, 3).
-    pivot
-        [mm], shape (3,).
+    points: [mm], shape (..., 3)
+    rotation: Shape (3, 3)
+    pivot: [mm], shape (3,)
     """
     return (points - pivot) @ rotation.T + pivot
 
@@ -96,8 +91,7 @@ class Posture:
 
     Attributes
     ----------
-    elevation_deg, rotation_deg
-        θ_j and φ_j [°].
+    elevation_deg, rotation_deg: θ_j and φ_j [°]
     """
 
     elevation_deg: float

@@ -33,11 +33,6 @@ def step_units_mm(data: bytes) -> frozenset[float]:
 
     Units that only define others (an inch is defined in mm) are none of the geometry's. Empty where none is declared,
     or none that is known.
-
-    Parameters
-    ----------
-    data
-        Content of the file.
     """
     used = {number for refs in _CONTEXT.findall(data) for number in re.findall(rb"#\s*(\d+)", refs)}
     units: set[float | None] = set()

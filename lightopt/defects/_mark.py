@@ -16,16 +16,10 @@ from lightopt.defects._profile import height_gradient, radial_place
 class Marks:
     """The points of a surface that lie in defects, j of them.
 
-    Attributes
-    ----------
-    index
-        Of each among the points asked, ascending, shape (j,).
-    label
-        Index of its defect, the last one where several overlap; shape (j,).
-    normals
-        Unit normals of the disturbed surface, shape (j, 3).
-    R_d_factor, sigma_factor
-        By which R_d and σ are multiplied, shape (j,).
+    index: Of each among the points asked, ascending, shape (j,)
+    label: Index of its defect, the last one where several overlap; shape (j,)
+    normals: Unit normals of the disturbed surface, shape (j, 3)
+    R_d_factor, sigma_factor: By which R_d and σ are multiplied, shape (j,)
     """
 
     index: Index
@@ -43,10 +37,8 @@ def mark_surface(defects: Sequence[PlacedDefect], points: Float64, normals: Floa
 
     Parameters
     ----------
-    defects
-        In the frame of the points.
-    points, normals
-        Of the undisturbed surface: [mm] and of unit length, shape (k, 3).
+    defects: In the frame of the points
+    points, normals: Of the undisturbed surface: [mm] and of unit length, shape (k, 3)
     """
     if not defects or not len(points):
         return None

@@ -50,8 +50,7 @@ def pixel_shares(shape: DefectShape) -> Float64:
 
     Parameters
     ----------
-    shape
-        Of the defect; how steep it is does not matter.
+    shape: Of the defect; how steep it is does not matter
     """
     return np.array([grid_shares(shape, float(ratio), turn=TURN, offset=OFFSET) for ratio in PIXEL_RATIOS])
 
@@ -61,16 +60,10 @@ def grid_shares(
 ) -> tuple[float, float, float, float]:
     """As :func:`pixel_shares`, on one grid of pixels.
 
-    Parameters
-    ----------
-    shape
-        Of the defect.
-    ratio
-        Side of a pixel's footprint over the width.
-    turn
-        Of the grid against the defect's length [rad].
-    offset
-        Of one pixel's middle from the defect's, along the grid's axes [px].
+    shape: Of the defect
+    ratio: Side of a pixel's footprint over the width
+    turn: Of the grid against the defect's length [rad]
+    offset: Of one pixel's middle from the defect's, along the grid's axes [px]
     """
     side = ratio * shape.width
     along = min(0.5 * shape.length, max(STRETCH * side, 0.5 * shape.width)) + 0.5 * side

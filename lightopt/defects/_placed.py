@@ -30,16 +30,11 @@ class PlacedDefect:
 
     Attributes
     ----------
-    name
-        Of this one, for people.
-    shape
-        What it is like.
-    position
-        Its centre, on the surface [mm], shape (3,).
-    normal
-        Unit normal of the undisturbed surface there, shape (3,).
-    along
-        Unit vector of its length, in the tangent plane, shape (3,).
+    name: Of this one, for people
+    shape: What it is like
+    position: Its centre, on the surface [mm], shape (3,)
+    normal: Unit normal of the undisturbed surface there, shape (3,)
+    along: Unit vector of its length, in the tangent plane, shape (3,)
     """
 
     name: str
@@ -66,12 +61,9 @@ def tangent_direction(normal: Float64, angle: float, *, x_axis: Float64, y_axis:
 
     Parameters
     ----------
-    normal
-        Unit normal of the surface, shape (3,).
-    angle
-        [rad].
-    x_axis, y_axis
-        Unit vectors of the part's axes, in the frame of the normal, shape (3,).
+    normal: Unit normal of the surface, shape (3,)
+    angle: [rad]
+    x_axis, y_axis: Unit vectors of the part's axes, in the frame of the normal, shape (3,)
     """
     reference = tangent_references(normal[None, :], x_axis=x_axis, y_axis=y_axis)[0]
     (nx, ny, nz), (x, y, z) = normal.tolist(), reference.tolist()
@@ -84,10 +76,8 @@ def tangent_references(normals: Float64, *, x_axis: Float64, y_axis: Float64) ->
 
     Parameters
     ----------
-    normals
-        Unit normals of the surface, shape (k, 3).
-    x_axis, y_axis
-        As for :func:`tangent_direction`.
+    normals: Unit normals of the surface, shape (k, 3)
+    x_axis, y_axis: As for :func:`tangent_direction`
     """
     references = x_axis - (normals @ x_axis)[:, None] * normals
     lengths = np.linalg.norm(references, axis=1)
@@ -107,8 +97,7 @@ def surface_coordinates(
 
     Parameters
     ----------
-    points, normals
-        Of the surface [mm], shape (k, 3), frame of the defect.
+    points, normals: Of the surface [mm], shape (k, 3), frame of the defect
     """
     offset = points - defect.position
     x, y, z = offset @ defect.along, offset @ defect.across, offset @ defect.normal

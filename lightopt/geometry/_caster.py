@@ -29,12 +29,8 @@ class RayCaster:
 
     Parameters
     ----------
-    vertices
-        [mm], shape (n, 3), any frame: rays are given in the same.
-    faces
-        Vertex indices, shape (m, 3).
-    recorder
-        Called with every batch of rays in Embree's own units (for benchmarks).
+    vertices: [mm], shape (n, 3), any frame: rays are given in the same
+    recorder: Called with every batch of rays in Embree's own units (for benchmarks)
     """
 
     def __init__(self, vertices: Float64, faces: Int32, *, recorder: RayRecorder | None = None) -> None:
@@ -64,10 +60,8 @@ class RayCaster:
 
         Parameters
         ----------
-        origin
-            Common origin of the rays [mm], shape (3,).
-        directions
-            Shape (k, 3), any length.
+        origin: Common origin of the rays [mm], shape (3,)
+        directions: Shape (k, 3), any length
         """
         origins32, directions32 = _primary_rays(origin, directions, self.centre, self.radius)
         return self._run("INTERSECT", origins32, directions32)
@@ -81,14 +75,10 @@ class RayCaster:
 
         Parameters
         ----------
-        points
-            Points on the surface [mm], shape (n, 3).
-        normals
-            Unit geometric normals on the side of the surface that the rays leave, shape (n, 3).
-        targets
-            [mm], shape (t, 3).
-        point_index, target_index
-            Shape (k,).
+        points: Points on the surface [mm], shape (n, 3)
+        normals: Unit geometric normals on the side of the surface that the rays leave, shape (n, 3)
+        targets: [mm], shape (t, 3)
+        point_index, target_index: Shape (k,)
         """
         origins32, directions32 = _shadow_rays(
             points, normals, targets, point_index, target_index, self.centre, self.radius

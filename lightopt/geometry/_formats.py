@@ -25,10 +25,7 @@ _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("a
 def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
     """Triangles of a binary or ASCII STL file.
 
-    Raises
-    ------
-    InputError
-        The file is cut off, is no STL, or has more than `max_triangles`.
+    Raises InputError: The file is cut off, is no STL, or has more than `max_triangles`
     """
     claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     is_binary = len(data) == 84 + 50 * claimed
@@ -86,10 +83,7 @@ def _check_ascii_stl(name: str, data: bytes) -> int:
 def read_ply(name: str, data: bytes, max_triangles: int) -> Soup:
     """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept.
 
-    Raises
-    ------
-    InputError
-        The file is cut off, is no PLY, or has more than `max_triangles`.
+    Raises InputError: The file is cut off, is no PLY, or has more than `max_triangles`
     """
     from trimesh.exchange.ply import load_ply
 
@@ -131,11 +125,8 @@ def _listed(counts: dict[str, int]) -> str:
 def read_obj(name: str, data: bytes, max_triangles: int) -> Soup:
     """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them.
 
-    Raises
-    ------
-    InputError
-        A face has fewer than three vertices or one numbered 0, the file is no OBJ, or has more than
-        `max_triangles`.
+    Raises InputError: A face has fewer than three vertices or one numbered 0, the file is no OBJ, or has more than
+        `max_triangles`
     """
     from trimesh.exchange.obj import load_obj
 
@@ -165,10 +156,7 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> Soup:
 
     glTF is Y up by its specification: (x, y, z) becomes (x, −z, y).
 
-    Raises
-    ------
-    InputError
-        The file is cut off, is no GLB, or has more than `max_triangles`.
+    Raises InputError: The file is cut off, is no GLB, or has more than `max_triangles`
     """
     import trimesh
 

@@ -14,16 +14,11 @@ class Hits:
 
     Attributes
     ----------
-    ray
-        Index of the ray among those asked, shape (k,).
-    face
-        Face that was met, shape (k,).
-    u, v
-        Barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices; shape (k,).
-    points
-        Points on the surface, frame of the mesh [mm], shape (k, 3).
-    distance
-        Along the ray from its origin [mm], shape (k,).
+    ray: Index of the ray among those asked, shape (k,)
+    face: Face that was met, shape (k,)
+    u, v: Barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices; shape (k,)
+    points: Points on the surface, frame of the mesh [mm], shape (k, 3)
+    distance: Along the ray from its origin [mm], shape (k,)
     """
 
     ray: Int32
@@ -42,14 +37,9 @@ def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Fl
 
     Parameters
     ----------
-    face
-        Answer of ``first_hit``, −1 where a ray met nothing, shape (n,).
-    origin
-        Common origin of the rays [mm], shape (3,).
-    directions
-        Shape (n, 3), any length.
-    vertices, faces
-        The mesh: [mm], shape (v, 3), and indices, shape (f, 3).
+    face: Answer of ``first_hit``, −1 where a ray met nothing, shape (n,)
+    origin: Common origin of the rays [mm], shape (3,)
+    directions: Shape (n, 3), any length
     """
     return Hits(*_resolve(face, origin, directions, vertices, faces))
 

@@ -38,22 +38,13 @@ _MOST_TRIANGLES = 700_000_000
 class MeshDescription:
     """What a loaded mesh is, in numbers.
 
-    Parameters
-    ----------
-    format
-        The file's format ("binary STL").
-    unit_mm
-        Length of one unit of the file [mm]; 1 for STEP, which is converted as it is read.
-    triangles, vertices
-        Numbers after repair; vertices are counted after splitting at creases.
-    components
-        Surfaces connected through edges that exactly two triangles share.
-    open_edges, nonmanifold_edges
-        Edges of one triangle, and of three or more.
-    size_mm
-        Sides of the bounding box, part file's frame [mm].
-    normals
-        Where the normals come from: "facets", "smoothed", "file" or "CAD surface".
+    format: The file's format ("binary STL")
+    unit_mm: Length of one unit of the file [mm]; 1 for STEP, which is converted as it is read
+    triangles, vertices: Numbers after repair; vertices are counted after splitting at creases
+    components: Surfaces connected through edges that exactly two triangles share
+    open_edges, nonmanifold_edges: Edges of one triangle, and of three or more
+    size_mm: Sides of the bounding box, part file's frame [mm]
+    normals: Where the normals come from: "facets", "smoothed", "file" or "CAD surface"
     """
 
     format: str
@@ -74,17 +65,7 @@ class MeshDescription:
 
 @dataclass(frozen=True, eq=False)
 class LoadedMesh:
-    """A mesh and what there is to say about it.
-
-    Parameters
-    ----------
-    mesh
-        The mesh, part file's frame [mm].
-    warnings
-        What was repaired or is odd, with numbers.
-    description
-        What was loaded.
-    """
+    """A mesh and what there is to say about it."""
 
     mesh: TriangleMesh
     warnings: tuple[str, ...]
@@ -113,31 +94,20 @@ def load_mesh(
 
     Parameters
     ----------
-    path
-        File; its ending tells the format (`MESH_SUFFIXES`).
-    unit_mm
-        Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP
-        declares its own, which a value has to agree with. GLB is metres by its specification; a value is
-        believed over that, as many programs write other units.
-    normals
-        "smooth" for vertex normals, "facet" for none.
-    crease_angle
-        Largest bend between two facets across an edge that is smooth [rad], 0 to π; for meshes without own
-        normals.
-    chord_tolerance_mm
-        STEP: largest distance between triangles and the surface [mm].
-    angular_tolerance
-        STEP: largest bend between neighbouring tangents along an edge [rad].
-    max_triangles
-        More are refused, before loading where the file's header tells.
-    step_timeout_s, step_memory_gb
-        STEP: time [s] and memory [10⁹ bytes] the tessellation may take.
+    path: File; its ending tells the format (`MESH_SUFFIXES`)
+    unit_mm: Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP
+        declares its own, which a value has to agree with. GLB is metres by its specification; a value is believed over
+        that, as many programs write other units.
+    normals: "smooth" for vertex normals, "facet" for none
+    crease_angle: Largest bend between two facets across an edge that is smooth [rad], 0 to π; for meshes without own
+        normals
+    chord_tolerance_mm: STEP: largest distance between triangles and the surface [mm]
+    angular_tolerance: STEP: largest bend between neighbouring tangents along an edge [rad]
+    max_triangles: More are refused, before loading where the file's header tells
+    step_timeout_s, step_memory_gb: STEP: time [s] and memory [10⁹ bytes] the tessellation may take
 
-    Raises
-    ------
-    InputError
-        The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
-        triangles, coordinates that are not finite, or indices out of range; or a limit was reached.
+    Raises InputError: The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
+        triangles, coordinates that are not finite, or indices out of range; or a limit was reached
     """
     path = Path(path)
     suffix = path.suffix.lower()

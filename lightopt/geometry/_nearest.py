@@ -17,12 +17,8 @@ class SurfacePlace:
 
     Attributes
     ----------
-    point
-        [mm], shape (3,), frame of the mesh.
-    normal
-        Unit normal there as shading has it: interpolated, or the facet's, shape (3,).
-    face
-        That it is on.
+    point: [mm], shape (3,), frame of the mesh
+    normal: Unit normal there as shading has it: interpolated, or the facet's, shape (3,)
     """
 
     point: Float64
@@ -48,8 +44,7 @@ class SurfaceFinder:
 
     Parameters
     ----------
-    mesh
-        The mesh; what is worth knowing of its faces is worked out once.
+    mesh: The mesh; what is worth knowing of its faces is worked out once
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:

@@ -26,21 +26,9 @@ def smooth_normals(
     Computing vertex normals from polygonal facets, J. Graphics Tools 3, 1998), so the normal does not depend
     on how the surface is cut.
 
-    Parameters
-    ----------
-    vertices
-        Positions without coinciding ones [mm], shape (n, 3).
-    faces
-        Vertex indices with an agreeing winding, shape (m, 3).
-    pairs
-        Edges of these faces.
-    crease_angle
-        Largest angle between the normals of two faces across a smooth edge [rad].
-
-    Returns
-    -------
-    tuple
-        The mesh, and the number of normals that cancelled out and became those of a face.
+    vertices: Positions without coinciding ones [mm], shape (n, 3)
+    faces: Vertex indices with an agreeing winding, shape (m, 3)
+    crease_angle: Largest angle between the normals of two faces across a smooth edge [rad]
     """
     corners = vertices[faces]
     flat = _unit_cross(corners)
@@ -64,23 +52,12 @@ def carried_normals(
     coarse sphere with exact normals needs that); as many programs average them over true creases, a warning
     counts such edges.
 
-    Parameters
-    ----------
-    vertices
-        Positions as in the file [mm], shape (n, 3).
-    faces
-        Vertex indices after repair, shape (m, 3).
-    pairs
-        Edges of these faces, coinciding vertices taken as one.
-    normals
-        Vertex normals as in the file, shape (n, 3).
-    crease_angle
-        Largest bend of an edge that is expected to be smooth [rad]; None trusts the normals everywhere.
-
-    Returns
-    -------
-    tuple
-        The mesh, warnings about normals that had to be replaced or turned, and the number of vertices merged.
+    vertices: Positions as in the file [mm], shape (n, 3)
+    faces: Vertex indices after repair, shape (m, 3)
+    pairs: Edges of these faces, coinciding vertices taken as one
+    normals: Vertex normals as in the file, shape (n, 3)
+    crease_angle: Largest bend of an edge that is expected to be smooth [rad]; None trusts the normals everywhere
+    Returns: The mesh, warnings about normals that had to be replaced or turned, and the number of vertices merged.
     """
     # triangle edges are long against rounding, so sums over the faces around a vertex tell its outside
     corners = vertices[faces]

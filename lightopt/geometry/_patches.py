@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lightopt.core.arrays import Bool, Float64, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.geometry._bisection import build_pieces, count_pieces, find_pieces
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_areas, face_normals
@@ -23,24 +24,15 @@ class Patches:
 
     Parameters
     ----------
-    vertices
-        The mesh's vertices, then one for each cut, part file's frame [mm], shape (n + c, 3).
-    triangles
-        The patches' corners as indices into `vertices`, counterclockwise from outside, shape (p, 3), int32.
-    centroids
-        Centres of the patches [mm], shape (p, 3).
-    normals
-        Unit outward normals at the centroids: the vertex normals interpolated, or the facet's, shape (p, 3).
-    areas
-        [mm²], shape (p,). Those of a face sum up to the face's area.
-    face
-        Face of the mesh that the patch lies on, ascending, shape (p,), int32.
-    roots
-        Tree entry of each face, shape (m,), int32.
-    children
-        Tree entries of the two halves of each cut, shape (c, 2), int32.
-    cut_edge
-        Which edge of its triangle was cut: k runs from corner k to corner k + 1, shape (c,), uint8.
+    vertices: The mesh's vertices, then one for each cut, part file's frame [mm], shape (n + c, 3)
+    triangles: The patches' corners as indices into `vertices`, counterclockwise from outside, shape (p, 3), int32
+    centroids: Centres of the patches [mm], shape (p, 3)
+    normals: Unit outward normals at the centroids: the vertex normals interpolated, or the facet's, shape (p, 3)
+    areas: [mm²], shape (p,). Those of a face sum up to the face's area.
+    face: Face of the mesh that the patch lies on, ascending, shape (p,), int32
+    roots: Tree entry of each face, shape (m,), int32
+    children: Tree entries of the two halves of each cut, shape (c, 2), int32
+    cut_edge: Which edge of its triangle was cut: k runs from corner k to corner k + 1, shape (c,), uint8
     """
 
     vertices: Float64
@@ -72,21 +64,12 @@ class Patches:
 
         Parameters
         ----------
-        face
-            Face index of each point, −1 where a ray missed, integers of shape (k,).
-        u, v
-            Barycentric coordinates of the point (1 − u − v)·A + u·B + v·C, where A, B, C are the face's
-            vertices in order, shape (k,).
+        face: Face index of each point, −1 where a ray missed, integers of shape (k,)
+        u, v: Barycentric coordinates of the point (1 − u − v)·A + u·B + v·C, where A, B, C are the face's vertices in
+            order, shape (k,)
 
-        Returns
-        -------
-        NDArray
-            Patch index, −1 where `face` is −1, shape (k,), int32.
-
-        Raises
-        ------
-        InputError
-            Shapes differ, or a face does not exist.
+        Returns: Patch index, −1 where `face` is −1, shape (k,), int32.
+        Raises InputError: Shapes differ, or a face does not exist
         """
         faces = np.asarray(face)
         us, vs = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
@@ -117,19 +100,11 @@ def refine(
 
     Parameters
     ----------
-    mesh
-        Mesh to refine.
-    max_edge_mm
-        Longest edge of a patch [mm].
-    max_patches
-        More are refused.
-    select
-        Faces to refine, shape (m,); the others become one patch each. All by default.
+    max_edge_mm: Longest edge of a patch [mm]
+    max_patches: More are refused
+    select: Faces to refine, shape (m,); the others become one patch each. All by default.
 
-    Raises
-    ------
-    InputError
-        A parameter is out of range, or there would be more than `max_patches`.
+    Raises InputError: A parameter is out of range, or there would be more than `max_patches`
     """
     selected = _checked(mesh, max_edge_mm, select)
     count = estimate_patch_count(mesh, max_edge_mm, select=select, limit=max_patches + 1)
@@ -173,15 +148,9 @@ def estimate_patch_count(
 
     Parameters
     ----------
-    mesh, max_edge_mm, select
-        As for :func:`refine`.
-    limit
-        Count no further.
+    mesh, max_edge_mm, select: As for :func:`refine`
 
-    Raises
-    ------
-    InputError
-        A parameter is out of range.
+    Raises InputError: A parameter is out of range
     """
     selected = _checked(mesh, max_edge_mm, select)
     if limit < 1:

@@ -32,16 +32,10 @@ _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
 class StepLimits:
     """How finely a STEP file is tessellated, and what that may cost.
 
-    Parameters
-    ----------
-    chord_tolerance_mm
-        Largest distance between triangle and surface [mm].
-    angular_tolerance
-        Largest angle between neighbouring tangents along an edge [rad].
-    timeout_s
-        Time for both passes together [s].
-    memory_gb
-        Address space of the worker [10⁹ bytes]; not limited on Windows.
+    chord_tolerance_mm: Largest distance between triangle and surface [mm]
+    angular_tolerance: Largest angle between neighbouring tangents along an edge [rad]
+    timeout_s: Time for both passes together [s]
+    memory_gb: Address space of the worker [10⁹ bytes]; not limited on Windows
     """
 
     chord_tolerance_mm: float
@@ -58,11 +52,8 @@ def read_step(
     The file declares its unit; a unit that the caller gives has to be the same. A first, coarse tessellation
     learns the size, so that a unit mistake ends in a message and not in hours of tessellating.
 
-    Raises
-    ------
-    InputError
-        The file is cut off or not STEP, its unit is another one, the part is over 1 m or under 0.1 mm, a
-        limit was reached, or there are more than `max_triangles`.
+    Raises InputError: The file is cut off or not STEP, its unit is another one, the part is over 1 m or under 0.1 mm, a
+        limit was reached, or there are more than `max_triangles`
     """
     name = str(path)
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):

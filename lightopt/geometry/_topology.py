@@ -15,17 +15,11 @@ from lightopt.core.kernels import kernel
 class EdgePairs:
     """Edges that exactly two faces use, and the number of the others.
 
-    Parameters
-    ----------
-    corners
-        The two corners that begin the edge, one in each face, as 3·face + corner, lower face first, shape (e,
-        2), int32.
-    same_direction
-        True where both faces run along the edge in the same direction (their windings disagree), shape (e,).
-    rim
-        True for faces that touch an edge used once or more than twice, shape (m,).
-    open_edges, nonmanifold_edges
-        Number of edges used by one face, and by three or more.
+    corners: The two corners that begin the edge, one in each face, as 3·face + corner, lower face first, shape (e, 2),
+        int32
+    same_direction: True where both faces run along the edge in the same direction (their windings disagree), shape (e,)
+    rim: True for faces that touch an edge used once or more than twice, shape (m,)
+    open_edges, nonmanifold_edges: Number of edges used by one face, and by three or more
     """
 
     corners: Int32
@@ -39,16 +33,10 @@ class EdgePairs:
 class MeshEdges:
     """Every edge once.
 
-    Attributes
-    ----------
-    ends
-        Vertex indices, the lower one first, shape (e, 2).
-    uses
-        Number of faces at the edge, shape (e,).
-    corners
-        The corners that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2).
-    order
-        All corners, those of an edge together, shape (3·m,).
+    ends: Vertex indices, the lower one first, shape (e, 2)
+    uses: Number of faces at the edge, shape (e,)
+    corners: The corners that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2)
+    order: All corners, those of an edge together, shape (3·m,)
     """
 
     ends: Int64
@@ -67,13 +55,9 @@ def merge_rows(rows: Float64) -> tuple[Int32, Int32]:
 
     Parameters
     ----------
-    rows
-        Positions, or positions with normals, shape (n, k).
+    rows: Positions, or positions with normals, shape (n, k)
 
-    Returns
-    -------
-    tuple
-        Row numbers of the first occurrences, shape (u,), and for each row the number of its unique row, shape
+    Returns: Row numbers of the first occurrences, shape (u,), and for each row the number of its unique row, shape
         (n,).
     """
     # adding 0.0 turns −0.0 into 0.0, so that equal numbers have equal bits
@@ -86,8 +70,7 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
 
     Parameters
     ----------
-    faces
-        Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are.
+    faces: Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are
     """
     start, end = _corner_vertices(faces)
     count = int(start.max()) + 1
@@ -107,10 +90,7 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
 def edge_pairs(faces: Int32) -> EdgePairs:
     """Match the edges of all faces.
 
-    Parameters
-    ----------
-    faces
-        Vertex indices after merging coinciding positions, shape (m, 3).
+    faces: Vertex indices after merging coinciding positions, shape (m, 3)
     """
     edges = mesh_edges(faces)
     start, _ = _corner_vertices(faces)

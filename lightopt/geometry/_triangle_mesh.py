@@ -23,19 +23,12 @@ class TriangleMesh:
 
     Parameters
     ----------
-    vertices
-        Positions in the part file's frame [mm], shape (n, 3).
-    faces
-        Vertex indices, shape (m, 3), int32.
-    normals
-        Unit outward normals of the surface at the vertices, same frame, shape (n, 3); None shades flat
-        facets.
+    vertices: Positions in the part file's frame [mm], shape (n, 3)
+    faces: Vertex indices, shape (m, 3), int32
+    normals: Unit outward normals of the surface at the vertices, same frame, shape (n, 3); None shades flat facets
 
-    Raises
-    ------
-    InputError
-        A shape is wrong, a coordinate is not finite, an index is out of range, or a normal is not of unit
-        length.
+    Raises InputError: A shape is wrong, a coordinate is not finite, an index is out of range, or a normal is not of
+        unit length
     """
 
     vertices: Float64
@@ -92,19 +85,7 @@ def face_areas(mesh: TriangleMesh) -> Float64:
 def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike) -> TriangleMesh:
     """Mesh after the rigid motion p' = R·p + t; normals are turned with it.
 
-    Parameters
-    ----------
-    mesh
-        Mesh to move.
-    rotation
-        Rotation matrix R, shape (3, 3).
-    translation
-        Translation t [mm], shape (3,).
-
-    Raises
-    ------
-    InputError
-        R is not a rotation (a scaling or a mirror would falsify normals and winding), or t is not finite.
+    Raises InputError: R is not a rotation (a scaling or a mirror would falsify normals and winding), or t is not finite
     """
     R = np.asarray(rotation, dtype=np.float64)
     t = np.asarray(translation, dtype=np.float64)

@@ -20,16 +20,8 @@ _NO_VOLUME = 1e-9
 class Repaired:
     """Faces with a winding that agrees across every edge of two faces.
 
-    Parameters
-    ----------
-    faces
-        Vertex indices, shape (m, 3).
-    pairs
-        Their edges.
-    components
-        Number of surfaces connected through edges of two faces.
-    warnings
-        What was turned, with numbers.
+    components: Number of surfaces connected through edges of two faces
+    warnings: What was turned, with numbers
     """
 
     faces: Int32
@@ -44,12 +36,8 @@ def repair_winding(vertices: Float64, faces: Int32) -> Repaired:
     Of each connected surface the smaller share is turned. A closed surface of negative volume is turned
     unless it lies inside another one: then it is a cavity and faces the right way.
 
-    Parameters
-    ----------
-    vertices
-        Positions without coinciding ones [mm], shape (n, 3).
-    faces
-        Vertex indices, all of them with an area, shape (m, 3).
+    vertices: Positions without coinciding ones [mm], shape (n, 3)
+    faces: Vertex indices, all of them with an area, shape (m, 3)
     """
     pairs = edge_pairs(faces)
     label, turn = _flood(len(faces), pairs.corners, pairs.same_direction)
@@ -156,15 +144,10 @@ def points_inside(points: Float64, mesh: TriangleMesh) -> Bool:
 
     Parameters
     ----------
-    points
-        [mm], shape (k, 3), frame of the mesh.
-    mesh
-        Its faces wind alike, whichever way.
+    points: [mm], shape (k, 3), frame of the mesh
+    mesh: Its faces wind alike, whichever way
 
-    Returns
-    -------
-    ndarray
-        Shape (k,).
+    Returns: Shape (k,).
     """
     low, high = mesh.bounds
     inside = np.all((points >= low) & (points <= high), axis=1)
@@ -181,12 +164,8 @@ def winding_number(triangles: Float64, point: Float64) -> float:
 
     Solid angles by van Oosterom and Strackee 1983, doi:10.1109/TBME.1983.325207, eq. 8.
 
-    Parameters
-    ----------
-    triangles
-        Corners [mm], shape (m, 3, 3).
-    point
-        [mm], shape (3,).
+    triangles: Corners [mm], shape (m, 3, 3)
+    point: [mm], shape (3,)
     """
     x, y, z = point[0], point[1], point[2]
     total = 0.0

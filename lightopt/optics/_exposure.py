@@ -37,27 +37,13 @@ def expose(
 
     Parameters
     ----------
-    levels
-        Linear image, shape (H, W) [grey level at exposure 1, the light's gain applied].
-    sensor
-        The sensor.
-    exposure
-        Relative to the exposure at which the levels hold.
-    full_scale
-        Grey level that makes a full-scale sensor level at exposure 1: the scale of the reflectance.
-    rng
-        Where noise is drawn from (see :func:`image_rng`); no noise of any kind when not given.
+    levels: Linear image, shape (H, W) [grey level at exposure 1, the light's gain applied]
+    exposure: Relative to the exposure at which the levels hold
+    full_scale: Grey level that makes a full-scale sensor level at exposure 1: the scale of the reflectance
 
-    Returns
-    -------
-    ndarray
-        uint8 (up to 8 bits) or uint16, right-aligned, shape of `levels`.
-
-    Raises
-    ------
-    InputError
-        When the levels are not of shape (H, W), NaN or infinite, or the exposure or full scale is not a
-        positive number.
+    Returns: uint8 (up to 8 bits) or uint16, right-aligned, shape of `levels`.
+    Raises InputError: When the levels are not of shape (H, W), NaN or infinite, or the exposure or full scale is not a
+        positive number
     """
     for name, value in (("exposure", exposure), ("full_scale", full_scale)):
         if not (value > 0 and math.isfinite(value)):
@@ -136,15 +122,9 @@ def image_rng(seed: int, *, light: int, posture: int, exposure: int) -> np.rando
 
     Parameters
     ----------
-    seed
-        The run's seed, 0 or more.
-    light, posture, exposure
-        Index of the image's light, posture and exposure in the rig, the part and the run.
+    light, posture, exposure: Index of the image's light, posture and exposure in the rig, the part and the run
 
-    Raises
-    ------
-    InputError
-        When a number is negative.
+    Raises InputError: When a number is negative
     """
     for name, value in (("seed", seed), ("light", light), ("posture", posture), ("exposure", exposure)):
         if value < 0:

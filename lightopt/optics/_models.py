@@ -13,13 +13,7 @@ MAX_LOBE_EXPONENT = 60.0
 
 @kernel
 def lambert(n_dot_l: float) -> float:
-    """Diffuse component per unit of R_d (paper, equation 2).
-
-    Parameters
-    ----------
-    n_dot_l
-        Cosine of the angle between normal and direction to the light.
-    """
+    """Diffuse component per unit of R_d (paper, equation 2)."""
     return max(0.0, n_dot_l)
 
 
@@ -49,12 +43,9 @@ def torrance_sparrow(chord_squared: float, n_dot_v: float, inverse_two_sigma_squ
 
     Parameters
     ----------
-    chord_squared
-        |N − H|² of the unit normal and the unit vector halfway between light and view.
-    n_dot_v
-        cosθ_o, clamped from below by :data:`MIN_COS_VIEW`.
-    inverse_two_sigma_squared
-        1/(2σ²) [rad⁻²].
+    chord_squared: |N − H|² of the unit normal and the unit vector halfway between light and view
+    n_dot_v: cosθ_o, clamped from below by :data:`MIN_COS_VIEW`
+    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
     """
     # δ is never less than the chord, so that most pixels of a glossy part need no exponential
     if chord_squared * inverse_two_sigma_squared > MAX_LOBE_EXPONENT:

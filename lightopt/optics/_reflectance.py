@@ -9,14 +9,10 @@ class Reflectance:
 
     Attributes
     ----------
-    R_d
-        Diffuse reflection coefficient [grey level].
-    R_s
-        Specular reflection coefficient [grey level].
-    sigma
-        Concentration of the specular lobe, the standard deviation of δ [rad].
-    full_scale
-        Level that the coefficients call full scale [grey level].
+    R_d: Diffuse reflection coefficient [grey level]
+    R_s: Specular reflection coefficient [grey level]
+    sigma: Concentration of the specular lobe, the standard deviation of δ [rad]
+    full_scale: Level that the coefficients call full scale [grey level]
     """
 
     R_d: float
@@ -32,8 +28,7 @@ class Reflectance:
 
         Parameters
         ----------
-        R_d_factor, sigma_factor
-            By which R_d and σ are multiplied.
+        R_d_factor, sigma_factor: By which R_d and σ are multiplied
         """
         return replace(
             self, R_d=self.R_d * R_d_factor, R_s=self.R_s / sigma_factor**2, sigma=self.sigma * sigma_factor

@@ -15,12 +15,8 @@ from lightopt.core.arrays import Bool, Float64
 class SaturatedRegion:
     """Area and perimeter of the saturated pixels, by which the paper compares simulation and measurement (section 4.4).
 
-    Attributes
-    ----------
-    area
-        Number of pixels at or above the saturation level [px].
-    perimeter
-        Length of the line at the saturation level, interpolated between pixel centres [px].
+    area: Number of pixels at or above the saturation level [px]
+    perimeter: Length of the line at the saturation level, interpolated between pixel centres [px]
     """
 
     area: int
@@ -32,10 +28,8 @@ def saturated_region(levels: NDArray[Any], saturation_level: float) -> Saturated
 
     Parameters
     ----------
-    levels
-        Image, linear or as the camera delivers it, shape (height, width).
-    saturation_level
-        In the units of `levels`.
+    levels: Image, linear or as the camera delivers it, shape (height, width)
+    saturation_level: In the units of `levels`
     """
     above = np.asarray(levels) >= saturation_level
     excess = np.pad(np.asarray(levels, dtype=np.float64) - saturation_level, 1, constant_values=-1.0)

@@ -21,22 +21,14 @@ class Sensor:
 
     Attributes
     ----------
-    bit_depth
-        Bits of a delivered level, 1 to 16.
-    saturation_level
-        Delivered level from which a pixel counts as saturated; full scale, 2^bit_depth − 1, when not given.
-        Real cameras top out lower: 4080 of 4095, for instance.
-    black_level
-        Delivered level without light.
-    read_noise_levels
-        Standard deviation of the read noise [sensor level].
-    electrons_per_level
-        Photo-electrons that make one sensor level; None for a sensor without shot noise.
+    bit_depth: Bits of a delivered level, 1 to 16
+    saturation_level: Delivered level from which a pixel counts as saturated; full scale, 2^bit_depth − 1, when not
+        given. Real cameras top out lower: 4080 of 4095, for instance.
+    black_level: Delivered level without light
+    read_noise_levels: Standard deviation of the read noise [sensor level]
+    electrons_per_level: Photo-electrons that make one sensor level; None for a sensor without shot noise
 
-    Raises
-    ------
-    InputError
-        When a value is out of its range.
+    Raises InputError: When a value is out of its range
     """
 
     bit_depth: int
@@ -86,15 +78,10 @@ class Sensor:
 
         Parameters
         ----------
-        signal
-            Level above the black level [sensor level], of any shape; below 0 there is no shot noise.
-        frames
-            Of how many frames the level is the rounded mean.
+        signal: Level above the black level [sensor level], of any shape; below 0 there is no shot noise
+        frames: Of how many frames the level is the rounded mean
 
-        Returns
-        -------
-        float or ndarray
-            [sensor level²], of the signal's shape and kind.
+        Returns: [sensor level²], of the signal's shape and kind.
         """
         levels_per_electron = 1.0 / self.electrons_per_level if self.electrons_per_level else 0.0
         lit = max(signal, 0.0) if isinstance(signal, float) else np.maximum(signal, 0)

@@ -64,13 +64,9 @@ def places_beside_chords(
 
     They are on both sides of the chord between the edge's crossings, as far from it as the edge may be without harm.
 
-    Returns
-    -------
-    bent
-        Cells that two pieces of edge cross, which need no looking at; shape (q, n, n).
-    cell, x, y, expected
-        Index of each place's cell in the raveled (q, n, n); the place in its square, in cells; and whether a straight
-        edge would hide it.
+    Returns bent: Cells that two pieces of edge cross, which need no looking at; shape (q, n, n)
+        cell, x, y, expected: Index of each place's cell in the raveled (q, n, n); the place in its square, in cells;
+        and whether a straight edge would hide it
     """
     q, n = stake.shape[0], stake.shape[1]
     bent = np.zeros(stake.shape, np.bool_)

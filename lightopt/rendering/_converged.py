@@ -41,14 +41,7 @@ _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
 class ConvergedPanel:
     """A panel with the quadrature that it needs for a part.
 
-    Attributes
-    ----------
-    light
-        The panel, part frame.
-    nodes
-        Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do.
-    rules
-        From :func:`gauss_legendre_table`.
+    nodes: Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
     """
 
     light: PanelLight
@@ -60,12 +53,8 @@ class ConvergedPanel:
 class PanelSight:
     """What k surface points see of a panel.
 
-    Attributes
-    ----------
-    verdict
-        By the coarse rays, shape (k,).
-    penumbra
-        Whether the point was shaded as one in a penumbra, shape (k,).
+    verdict: By the coarse rays, shape (k,)
+    penumbra: Whether the point was shaded as one in a penumbra, shape (k,)
     """
 
     verdict: UInt8
@@ -77,10 +66,8 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
 
     Parameters
     ----------
-    light
-        Part frame.
-    centre, radius
-        Sphere around the part, part frame [mm].
+    light: Part frame
+    centre, radius: Sphere around the part, part frame [mm]
     """
     panel = panel_numbers(light)
     nodes, weights = gauss_legendre_table()
@@ -118,19 +105,10 @@ def shade_converged(
 
     Parameters
     ----------
-    surface
-        k surface points, part frame.
-    converged
-        The panel and its quadrature.
-    sample
-        Index of each point in the raveled grid of image samples that was traced, shape (k,): shadows are refined where
-        neighbours in this grid disagree.
-    shape
-        Rows and columns of that grid; the grid's own border has no neighbours beyond it.
-    reflectance
-        Its σ shapes the lobe; how finely penumbrae are worked out depends on R_d and R_s, too.
-    caster
-        For shadows; None for none.
+    sample: Index of each point in the raveled grid of image samples that was traced, shape (k,): shadows are refined
+        where neighbours in this grid disagree
+    shape: Rows and columns of that grid; the grid's own border has no neighbours beyond it
+    reflectance: Its σ shapes the lobe; how finely penumbrae are worked out depends on R_d and R_s, too
     """
     diffuse, specular, _ = shade_seeing(
         surface, converged, sample=sample, shape=shape, reflectance=reflectance, caster=caster
@@ -188,22 +166,11 @@ def shade_again(
     Where the points as they were are in a penumbra, these are, too; so are those whose own horizon, the turned one,
     makes them differ from their neighbours.
 
-    Parameters
-    ----------
-    surface
-        The j points with their own normals, part frame.
-    converged
-        The panel and its quadrature.
-    index
-        Of each among the k points of the surface, shape (j,).
-    sight
-        What the surface sees, from :func:`shade_seeing`.
-    sample, shape
-        Of the k points, as :func:`shade_converged` takes them.
-    reflectance
-        Of the j points.
-    caster
-        For shadows; None for none.
+    surface: The j points with their own normals, part frame
+    index: Of each among the k points of the surface, shape (j,)
+    sight: What the surface sees, from :func:`shade_seeing`
+    sample, shape: Of the k points, as :func:`shade_converged` takes them
+    reflectance: Of the j points
     """
     verdict = sight.verdict.copy()
     if caster is None:

@@ -26,16 +26,10 @@ from lightopt.scene import PanelLight
 class DisturbedSamples:
     """Samples of one reflectance that lie in defects, j of them.
 
-    Attributes
-    ----------
-    index
-        Of each among the samples of the surface, shape (j,).
-    label
-        Index of the defect, shape (j,).
-    surface
-        The points with the normals of the disturbed surface.
-    reflectance
-        Of all of them.
+    index: Of each among the samples of the surface, shape (j,)
+    label: Index of the defect, shape (j,)
+    surface: The points with the normals of the disturbed surface
+    reflectance: Of all of them
     """
 
     index: Index
@@ -54,16 +48,9 @@ class DisturbedSamples:
     ) -> tuple[Float64, Float64]:
         """Diffuse and specular levels under a panel [grey level], two arrays of shape (j,).
 
-        Parameters
-        ----------
-        panel
-            Part frame.
-        sight
-            What the undisturbed surface sees of a converged panel, from :func:`shade_converged`.
-        sample, shape
-            As :func:`shade_converged` takes them, of all samples of the surface.
-        caster
-            For shadows; None for none.
+        panel: Part frame
+        sight: What the undisturbed surface sees of a converged panel, from :func:`shade_converged`
+        sample, shape: As :func:`shade_converged` takes them, of all samples of the surface
         """
         r = self.reflectance
         if isinstance(panel, ConvergedPanel):
@@ -89,17 +76,7 @@ class DisturbedSamples:
 def disturbed_samples(
     defects: Sequence[PlacedDefect], surface: SurfacePoints, reflectance: Reflectance
 ) -> tuple[DisturbedSamples, ...]:
-    """The samples of a surface that lie in defects, sorted by what they reflect; none without defects.
-
-    Parameters
-    ----------
-    defects
-        Part frame.
-    surface
-        The undisturbed surface.
-    reflectance
-        Of it.
-    """
+    """The samples of a surface that lie in defects, sorted by what they reflect; none without defects."""
     marks = mark_surface(defects, surface.points, surface.normals)
     if marks is None:
         return ()

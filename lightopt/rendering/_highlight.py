@@ -18,10 +18,7 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
 
     Parameters
     ----------
-    scene
-        Camera and reflectance.
-    light
-        World frame.
+    light: World frame
     """
     origin = np.zeros((1, 3))
     view = scene.camera.position / np.linalg.norm(scene.camera.position)

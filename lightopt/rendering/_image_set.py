@@ -45,28 +45,15 @@ class RenderOptions:
 
     Attributes
     ----------
-    lights
-        Names of the lights to render; all by default.
-    postures
-        Instead of the part's own.
-    points
-        Point lights per panel, instead of the rig's.
-    exposures
-        Exposures of the camera's PNGs; the linear images are at exposure 1.
-    noise
-        Seed of the sensor's noise in the PNGs; None for none.
-    layers
-        Whether the EXRs get the diffuse and the specular component as channels of their own.
-    shadows
-        Whether the part casts shadows on itself.
-    supersample
-        n² rays per pixel.
-    patch_budget
-        About how many patches may be visible.
-    defects
-        Whether the part's defects are shown; the good part otherwise.
-    threads
-        Number of threads; all the machine's by default. The files do not depend on it.
+    lights: Names of the lights to render; all by default
+    points: Point lights per panel, instead of the rig's
+    exposures: Exposures of the camera's PNGs; the linear images are at exposure 1
+    noise: Seed of the sensor's noise in the PNGs; None for none
+    layers: Whether the EXRs get the diffuse and the specular component as channels of their own
+    shadows: Whether the part casts shadows on itself
+    supersample: n² rays per pixel
+    patch_budget: About how many patches may be visible
+    defects: Whether the part's defects are shown; the good part otherwise
     """
 
     lights: tuple[str, ...] | None = None
@@ -86,22 +73,10 @@ class RenderOptions:
 class RenderedSet:
     """What :func:`render_image_set` left on disk.
 
-    Attributes
-    ----------
-    folder
-        Of the image set.
-    images
-        Number of images in the set.
-    resumed
-        Number of those that an earlier run with the same inputs had finished.
-    warnings
-        What was repaired or is partly wrong.
-    rays
-        Number of rays cast for images.
-    patches
-        What the patch refinement reached; None where nothing was left to do.
-    replaced
-        Number of files of another set that were removed (with `force`).
+    resumed: Number of those that an earlier run with the same inputs had finished
+    rays: Number of rays cast for images
+    patches: What the patch refinement reached; None where nothing was left to do
+    replaced: Number of files of another set that were removed (with `force`)
     """
 
     folder: Path
@@ -130,24 +105,11 @@ def render_image_set(
 
     Parameters
     ----------
-    rig, part
-        Configurations, or the paths of their YAML files.
-    folder
-        Made where it does not exist.
-    options
-        What to render.
-    force
-        Replace a set made from other inputs; all files of that set are removed.
-    warn
-        Called with each warning as it comes up.
-    report
-        Called as rendering goes on.
+    rig, part: Configurations, or the paths of their YAML files
+    folder: Made where it does not exist
 
-    Raises
-    ------
-    InputError
-        Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that hardly a pixel
-        sees. Nothing is written before all inputs are read.
+    Raises InputError: Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that
+        hardly a pixel sees. Nothing is written before all inputs are read.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)

@@ -32,12 +32,8 @@ class LightImage:
 
     Attributes
     ----------
-    light
-        Name of the light.
-    level
-        Linear, unclipped, noise-free [grey level], shape (height, width).
-    diffuse, specular
-        Its two components [grey level], or None where not asked for.
+    level: Linear, unclipped, noise-free [grey level], shape (height, width)
+    diffuse, specular: Its two components [grey level], or None where not asked for
     """
 
     light: str
@@ -52,19 +48,13 @@ class Geometry:
 
     Attributes
     ----------
-    points
-        [mm], shape (height, width, 3).
-    normals
-        Interpolated unit normals of the surface without its defects, shape (height, width, 3).
-    distance
-        From the pinhole along the ray [mm], shape (height, width).
-    patch
-        Patch seen, −1 where none; all −1 without patches; shape (height, width).
-    hit
-        Whether the ray meets the part, shape (height, width).
-    defect
-        Index among the scene's defects of the one seen, −1 where none, shape (height, width); None for a part without
-        defects.
+    points: [mm], shape (height, width, 3)
+    normals: Interpolated unit normals of the surface without its defects, shape (height, width, 3)
+    distance: From the pinhole along the ray [mm], shape (height, width)
+    patch: Patch seen, −1 where none; all −1 without patches; shape (height, width)
+    hit: Whether the ray meets the part, shape (height, width)
+    defect: Index among the scene's defects of the one seen, −1 where none, shape (height, width); None for a part
+        without defects
     """
 
     points: Float32
@@ -81,16 +71,7 @@ class PostureImages:
 
     Attributes
     ----------
-    posture
-        Of the part.
-    lights
-        One image per light, in the scene's order.
-    geometry
-        What the pixels look at.
-    back_faces
-        Number of pixels whose centre sees the back of a face; they are black.
-    rays
-        Number of rays cast.
+    back_faces: Number of pixels whose centre sees the back of a face; they are black
     """
 
     posture: Posture
@@ -106,13 +87,7 @@ def cast_rays_at(scene: Scene) -> RayCaster:
 
 
 def trace_posture(mesh: TriangleMesh, view: PartView, caster: RayCaster) -> Hits:
-    """Where the rays through all pixel centres meet the part; part frame.
-
-    Parameters
-    ----------
-    mesh, view, caster
-        The part, the camera as it sees it, and the part's ray caster.
-    """
+    """Where the rays through all pixel centres meet the part; part frame."""
     left, top, right, bottom = screen_window(view.camera, mesh)
     columns, rows = np.meshgrid(_centres(left, right), _centres(top, bottom))
     return trace_hits(caster, mesh, view.camera, columns.ravel(), rows.ravel())
@@ -131,18 +106,11 @@ def render(
 
     Parameters
     ----------
-    scene
-        From :func:`lightopt.scene.build_scene`.
-    shadows
-        Whether the part casts shadows on itself.
-    supersample
-        n² rays per pixel on a regular n × n grid, averaged.
-    layers
-        Whether to keep the diffuse and the specular component apart as well.
-    patches
-        Of the scene's mesh, to say which patch each pixel sees.
-    threads
-        Number of threads; all the machine's by default. The images do not depend on it.
+    scene: From :func:`lightopt.scene.build_scene`
+    shadows: Whether the part casts shadows on itself
+    supersample: n² rays per pixel on a regular n × n grid, averaged
+    layers: Whether to keep the diffuse and the specular component apart as well
+    patches: Of the scene's mesh, to say which patch each pixel sees
 
     Examples
     --------
@@ -183,12 +151,7 @@ def render_posture(
 
     Parameters
     ----------
-    posture
-        Any posture, not only one of the scene's.
-    caster
-        From :func:`cast_rays_at`.
-    progress
-        Called from the calling thread as blocks are finished.
+    posture: Any posture, not only one of the scene's
     """
     before = caster.rays_cast
     job = _Job(scene, posture, caster, shadows, supersample, layers, patches)

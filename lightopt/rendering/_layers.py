@@ -36,21 +36,12 @@ class LightLayer:
 
     Attributes
     ----------
-    surface
-        The points, part frame.
-    light
-        The panel, part frame.
-    diffuse
-        Per unit of R_d, shape (n,).
-    deflection
-        About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):
-        nothing narrower than this reaches the camera as a highlight.
-    grid
-        The panel's point lights [mm], shape (m, 3); none of them for the converged panel.
-    nodes
-        Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights.
-    rules
-        Gauss–Legendre nodes and weights.
+    surface: The points, part frame
+    diffuse: Per unit of R_d, shape (n,)
+    deflection: About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):
+        nothing narrower than this reaches the camera as a highlight
+    grid: The panel's point lights [mm], shape (m, 3); none of them for the converged panel
+    nodes: Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights
     """
 
     surface: SurfacePoints
@@ -96,14 +87,9 @@ def light_layer(
 
     Parameters
     ----------
-    surface
-        Points that see the whole panel, part frame.
-    light
-        Part frame; with its own number of points.
-    caster
-        Of the part, whose bounding sphere the diffuse quadrature is chosen for.
-    threads
-        Number of threads; the result does not depend on it.
+    surface: Points that see the whole panel, part frame
+    light: Part frame; with its own number of points
+    caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     """
     panel = panel_numbers(light)
     if light.points == "auto":

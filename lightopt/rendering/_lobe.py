@@ -67,16 +67,8 @@ def rectangle_diffuse(
 ) -> float:
     """Diffuse light, per unit of R_d, of the rectangle [s0, s1] × [t0, t1] of a panel of total weight 1.
 
-    Parameters
-    ----------
-    p, n, v
-        Surface point [mm], unit normal, unit view direction, shape (3,).
-    panel
-        The panel; s and t run over [−½, ½].
-    count
-        Gauss–Legendre nodes along each side.
-    nodes, weights
-        From :func:`gauss_legendre_table`.
+    p, n, v: Surface point [mm], unit normal, unit view direction, shape (3,)
+    count: Gauss–Legendre nodes along each side
     """
     level, rise_s, rise_t, lowest = _height_above_horizon(p, n, panel, s0, s1, t0, t1)
     first, last = _broken_rows(level, rise_s, rise_t, lowest, s0, s1, t0, t1)

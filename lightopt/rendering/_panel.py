@@ -79,22 +79,13 @@ def point_terms(
 ) -> tuple[float, float]:
     """Diffuse and specular terms, per unit of R_d and R_s, of one point light of weight 1 (paper, equations 2 and 3).
 
-    Parameters
-    ----------
-    px, py, pz
-        Surface point [mm].
-    nx, ny, nz
-        Its unit normal.
-    vx, vy, vz
-        Unit view direction.
-    n_dot_v
-        cosθ_o.
-    qx, qy, qz
-        The point light [mm].
-    panel
-        The panel that it belongs to, for fall-off and emission.
-    inverse_two_sigma_squared
-        1/(2σ²) [rad⁻²].
+    px, py, pz: Surface point [mm]
+    nx, ny, nz: Its unit normal
+    vx, vy, vz: Unit view direction
+    n_dot_v: cosθ_o
+    qx, qy, qz: The point light [mm]
+    panel: The panel that it belongs to, for fall-off and emission
+    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
     """
     lx, ly, lz = qx - px, qy - py, qz - pz
     r2 = lx * lx + ly * ly + lz * lz

@@ -42,19 +42,13 @@ def panel_variants(
 ) -> Float64:
     """Levels of variants of a surface under a converged panel, shape (k, t).
 
-    Parameters
-    ----------
-    surface, references
-        As :func:`lightopt.rendering.shade_variants` takes them.
-    converged
-        The panel.
-    clear
-        Which of its probes each point's facet faces and sees, shape (k, 5).
-    caster
-        For the cells of panels that are seen in part; None for no shadows.
-    lean, R_d, R_s, inverse, most
-        Of the variants: normals in the points' frames, shape (t, 3); coefficients times the panel's weight, 1/(2σ²),
-        and the exponent from which their lobe is negligible for a view along the normal, each of shape (t,).
+    surface, references: As :func:`lightopt.rendering.shade_variants` takes them
+    converged: The panel
+    clear: Which of its probes each point's facet faces and sees, shape (k, 5)
+    caster: For the cells of panels that are seen in part; None for no shadows
+    lean, R_d, R_s, inverse, most: Of the variants: normals in the points' frames, shape (t, 3); coefficients times the
+        panel's weight, 1/(2σ²), and the exponent from which their lobe is negligible for a view along the normal, each
+        of shape (t,)
     """
     panel = panel_numbers(converged.light)
     levels = np.zeros((len(surface), len(lean)))

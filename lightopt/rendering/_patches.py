@@ -30,25 +30,16 @@ class PatchTable:
 
     Attributes
     ----------
-    patches
-        Of the scene's mesh.
-    postures
-        The postures that were looked at.
-    visible
-        Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p).
-    grazing
-        Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p): such
-        patches count in no score and no share of that posture.
-    max_edge
-        Longest edge of a patch that the camera may see, unless the mesh was finer already [mm].
-    footprint
-        Side of a pixel's footprint on the part, where it is smallest [mm].
-    seen_faces
-        Faces of the mesh that the camera sees, where they are as many as patches were asked for, or more; 0 otherwise,
-        and of a table from arrays.
-    exceeded
-        Patches that were asked for, where more are visible although the faces that the camera sees are fewer: half as
-        many are for cutting; 0 otherwise, and of a table from arrays.
+    postures: The postures that were looked at
+    visible: Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
+    grazing: Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p):
+        such patches count in no score and no share of that posture
+    max_edge: Longest edge of a patch that the camera may see, unless the mesh was finer already [mm]
+    footprint: Side of a pixel's footprint on the part, where it is smallest [mm]
+    seen_faces: Faces of the mesh that the camera sees, where they are as many as patches were asked for, or more; 0
+        otherwise, and of a table from arrays
+    exceeded: Patches that were asked for, where more are visible although the faces that the camera sees are fewer:
+        half as many are for cutting; 0 otherwise, and of a table from arrays
     """
 
     patches: Patches
@@ -149,12 +140,8 @@ class PatchTable:
 class PatchPixels:
     """Which pixels show each patch.
 
-    Attributes
-    ----------
-    start
-        The pixels of patch i are ``pixels[start[i]:start[i + 1]]``; shape (p + 1,).
-    pixels
-        Raveled pixel indices, ascending within a patch.
+    start: The pixels of patch i are ``pixels[start[i]:start[i + 1]]``; shape (p + 1,)
+    pixels: Raveled pixel indices, ascending within a patch
     """
 
     start: Int64
@@ -170,13 +157,9 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
 
     Parameters
     ----------
-    scene
-        With the postures to look from.
-    caster
-        Of the scene's part.
-    budget
-        About how many patches may be visible. A mesh that has more faces to begin with is not coarsened; half of the
-        budget is for cutting long faces, however many others there are: where the camera sees more faces than the
+    scene: With the postures to look from
+    budget: About how many patches may be visible. A mesh that has more faces to begin with is not coarsened; half of
+        the budget is for cutting long faces, however many others there are: where the camera sees more faces than the
         other half, the budget may be exceeded by up to a half, and the table says so.
     """
     mesh = scene.mesh
@@ -238,10 +221,8 @@ def patch_pixels(patch: Int32, count: int) -> PatchPixels:
 
     Parameters
     ----------
-    patch
-        Patch index of each pixel, −1 where none, shape (height, width).
-    count
-        Number of patches.
+    patch: Patch index of each pixel, −1 where none, shape (height, width)
+    count: Number of patches
     """
     flat = patch.ravel()
     pixels = np.flatnonzero(flat >= 0)
@@ -275,11 +256,6 @@ def grain_of(areas: Float64) -> float:
 
     The standard deviation if the middle of each patch were a place by chance, and half of the places counted:
     √(Σ a²) / (2 Σ a). Patches that are wholly within or wholly without what is counted are not off at all.
-
-    Parameters
-    ----------
-    areas
-        Of the patches, shape (p,).
     """
     return 0.5 * math.sqrt(float((areas**2).sum())) / max(float(areas.sum()), 1e-300)
 
@@ -291,16 +267,12 @@ def sight_of(
 
     Parameters
     ----------
-    points, normals, facets
-        Points [mm], normals of the surface there, and those of the facets that they lie on, part frame, shape (p, 3).
-    view, caster
-        The camera as the part sees it, and the part's ray caster.
+    points, normals, facets: Points [mm], normals of the surface there, and those of the facets that they lie on, part
+        frame, shape (p, 3)
+    view, caster: The camera as the part sees it, and the part's ray caster
 
-    Returns
-    -------
-    visible, grazing
-        Boolean, shape (p,): in the image, from the front, with nothing in between; and of these, at more than
-        :data:`lightopt.rendering.GRAZING_DEG` to the normal.
+    Returns visible, grazing: Boolean, shape (p,): in the image, from the front, with nothing in between; and of these,
+        at more than :data:`lightopt.rendering.GRAZING_DEG` to the normal
     """
     visible = visible_points(points, facets, view, caster)
     grazing = np.zeros_like(visible)
@@ -315,15 +287,8 @@ def visible_points(points: Float64, normals: Float64, view: PartView, caster: Ra
 
     Parameters
     ----------
-    points, normals
-        Points [mm] and normals of the facets that they lie on, part frame, shape (p, 3).
-    view, caster
-        The camera as the part sees it, and the part's ray caster.
-
-    Returns
-    -------
-    numpy.ndarray
-        Boolean, shape (p,).
+    points, normals: Points [mm] and normals of the facets that they lie on, part frame, shape (p, 3)
+    view, caster: The camera as the part sees it, and the part's ray caster
     """
     camera = view.camera
     columns, rows, depth = project(camera, points)

@@ -47,18 +47,10 @@ LEAST_BISECTIONS = 2
 class PenumbraLight:
     """A panel, and what its light is worth.
 
-    Attributes
-    ----------
-    panel
-        Part frame.
-    diffuse_level, specular_level
-        Grey levels per unit of the two terms: R_d and R_s times the panel's total weight.
-    inverse_two_sigma_squared
-        1/(2σ²) [rad⁻²].
-    nodes
-        Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission.
-    rules
-        Gauss–Legendre nodes and weights.
+    panel: Part frame
+    diffuse_level, specular_level: Grey levels per unit of the two terms: R_d and R_s times the panel's total weight
+    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
+    nodes: Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission
     """
 
     panel: PanelNumbers
@@ -116,19 +108,7 @@ def shade_penumbra(
 ) -> tuple[Float64, Float64, Bool]:
     """Diffuse and specular light of the visible area of a panel of weight 1, per unit of R_d and R_s.
 
-    Parameters
-    ----------
-    surface
-        k surface points, part frame.
-    light
-        The panel.
-    caster
-        Of the part.
-
-    Returns
-    -------
-    diffuse, specular, crossed
-        Each of shape (k,); `crossed` is whether the edge of a shadow crosses the panel.
+    Returns diffuse, specular, crossed: Each of shape (k,); `crossed` is whether the edge of a shadow crosses the panel
     """
     k = len(surface)
     work = _Work(surface, light, caster, terms=np.zeros((k, 2)), tolerance=np.zeros(k))

@@ -41,16 +41,11 @@ class PosturePixels:
 
     Attributes
     ----------
-    posture, view
-        Of the part; camera and lights in the part's frame.
-    row, column
-        Of each pixel, shape (k,).
-    surface
-        Where the rays meet the part, part frame.
-    clean
-        Off silhouettes, creases, back faces and grazing views, shape (k,).
-    shape
-        Rows and columns of the image.
+    posture, view: Of the part; camera and lights in the part's frame
+    row, column: Of each pixel, shape (k,)
+    surface: Where the rays meet the part, part frame
+    clean: Off silhouettes, creases, back faces and grazing views, shape (k,)
+    shape: Rows and columns of the image
     """
 
     posture: Posture
@@ -65,15 +60,7 @@ class PosturePixels:
 def trace_pixels(
     scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None
 ) -> PosturePixels:
-    """Cast a ray through every pixel centre that can show the part.
-
-    Parameters
-    ----------
-    scene, posture, caster
-        The part, how it stands, and its ray caster.
-    threads
-        Number of threads; all the machine's by default. The result does not depend on it.
-    """
+    """Cast a ray through every pixel centre that can show the part."""
     view = view_from_part(scene, posture)
     left, top, right, bottom = screen_window(view.camera, scene.mesh)
     columns = np.arange(left, right, dtype=np.int32)
@@ -112,14 +99,7 @@ def panel_verdict(
 
     Parameters
     ----------
-    pixels
-        From :func:`trace_pixels`.
-    light
-        Part frame.
-    caster
-        Of the part.
-    threads
-        Number of threads; the result does not depend on it.
+    light: Part frame
     """
     surface = pixels.surface
     targets = _probes(light)

@@ -23,16 +23,9 @@ def shade_points(
 
     Parameters
     ----------
-    surface
-        k surface points, part frame.
-    light
-        Part frame.
-    points
-        m = k².
-    sigma
-        Of the specular lobe [rad].
-    caster
-        For shadows; None for none.
+    light: Part frame
+    points: m = k²
+    sigma: Of the specular lobe [rad]
     """
     # points are independent of each other: pieces bound the memory whatever m is
     step = max(1, PAIRS_AT_ONCE // points)
@@ -75,14 +68,9 @@ def _shade_piece(
 def facing_pairs(surface: SurfacePoints, targets: Float64, *, geometric: bool) -> tuple[Int32, Int32]:
     """Pairs (surface point, target) for which light can arrive at all, as two index arrays of the same length.
 
-    Parameters
-    ----------
-    surface
-        k surface points.
-    targets
-        Point lights [mm], shape (m, 3).
-    geometric
-        Whether the face's own plane, too, must face the light: below it, the face itself is in the way.
+    surface: k surface points
+    targets: Point lights [mm], shape (m, 3)
+    geometric: Whether the face's own plane, too, must face the light: below it, the face itself is in the way
     """
     return _facing(surface.points, surface.normals, surface.facets, surface.front, targets, geometric)
 

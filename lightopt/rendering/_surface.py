@@ -18,16 +18,11 @@ class SurfacePoints:
 
     Attributes
     ----------
-    points
-        [mm], shape (k, 3).
-    normals
-        Interpolated unit normals N that shading uses, shape (k, 3).
-    facets
-        Unit geometric normals of the faces, shape (k, 3).
-    views
-        Unit vectors V towards the camera, shape (k, 3).
-    front
-        False where the camera sees the back of a face, which is black; shape (k,).
+    points: [mm], shape (k, 3)
+    normals: Interpolated unit normals N that shading uses, shape (k, 3)
+    facets: Unit geometric normals of the faces, shape (k, 3)
+    views: Unit vectors V towards the camera, shape (k, 3)
+    front: False where the camera sees the back of a face, which is black; shape (k,)
     """
 
     points: Float64
@@ -51,16 +46,10 @@ def interpolate_surface(
 ) -> SurfacePoints:
     """Normals and view directions at points of a mesh.
 
-    Parameters
-    ----------
-    mesh
-        Part frame [mm].
-    face, u, v
-        Face index and barycentric coordinates of each point, shape (k,).
-    points
-        [mm], shape (k, 3).
-    eye
-        Pinhole of the camera, part frame [mm], shape (3,).
+    mesh: Part frame [mm]
+    face, u, v: Face index and barycentric coordinates of each point, shape (k,)
+    points: [mm], shape (k, 3)
+    eye: Pinhole of the camera, part frame [mm], shape (3,)
     """
     smooth = mesh.normals is not None
     vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
@@ -72,13 +61,7 @@ def interpolate_surface(
 def trace_hits(
     caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
 ) -> Hits:
-    """Where camera rays through image points meet the part, without what the surface is like there.
-
-    Parameters
-    ----------
-    caster, mesh, camera, columns, rows
-        As for :func:`trace_samples`.
-    """
+    """Where camera rays through image points meet the part, without what the surface is like there."""
     directions = pixel_directions(camera, columns, rows)
     return resolve_hits(
         caster.first_hit(camera.position, directions), camera.position, directions, mesh.vertices, mesh.faces
@@ -92,12 +75,9 @@ def trace_samples(
 
     Parameters
     ----------
-    caster, mesh
-        The part, in its own frame.
-    camera
-        Part frame.
-    columns, rows
-        Image points [px], shape (n,).
+    caster, mesh: The part, in its own frame
+    camera: Part frame
+    columns, rows: Image points [px], shape (n,)
     """
     hits = trace_hits(caster, mesh, camera, columns, rows)
     return hits, interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)

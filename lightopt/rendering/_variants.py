@@ -42,13 +42,9 @@ NEGLIGIBLE_LEVEL = 1e-3
 class SurfaceVariants:
     """What each point of a surface is tried as, t ways.
 
-    Attributes
-    ----------
-    lean
-        Components of each variant's normal along the point's normal, its reference direction and the direction across,
-        which with the first two makes a right-handed frame; shape (t, 3).
-    R_d, R_s, sigma
-        Of each, shape (t,).
+    lean: Components of each variant's normal along the point's normal, its reference direction and the direction
+        across, which with the first two makes a right-handed frame; shape (t, 3)
+    R_d, R_s, sigma: Of each, shape (t,)
     """
 
     lean: Float64
@@ -61,15 +57,10 @@ class SurfaceVariants:
 class VariantLevels:
     """Light of a panel from k surface points [grey level].
 
-    Attributes
-    ----------
-    plain
-        Of the surface as it is, as :func:`lightopt.rendering.shade_points` or ``shade_converged`` has it, float32,
-        shape (k,).
-    good
-        The same for comparison with the variants, in penumbrae from the same cells of the panel; shape (k,).
-    varied
-        Of the variants, shape (k, t).
+    plain: Of the surface as it is, as :func:`lightopt.rendering.shade_points` or ``shade_converged`` has it, float32,
+        shape (k,)
+    good: The same for comparison with the variants, in penumbrae from the same cells of the panel; shape (k,)
+    varied: Of the variants, shape (k, t)
     """
 
     plain: Float32
@@ -112,18 +103,9 @@ def shade_variants(
 
     Parameters
     ----------
-    surface
-        k points that the camera sees from the front, none of them another's neighbour; part frame.
-    references
-        Unit vectors in the tangent planes that directions count from, shape (k, 3).
-    panel
-        Part frame: as point lights, or converged.
-    variants
-        What is tried.
-    reflectance
-        Of the surface as it is.
-    caster
-        For shadows; None for none.
+    surface: k points that the camera sees from the front, none of them another's neighbour; part frame
+    references: Unit vectors in the tangent planes that directions count from, shape (k, 3)
+    panel: Part frame: as point lights, or converged
     """
 
     def shade(start: int, end: int) -> VariantLevels:

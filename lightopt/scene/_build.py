@@ -52,23 +52,14 @@ def build_scene(
 
     Parameters
     ----------
-    rig, part
-        Configurations, or the paths of their YAML files.
-    postures
-        Instead of the part's own.
-    lights
-        Names of the lights to keep, instead of all.
-    points
-        Point lights per panel, instead of the rig's.
-    defects
-        Whether the part has the defects that its file names, or is a good one.
+    rig, part: Configurations, or the paths of their YAML files
+    lights: Names of the lights to keep, instead of all
+    points: Point lights per panel, instead of the rig's
+    defects: Whether the part has the defects that its file names, or is a good one
 
-    Raises
-    ------
-    InputError
-        A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part wholly outside the
-        view or a camera inside the part (with what another unit of the mesh file would make of it, where that explains
-        it), a lens that folds the image over, a defect that is not on the part.
+    Raises InputError: A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part
+        wholly outside the view or a camera inside the part (with what another unit of the mesh file would make of it,
+        where that explains it), a lens that folds the image over, a defect that is not on the part
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
@@ -99,10 +90,7 @@ def build_scene(
 def build_camera(rig: RigConfig) -> PinholeCamera:
     """The rig's camera, world frame.
 
-    Raises
-    ------
-    InputError
-        The lens model folds the image over.
+    Raises InputError: The lens model folds the image over
     """
     c = rig.camera
     if c.image_distance_mm is not None:
@@ -171,17 +159,10 @@ def build_lights(
 
     Parameters
     ----------
-    rig
-        The rig.
-    names
-        Of the lights to keep; all by default.
-    points
-        Point lights per panel, instead of the rig's.
+    names: Of the lights to keep; all by default
+    points: Point lights per panel, instead of the rig's
 
-    Raises
-    ------
-    InputError
-        A name that the rig does not have.
+    Raises InputError: A name that the rig does not have
     """
     known = [light.name for light in rig.lights]
     unknown = [name for name in names or () if name not in known]
@@ -237,10 +218,7 @@ def chord_tolerance(part: PartConfig, footprint: float) -> float:
 
     Parameters
     ----------
-    part
-        The part.
-    footprint
-        Side of a pixel's footprint at the origin [mm].
+    footprint: Side of a pixel's footprint at the origin [mm]
     """
     if part.mesh.chord_tolerance_mm is not None:
         return part.mesh.chord_tolerance_mm
@@ -267,15 +245,7 @@ def _place(mesh: TriangleMesh, placement: PlacementConfig) -> tuple[TriangleMesh
 
 
 def unit_hint(part: PartConfig, scene: Scene) -> tuple[str, ...]:
-    """A message that proposes other units for the part's file, where it carries none itself and they explain its size.
-
-    Parameters
-    ----------
-    part
-        The part.
-    scene
-        That it is in.
-    """
+    """A message that proposes other units for the part's file, where it carries none itself and they explain its size."""
     size = view_size(scene.camera)
     if size is None or Path(part.mesh.file).suffix.lower() not in UNITLESS_SUFFIXES:
         return ()

@@ -33,18 +33,10 @@ class PinholeCamera:
 
     Attributes
     ----------
-    position
-        Pinhole [mm], shape (3,).
-    right, up, forward
-        Unit vectors of the image, shape (3,).
-    width, height
-        [px].
-    pixel_size
-        Side of a square pixel [mm].
-    image_distance
-        Pinhole to image plane [mm].
-    distortion
-        Of the lens.
+    position: Pinhole [mm], shape (3,)
+    right, up, forward: Unit vectors of the image, shape (3,)
+    pixel_size: Side of a square pixel [mm]
+    image_distance: Pinhole to image plane [mm]
     """
 
     position: Float64
@@ -107,8 +99,7 @@ def pixel_directions(camera: PinholeCamera, columns: Float64, rows: Float64) -> 
 
     Parameters
     ----------
-    columns, rows
-        Image points [px], shape (k,): pixel (column 0, row 0) has its centre at (0.5, 0.5).
+    columns, rows: Image points [px], shape (k,): pixel (column 0, row 0) has its centre at (0.5, 0.5)
     """
     scale = camera.pixel_size / camera.image_distance
     x = (columns - 0.5 * camera.width) * scale
@@ -126,8 +117,7 @@ def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, F
 
     Parameters
     ----------
-    points
-        [mm], shape (k, 3), frame of the camera's vectors.
+    points: [mm], shape (k, 3), frame of the camera's vectors
     """
     offset = points - camera.position
     depth = offset @ camera.forward

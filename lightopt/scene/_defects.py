@@ -34,10 +34,8 @@ _DIGITS = 6
 def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[PlacedDefect, ...]:
     """The part's defects on the scene's mesh.
 
-    Raises
-    ------
-    InputError
-        For each defect that is not on the part, that no pixel sees where it should, or whose σ no lobe can have.
+    Raises InputError: For each defect that is not on the part, that no pixel sees where it should, or whose σ no lobe
+        can have
     """
     placed: list[PlacedDefect] = []
     problems: list[str] = []
@@ -69,10 +67,7 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
 def build_catalogue(part: PartConfig) -> tuple[CatalogueEntry, ...]:
     """The kinds of defect that a part's inspection is planned for: its own list, or the built-in one.
 
-    Raises
-    ------
-    InputError
-        For each haze whose σ no lobe can have.
+    Raises InputError: For each haze whose σ no lobe can have
     """
     if part.defect_catalogue is None:
         catalogue = BUILT_IN_CATALOGUE
@@ -95,10 +90,7 @@ def defect_facts(defects: Sequence[PlacedDefect], placement: Placement) -> list[
 
     Parameters
     ----------
-    defects
-        Part frame.
-    placement
-        Of the mesh file in the part frame.
+    placement: Of the mesh file in the part frame
     """
     return [
         {

@@ -16,14 +16,11 @@ class Framing:
 
     Attributes
     ----------
-    left, top, right, bottom
-        Bounding box of the part's vertices in the image [px]; NaN where part of it is behind the camera.
-    excess
-        By how much it leaves the image at the left, top, right and bottom, 0 where it does not [px].
-    nearest, farthest
-        Depth of the part's vertices along the optical axis [mm].
-    footprint
-        Side of a pixel's footprint at the nearest and at the farthest depth [mm].
+    left, top, right, bottom: Bounding box of the part's vertices in the image [px]; NaN where part of it is behind the
+        camera
+    excess: By how much it leaves the image at the left, top, right and bottom, 0 where it does not [px]
+    nearest, farthest: Depth of the part's vertices along the optical axis [mm]
+    footprint: Side of a pixel's footprint at the nearest and at the farthest depth [mm]
     """
 
     left: float

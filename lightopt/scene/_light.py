@@ -16,30 +16,16 @@ class PanelLight:
 
     Attributes
     ----------
-    name
-        As in the rig.
-    elevation, azimuth
-        Where it stands, world frame [rad].
-    distance
-        Panel centre to origin [mm].
-    centre
-        [mm], shape (3,).
-    across, along
-        Unit vectors of its sides, e_φ and e_θ, shape (3,).
-    outward
-        Unit vector from the origin to the panel, d, shape (3,); the panel shines along −d.
-    size
-        Sides along `across` and `along` [mm].
-    points
-        Number of point lights k², or ``"auto"`` for the converged panel.
-    total_weight
-        Sum of the points' weights: gain, times m where the normalisation is ``sum``.
-    gain
-        Of the light.
-    inverse_square
-        Whether light falls off with (distance of the panel centre / r)².
-    emission_exponent
-        n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light.
+    elevation, azimuth: Where it stands, world frame [rad]
+    distance: Panel centre to origin [mm]
+    centre: [mm], shape (3,)
+    across, along: Unit vectors of its sides, e_φ and e_θ, shape (3,)
+    outward: Unit vector from the origin to the panel, d, shape (3,); the panel shines along −d
+    size: Sides along `across` and `along` [mm]
+    points: Number of point lights k², or ``"auto"`` for the converged panel
+    total_weight: Sum of the points' weights: gain, times m where the normalisation is ``sum``
+    inverse_square: Whether light falls off with (distance of the panel centre / r)²
+    emission_exponent: n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light
     """
 
     name: str
@@ -113,8 +99,7 @@ def panel_grid(light: PanelLight, points: int) -> Float64:
 
     Parameters
     ----------
-    points
-        m = k².
+    points: m = k²
     """
     k = math.isqrt(points)
     offsets = (np.arange(k) + 0.5) / k - 0.5

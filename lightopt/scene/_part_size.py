@@ -21,14 +21,7 @@ SENSIBLE = (0.15, 1.3)
 class UnitGuess:
     """What other units would make of a part that does not fit the view at all.
 
-    Attributes
-    ----------
-    unit
-        That the part's file is read in.
-    likely
-        Those that would make sense of it.
-    text
-        For people, with what they would make of the part's longest side.
+    likely: Those that would make sense of it
     """
 
     unit: str
@@ -57,14 +50,8 @@ def is_absurd(longest: float, view: float) -> bool:
 def likely_units(longest: float, view: float, unit: str) -> tuple[str, ...]:
     """Units that would make sense of a part that does not fit the view at all; none where it does.
 
-    Parameters
-    ----------
-    longest
-        The part's longest side as it is read now [mm].
-    view
-        The view's shorter side [mm].
-    unit
-        The unit that it is read in.
+    longest: The part's longest side as it is read now [mm]
+    view: The view's shorter side [mm]
     """
     if not is_absurd(longest, view):
         return ()
@@ -77,12 +64,8 @@ def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | Non
 
     Parameters
     ----------
-    part
-        The part; its file is named by `mesh`.
-    longest
-        Its longest side as it is read now [mm].
-    view
-        The view's shorter side [mm].
+    longest: Its longest side as it is read now [mm]
+    view: The view's shorter side [mm]
     """
     unit = _unit(part)
     likely = likely_units(longest, view, unit)

@@ -31,8 +31,7 @@ def image_area(camera: PinholeCamera, polygon: Float64) -> float:
 
     Parameters
     ----------
-    polygon
-        Corners in order [mm], shape (k, 3), frame of the camera's vectors.
+    polygon: Corners in order [mm], shape (k, 3), frame of the camera's vectors
     """
     offset = polygon - camera.position
     # right, down, forward; the viewing pyramid then is |x| ≤ w·z, |y| ≤ h·z
@@ -110,10 +109,8 @@ def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> Bool:
 
     Parameters
     ----------
-    start
-        [mm], shape (3,), frame of the panel's vectors.
-    ends
-        [mm], shape (k, 3).
+    start: [mm], shape (3,), frame of the panel's vectors
+    ends: [mm], shape (k, 3)
     """
     height = (ends - light.centre) @ light.outward
     from_height = float((start - light.centre) @ light.outward)

@@ -30,18 +30,11 @@ _REACH = 8.0
 class PointSpacing:
     """How a panel's grid of point lights looks to a specular lobe.
 
-    Attributes
-    ----------
-    points
-        m = k² point lights.
-    spacing
-        Largest distance between neighbouring points [mm]; the panel's longer side for m = 1.
-    lobe
-        2·distance·σ: how wide a part of the panel the lobe takes in, one standard deviation [mm].
-    area_error
-        Saturated area of a highlight relative to that of the continuous panel, minus 1.
-    enough
-        The m with which the area is within about 1 %: spacing no more than half the lobe's width.
+    points: m = k² point lights
+    spacing: Largest distance between neighbouring points [mm]; the panel's longer side for m = 1
+    lobe: 2·distance·σ: how wide a part of the panel the lobe takes in, one standard deviation [mm]
+    area_error: Saturated area of a highlight relative to that of the continuous panel, minus 1
+    enough: The m with which the area is within about 1 %: spacing no more than half the lobe's width
     """
 
     points: int
@@ -67,10 +60,7 @@ def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
 
     Parameters
     ----------
-    light
-        The panel.
-    sigma
-        Width of the lobe [rad].
+    sigma: Width of the lobe [rad]
     """
     if light.points == "auto":
         return None

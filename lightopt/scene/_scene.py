@@ -27,10 +27,8 @@ class Placement:
 
     Attributes
     ----------
-    rotation
-        Shape (3, 3).
-    translation
-        [mm], shape (3,).
+    rotation: Shape (3, 3)
+    translation: [mm], shape (3,)
     """
 
     rotation: Float64 = field(default_factory=_identity)
@@ -51,24 +49,11 @@ class Scene:
 
     Attributes
     ----------
-    camera, lights
-        World frame.
-    mesh
-        The part at posture (0, 0), world frame [mm].
-    reflectance
-        Of its surface.
-    sensor
-        Of the camera.
-    pivot
-        Point that postures turn about, world frame [mm], shape (3,).
-    postures
-        The postures to look at.
-    warnings
-        What was repaired or is partly wrong, for the person at the machine.
-    placement
-        From the mesh file's coordinates, in mm, to those of the mesh.
-    defects
-        On the part, frame of the mesh; images show them, the mesh does not.
+    camera, lights: World frame
+    mesh: The part at posture (0, 0), world frame [mm]
+    pivot: Point that postures turn about, world frame [mm], shape (3,)
+    placement: From the mesh file's coordinates, in mm, to those of the mesh
+    defects: On the part, frame of the mesh; images show them, the mesh does not
     """
 
     camera: PinholeCamera
@@ -88,10 +73,7 @@ def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:
 
     Parameters
     ----------
-    scene
-        Of the part.
-    rotation, translation
-        World frame, shapes (3, 3) and (3,) [mm].
+    rotation, translation: World frame, shapes (3, 3) and (3,) [mm]
     """
     place = scene.placement
     return replace(
@@ -118,10 +100,9 @@ class PartView:
 
     Attributes
     ----------
-    camera, lights
-        Part frame: the world frame at posture (0, 0).
-    rotation, translation
-        Part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,) [mm].
+    camera, lights: Part frame: the world frame at posture (0, 0)
+    rotation, translation: Part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,)
+        [mm]
     """
 
     camera: PinholeCamera

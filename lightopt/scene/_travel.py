@@ -21,12 +21,8 @@ def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> 
 
     Parameters
     ----------
-    postures
-        In the order that counts where times are equal.
-    start
-        Where the stage stands.
-    time
-        Of the move between two postures [s].
+    postures: In the order that counts where times are equal
+    time: Of the move between two postures [s]
     """
     if len(postures) <= _EXACT_UP_TO:
         # ties go to the first permutation, the one nearest to the order given; rounding must not break them
@@ -39,10 +35,7 @@ def travel_s(stage: StageDeviceConfig | None, start: Posture, end: Posture) -> f
 
     Parameters
     ----------
-    stage
-        The device; None for the virtual bench's.
-    start, end
-        The postures.
+    stage: The device; None for the virtual bench's
     """
     tilt, turn = end.elevation_deg - start.elevation_deg, end.rotation_deg - start.rotation_deg
     if stage is None:
