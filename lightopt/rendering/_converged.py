@@ -17,9 +17,10 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.rendering._lobe import gauss_legendre_table, out_of_reach, rectangle_diffuse, rectangle_specular
-from lightopt.rendering._panel import PanelNumbers, panel_numbers
-from lightopt.rendering._penumbra import PenumbraLight, shade_penumbra
+from lightopt.rendering._cells import PenumbraLight
+from lightopt.rendering._lobe import WHOLE_PANEL, out_of_reach, rectangle_diffuse, rectangle_specular
+from lightopt.rendering._panel import PanelNumbers, Vector, dot, panel_numbers, vector_at
+from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
@@ -46,7 +47,6 @@ class ConvergedPanel:
 
     light: PanelLight
     nodes: int
-    rules: tuple[Float64, Float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,26 +70,21 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
     centre, radius: Sphere around the part, part frame [mm]
     """
     panel = panel_numbers(light)
-    nodes, weights = gauss_legendre_table()
     towards = light.centre - centre
     towards = towards / np.linalg.norm(towards)
-    positions = [centre + radius * np.array(d) for d in itertools.product((-0.57, 0.57), repeat=3)]
+    positions = [Vector(*(centre + radius * np.array(d))) for d in itertools.product((-0.57, 0.57), repeat=3)]
     # facing the panel, leaning, and so steep that the panel reaches below the horizon
     leanings = [a * side for side in (light.across, light.along) for a in (1.5, 5.0, -5.0)]
     tilts = [towards, *(towards + leaning for leaning in leanings)]
-    normals = [tilt / np.linalg.norm(tilt) for tilt in tilts]
+    normals = [Vector(*(tilt / np.linalg.norm(tilt))) for tilt in tilts]
+    places = list(itertools.product(positions, normals))
+    exact = [rectangle_diffuse(p, n, panel, WHOLE_PANEL, 24) for p, n in places]
+    count = 0
     for count in (2, 3, 4, 6, 8, 12, 16, 20):
-        error = max(
-            abs(
-                rectangle_diffuse(p, n, n, panel, -0.5, 0.5, -0.5, 0.5, count, nodes, weights)
-                - rectangle_diffuse(p, n, n, panel, -0.5, 0.5, -0.5, 0.5, 24, nodes, weights)
-            )
-            for p in positions
-            for n in normals
-        )
-        if error <= DIFFUSE_TOLERANCE:
+        found = [rectangle_diffuse(p, n, panel, WHOLE_PANEL, count) for p, n in places]
+        if max(abs(a - b) for a, b in zip(found, exact, strict=True)) <= DIFFUSE_TOLERANCE:
             break
-    return ConvergedPanel(light, count, (nodes, weights))
+    return ConvergedPanel(light, count)
 
 
 def shade_converged(
@@ -199,7 +194,6 @@ def _unshadowed(
         panel_numbers(converged.light),
         converged.nodes,
         0.5 / reflectance.sigma**2,
-        *converged.rules,
     )
 
 
@@ -211,7 +205,6 @@ def _penumbra_light(converged: ConvergedPanel, reflectance: Reflectance) -> Penu
         total * reflectance.R_s,
         0.5 / reflectance.sigma**2,
         converged.nodes,
-        converged.rules,
     )
 
 
@@ -307,32 +300,16 @@ def _whole_panel(
     panel: PanelNumbers,
     panel_nodes: int,
     inverse_two_sigma_squared: float,
-    nodes: Float64,
-    weights: Float64,
 ) -> tuple[Float64, Float64]:
     diffuse = np.zeros(len(points))
     specular = np.zeros(len(points))
     for i in range(len(points)):
         if verdict[i] != _CLEAR:
             continue
-        p, n, v = points[i], normals[i], views[i]
-        diffuse[i] = rectangle_diffuse(p, n, v, panel, -0.5, 0.5, -0.5, 0.5, panel_nodes, nodes, weights)
-        n_dot_v = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
-        if out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
-            continue
-        specular[i] = rectangle_specular(
-            p,
-            n,
-            v,
-            n_dot_v,
-            panel,
-            -0.5,
-            0.5,
-            -0.5,
-            0.5,
-            inverse_two_sigma_squared,
-            panel_nodes,
-            nodes,
-            weights,
-        )
+        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        diffuse[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, panel_nodes)
+        if not out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
+            specular[i] = rectangle_specular(
+                p, n, v, dot(n, v), panel, WHOLE_PANEL, inverse_two_sigma_squared, panel_nodes
+            )
     return diffuse, specular

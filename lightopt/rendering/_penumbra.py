@@ -8,6 +8,7 @@ depends on the light that is at stake in a cell: a cell worth a tenth of a level
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,11 +24,13 @@ from lightopt.rendering._cells import (
     MOST_BISECTIONS,
     SIDE_SHARE,
     VISIBLE,
+    PenumbraLight,
+    Squares,
     add_crossed_cells,
     add_visible_cells,
     places_beside_chords,
 )
-from lightopt.rendering._panel import PanelNumbers
+from lightopt.rendering._panel import PanelNumbers, panel_point
 from lightopt.rendering._surface import SurfacePoints
 
 GRIDS = (8, 4, 4)
@@ -41,55 +44,6 @@ LEVEL_TOLERANCE, RELATIVE_TOLERANCE = 0.05, 0.0005
 
 LEAST_BISECTIONS = 2
 """Rays that at least halve the side of a cell in search of the shadow's edge."""
-
-
-@dataclass(frozen=True)
-class PenumbraLight:
-    """A panel, and what its light is worth.
-
-    panel: Part frame
-    diffuse_level, specular_level: Grey levels per unit of the two terms: R_d and R_s times the panel's total weight
-    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
-    nodes: Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission
-    """
-
-    panel: PanelNumbers
-    diffuse_level: float
-    specular_level: float
-    inverse_two_sigma_squared: float
-    nodes: int
-    rules: tuple[Float64, Float64]
-
-
-@dataclass(frozen=True)
-class _Squares:
-    """Pieces of the panel that a grid is laid over; several of them may belong to one surface point.
-
-    Lower corners `s`, `t` and `cell`, the side of a cell of the grid, in units of the panel's sides, from 0 to 1.
-    """
-
-    point: Int32
-    s: Float64
-    t: Float64
-    cell: float
-
-    def cells(self, which: Bool, *, divisions: int) -> _Squares:
-        """The chosen cells, (q, n, n), each as a square of its own."""
-        square, row, column = np.nonzero(which)
-        return _Squares(
-            self.point[square],
-            self.s[square] + column * self.cell,
-            self.t[square] + row * self.cell,
-            self.cell / divisions,
-        )
-
-    def split(self) -> list[_Squares]:
-        """Lots that are worked on at once."""
-        starts = range(0, len(self.point), SQUARES_AT_ONCE)
-        return [
-            _Squares(self.point[part], self.s[part], self.t[part], self.cell)
-            for part in (slice(start, start + SQUARES_AT_ONCE) for start in starts)
-        ]
 
 
 @dataclass(frozen=True)
@@ -112,21 +66,17 @@ def shade_penumbra(
     """
     k = len(surface)
     work = _Work(surface, light, caster, terms=np.zeros((k, 2)), tolerance=np.zeros(k))
-    whole = _Squares(np.arange(k, dtype=np.int32), np.zeros(k), np.zeros(k), 1.0 / GRIDS[0])
+    whole = Squares(np.arange(k, dtype=np.int32), np.zeros(k), np.zeros(k), 1.0 / GRIDS[0])
     crossed = _shade_squares(work, whole, depth=0)
     return work.terms[:, 0], work.terms[:, 1], crossed
 
 
-def _shade_squares(work: _Work, squares: _Squares, *, depth: int) -> Bool:
+def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     # adds the light of the visible area of squares; returns which of them the edge of a shadow crosses
     surface, light = work.surface, work.light
-    geometry = surface.points, surface.normals, surface.views, light.panel
-    place = squares.point, squares.s, squares.t, squares.cell
-    lobe = light.inverse_two_sigma_squared, light.nodes, *light.rules
+    given = surface.points, surface.normals, surface.views, light, squares
     state = _look_at_corners(work, squares, GRIDS[depth])
-    stake = add_visible_cells(
-        *geometry, *place, state, light.diffuse_level, light.specular_level, *lobe, work.terms
-    )
+    stake = add_visible_cells(*given, state, work.terms)
     if depth == 0:
         level = work.terms @ (light.diffuse_level, light.specular_level) + 0.5 * stake.sum(axis=(1, 2))
         work.tolerance[:] = LEVEL_TOLERANCE + RELATIVE_TOLERANCE * level
@@ -137,14 +87,24 @@ def _shade_squares(work: _Work, squares: _Squares, *, depth: int) -> Bool:
     bent = (
         np.zeros(stake.shape, np.bool_) if last else _bent_edges(work, squares, state, stake, across, along)
     )
-    add_crossed_cells(*geometry, *place, state, across, along, stake, bent, *lobe, work.terms)
+    add_crossed_cells(*given, state, across, along, stake, bent, work.terms)
     if bent.any():
-        for finer in squares.cells(bent, divisions=GRIDS[depth + 1]).split():
+        for finer in _finer_squares(squares, bent, divisions=GRIDS[depth + 1]):
             _shade_squares(work, finer, depth=depth + 1)
     return (state == VISIBLE).any(axis=(1, 2)) & (state == BLOCKED).any(axis=(1, 2))
 
 
-def _look_at_corners(work: _Work, squares: _Squares, n: int) -> UInt8:
+def _finer_squares(squares: Squares, chosen: Bool, *, divisions: int) -> Iterator[Squares]:
+    # the chosen cells, (q, n, n), each as a square of its own; as many at once as memory allows
+    square, row, column = np.nonzero(chosen)
+    point, cell = squares.point[square], squares.cell
+    s, t = squares.s[square] + column * cell, squares.t[square] + row * cell
+    for start in range(0, len(point), SQUARES_AT_ONCE):
+        some = slice(start, start + SQUARES_AT_ONCE)
+        yield Squares(point[some], s[some], t[some], cell / divisions)
+
+
+def _look_at_corners(work: _Work, squares: Squares, n: int) -> UInt8:
     # what is seen at the corners of the cells, (q, n + 1, n + 1)
     square, row, column = (
         a.ravel()
@@ -154,7 +114,7 @@ def _look_at_corners(work: _Work, squares: _Squares, n: int) -> UInt8:
     return state.reshape(len(squares.point), n + 1, n + 1)
 
 
-def _look(work: _Work, squares: _Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
+def _look(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
     # what is seen at places (x, y) of squares, counted in cells of their grid
     surface, point = work.surface, squares.point[square]
     s, t = squares.s[square] + x * squares.cell, squares.t[square] + y * squares.cell
@@ -185,9 +145,7 @@ def _horizon_state(
     for j in range(len(point)):
         i = point[j]
         a, b = s[j] - 0.5, t[j] - 0.5
-        targets[m, 0] = panel.centre_x + a * panel.across_x + b * panel.along_x
-        targets[m, 1] = panel.centre_y + a * panel.across_y + b * panel.along_y
-        targets[m, 2] = panel.centre_z + a * panel.across_z + b * panel.along_z
+        targets[m, 0], targets[m, 1], targets[m, 2] = panel_point(panel, a, b)
         height = plane = 0.0
         for axis in range(3):
             height += normals[i, axis] * (targets[m, axis] - points[i, axis])
@@ -203,7 +161,7 @@ def _horizon_state(
 
 
 def _edge_crossings(
-    work: _Work, squares: _Squares, state: UInt8, stake: Float64, *, vertical: bool
+    work: _Work, squares: Squares, state: UInt8, stake: Float64, *, vertical: bool
 ) -> Float64:
     # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the
     # side from its first corner; ½ where it does not cross
@@ -237,7 +195,7 @@ def _edge_crossings(
 
 
 def _bent_edges(
-    work: _Work, squares: _Squares, state: UInt8, stake: Float64, across: Float64, along: Float64
+    work: _Work, squares: Squares, state: UInt8, stake: Float64, across: Float64, along: Float64
 ) -> Bool:
     # cells where the edge of the shadow is not the chord between its crossings, as far as that matters
     bent, cell, x, y, expected = places_beside_chords(state, stake, across, along)

@@ -8,7 +8,7 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
-from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
+from lightopt.rendering._panel import PanelNumbers, dot, minus, panel_numbers, point_terms, vector_at
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
 
@@ -85,15 +85,12 @@ def _facing(
     for i in range(len(points)):
         if not front[i]:
             continue
+        p, n = vector_at(points, i), vector_at(normals, i)
         for k in range(len(targets)):
-            lx, ly, lz = (
-                targets[k, 0] - points[i, 0],
-                targets[k, 1] - points[i, 1],
-                targets[k, 2] - points[i, 2],
-            )
-            if normals[i, 0] * lx + normals[i, 1] * ly + normals[i, 2] * lz <= 0.0:
+            light = minus(vector_at(targets, k), p)
+            if dot(n, light) <= 0.0:
                 continue
-            if geometric and facets[i, 0] * lx + facets[i, 1] * ly + facets[i, 2] * lz <= 0.0:
+            if geometric and dot(vector_at(facets, i), light) <= 0.0:
                 continue
             point[count] = i
             target[count] = k
@@ -120,26 +117,9 @@ def _accumulate(
         if not clear[j]:
             continue
         i, k = point[j], target[j]
-        # scalars, since slices of arrays cost more than the arithmetic
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
-        d, s = point_terms(
-            points[i, 0],
-            points[i, 1],
-            points[i, 2],
-            nx,
-            ny,
-            nz,
-            vx,
-            vy,
-            vz,
-            nx * vx + ny * vy + nz * vz,
-            targets[k, 0],
-            targets[k, 1],
-            targets[k, 2],
-            panel,
-            inverse_two_sigma_squared,
-        )
+        n, v = vector_at(normals, i), vector_at(views, i)
+        q = vector_at(targets, k)
+        d, s = point_terms(vector_at(points, i), n, v, dot(n, v), q, panel, inverse_two_sigma_squared)
         diffuse[i] += weight * d
         specular[i] += weight * s
     return diffuse, specular
