@@ -8,8 +8,16 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from lightopt.config._fields import Complaint, Coordinates, Frozen, Text, absent, complaint, expecting
-from lightopt.config._posture import PostureConfig
+from lightopt.config._fields import (
+    Complaint,
+    Coordinates,
+    Frozen,
+    PostureConfig,
+    Text,
+    absent,
+    complaint,
+    expecting,
+)
 from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, DefectKind, DefectShape, depth_of_slope, slope_of_depth
 
 _Extent = Annotated[float, Field(ge=1e-3, le=1e3, allow_inf_nan=False)]

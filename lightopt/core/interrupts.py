@@ -26,7 +26,7 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def put_off(number: int, frame: FrameType | None) -> bool:
-    """Whether a signal came where compiled code calls Python. It is then sent to the main thread again, a little later."""
+    """Whether a signal came where compiled code calls Python; it is then sent to the main thread again, a little later."""
     while frame is not None:
         name = str(frame.f_globals.get("__name__"))
         if any(name == one or name.startswith(f"{one}.") for one in _CALLED_BY_COMPILED_CODE):

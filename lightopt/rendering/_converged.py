@@ -23,7 +23,7 @@ from lightopt.rendering._panel import PanelNumbers, Vector, dot, panel_numbers, 
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.scene import PanelLight
+from lightopt.scene import PanelLight, Scene
 
 DIFFUSE_TOLERANCE = 1e-4
 """Error of the diffuse quadrature per unit of R_d: 0.025 level of 255."""
@@ -313,3 +313,27 @@ def _whole_panel(
                 p, n, v, dot(n, v), panel, WHOLE_PANEL, inverse_two_sigma_squared, panel_nodes
             )
     return diffuse, specular
+
+
+def highlight_level(scene: Scene, light: PanelLight) -> float:
+    """Specular level at exposure 1 of a surface at the origin that mirrors a panel's centre [grey level].
+
+    That of the panel as a whole, whatever its number of points: R_s is what a single point of light would reach.
+
+    Parameters
+    ----------
+    light: World frame
+    """
+    origin = np.zeros((1, 3))
+    view = scene.camera.position / np.linalg.norm(scene.camera.position)
+    half = view + light.centre / np.linalg.norm(light.centre)
+    if (length := float(np.linalg.norm(half))) < 1e-9:
+        return 0.0  # the light is opposite the camera
+    normal = half[None] / length
+    surface = SurfacePoints(origin, normal, normal, view[None], np.ones(1, np.bool_))
+    whole = replace(light, points="auto")
+    panel = converged_panel(whole, centre=origin[0], radius=1.0)
+    _, specular = shade_converged(
+        surface, panel, sample=np.zeros(1, np.intp), shape=(1, 1), reflectance=scene.reflectance, caster=None
+    )
+    return float(scene.reflectance.R_s * specular[0] * light.total_weight / whole.total_weight)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Patches, RayCaster, TriangleMesh, estimate_patch_count, face_normals, refine
-from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._images import trace_posture
+from lightopt.rendering._surface import GRAZING_COSINE
 from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
 
 DEFAULT_PATCH_BUDGET = 200_000

@@ -11,9 +11,8 @@ from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._points import facing_pairs
-from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2

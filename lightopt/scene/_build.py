@@ -24,9 +24,15 @@ from lightopt.core.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
 from lightopt.optics import Reflectance, Sensor
-from lightopt.scene._camera import Distortion, PinholeCamera, pixel_directions, pixel_footprint, place_camera
+from lightopt.scene._camera import (
+    Distortion,
+    PinholeCamera,
+    frame_part,
+    pixel_directions,
+    pixel_footprint,
+    place_camera,
+)
 from lightopt.scene._defects import outside_stage_range, place_defects
-from lightopt.scene._framing import frame_part
 from lightopt.scene._light import PanelLight, place_light
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
@@ -245,7 +251,7 @@ def _place(mesh: TriangleMesh, placement: PlacementConfig) -> tuple[TriangleMesh
 
 
 def unit_hint(part: PartConfig, scene: Scene) -> tuple[str, ...]:
-    """A message that proposes other units for the part's file, where it carries none itself and they explain its size."""
+    """A message that proposes other units for a file that carries none, where they explain the part's size."""
     size = view_size(scene.camera)
     if size is None or Path(part.mesh.file).suffix.lower() not in UNITLESS_SUFFIXES:
         return ()
