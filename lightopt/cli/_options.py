@@ -89,12 +89,7 @@ def parse_exposure(text: str, *, option: str = "--exposure") -> float:
 def parse_share(text: str, *, option: str, expected: str) -> float:
     """Read a number, a fraction such as 10/255, or per cent such as 95%; whether it is in its range is not looked at.
 
-    Parameters
-    ----------
-    text, option
-        As given, and with which option.
-    expected
-        What it is a share of and an example, for the message.
+    expected: What it is a share of and an example, for the message
     """
     number, percents, rest = text.partition("%")
     value = _number(number) / (100.0 if percents else 1.0)

@@ -11,7 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from lightopt.core.transforms import Posture
-    from lightopt.rendering import Report
+    from lightopt.rendering import RenderProgress
 
 
 def say(text: str) -> None:
@@ -56,7 +56,7 @@ def together(postures: Sequence[Posture]) -> str:
 
 
 @contextmanager
-def show_progress(label: str, total: int, *, quiet: bool) -> Generator[Report | None]:
+def show_progress(label: str, total: int, *, quiet: bool) -> Generator[RenderProgress | None]:
     """A progress bar with rays per second while rendering `total` postures, or more; None where nobody looks at it."""
     if quiet or not sys.stderr.isatty():
         yield None

@@ -26,10 +26,6 @@ Config = TypeVar("Config", RigConfig, PartConfig)
 def load_rig(path: Path | str) -> RigConfig:
     """Read a rig file (``lightopt-rig/1``).
 
-    Parameters
-    ----------
-    path: The YAML file
-
     Returns: What the file says, in its own units; ``source`` names file, hash and lines.
     Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
@@ -38,10 +34,6 @@ def load_rig(path: Path | str) -> RigConfig:
 
 def load_part(path: Path | str) -> PartConfig:
     """Read a part file (``lightopt-part/1``); its mesh file must exist.
-
-    Parameters
-    ----------
-    path: The YAML file
 
     Returns: What the file says, in its own units; ``source`` names file, hash and lines, and
         ``source.resolve(part.mesh.file)`` is the path of the mesh.

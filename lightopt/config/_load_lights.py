@@ -47,10 +47,6 @@ def load_lights(path: Path | str) -> LightsOnly:
     Controllers and lights are read one by one; a mistake in one hides no other. Where the file is not even YAML, the
     lines of its ``hardware`` section are read by themselves.
 
-    Parameters
-    ----------
-    path: The rig file
-
     Raises lightopt.core.errors.InputError: With all that is wrong, when the file cannot be read, or has no section of
         which a controller can be read
     """

@@ -26,7 +26,6 @@ def copied_text(
 
     Parameters
     ----------
-    config: The configuration, as read from its file
     folder: Where the copy will lie
     values: What else the copy says anew, as for :func:`with_values`
 

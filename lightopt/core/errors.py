@@ -5,17 +5,6 @@ Library code raises them; only :mod:`lightopt.cli` turns them into messages and 
 
 from __future__ import annotations
 
-__all__ = [
-    "CheckFailed",
-    "HardwareError",
-    "InputError",
-    "Interrupted",
-    "LightoptError",
-    "counted",
-    "error_text",
-    "percent",
-]
-
 _NOISE = 1e-9
 """Shares that differ by less are the same."""
 

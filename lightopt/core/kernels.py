@@ -40,8 +40,6 @@ from numba.core.sigutils import normalize_signature
 from numba.extending import intrinsic
 from numba.np import linalg
 
-__all__ = ["cache_folder", "call_address", "fingerprint", "kernel"]
-
 _VERSIONS = repr((sys.version_info[:2], numba.__version__, llvmlite.__version__, np.__version__))
 
 

@@ -32,16 +32,6 @@ from typing import Any
 
 from lightopt import __version__
 
-__all__ = [
-    "code_sha256",
-    "computed_by",
-    "differences",
-    "file_sha256",
-    "files_sha256",
-    "provenance",
-    "versions",
-]
-
 _PACKAGES = ("cascadio", "embreex", "llvmlite", "numba", "numpy", "OpenImageIO", "scipy", "trimesh")
 """Packages that results depend on; llvmlite turns numba's code into that of the processor."""
 

@@ -10,18 +10,6 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 
-__all__ = [
-    "Posture",
-    "azimuth_tangent",
-    "direction",
-    "elevation_tangent",
-    "posture_rotation",
-    "rigid_transform",
-    "rotation_x",
-    "rotation_y",
-    "rotation_z",
-]
-
 
 def direction(*, elevation: float, azimuth: float) -> Float64:
     """Unit vector d from the origin towards (elevation θ, azimuth φ), shape (3,), world frame.
@@ -79,7 +67,6 @@ def rigid_transform(points: Float64, rotation: Float64, pivot: Float64) -> Float
     Parameters
     ----------
     points: [mm], shape (..., 3)
-    rotation: Shape (3, 3)
     pivot: [mm], shape (3,)
     """
     return (points - pivot) @ rotation.T + pivot

@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-__all__ = ["MM_PER_UNIT", "UNIT_NAMES", "step_units_mm", "unit_name"]
-
 MM_PER_UNIT: Mapping[str, float] = MappingProxyType(
     {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "ft": 304.8}
 )

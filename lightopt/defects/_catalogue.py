@@ -14,7 +14,6 @@ class CatalogueEntry:
 
     Attributes
     ----------
-    name: For people
     shape: Its size, steepness and factors
     reason: Why it stands for what is found on parts
     """

@@ -60,7 +60,6 @@ def grid_shares(
 ) -> tuple[float, float, float, float]:
     """As :func:`pixel_shares`, on one grid of pixels.
 
-    shape: Of the defect
     ratio: Side of a pixel's footprint over the width
     turn: Of the grid against the defect's length [rad]
     offset: Of one pixel's middle from the defect's, along the grid's axes [px]

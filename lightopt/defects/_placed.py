@@ -31,7 +31,6 @@ class PlacedDefect:
     Attributes
     ----------
     name: Of this one, for people
-    shape: What it is like
     position: Its centre, on the surface [mm], shape (3,)
     normal: Unit normal of the undisturbed surface there, shape (3,)
     along: Unit vector of its length, in the tangent plane, shape (3,)
@@ -61,8 +60,6 @@ def tangent_direction(normal: Float64, angle: float, *, x_axis: Float64, y_axis:
 
     Parameters
     ----------
-    normal: Unit normal of the surface, shape (3,)
-    angle: [rad]
     x_axis, y_axis: Unit vectors of the part's axes, in the frame of the normal, shape (3,)
     """
     reference = tangent_references(normal[None, :], x_axis=x_axis, y_axis=y_axis)[0]

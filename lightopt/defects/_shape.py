@@ -64,7 +64,6 @@ def depth_of_slope(kind: DefectKind, width: float, slope: float) -> float:
     ----------
     kind: One of :data:`SHAPE_KINDS`
     width: Shorter extent of the outline [mm]
-    slope: [rad]
 
     Examples
     --------

@@ -88,10 +88,7 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
 
 
 def edge_pairs(faces: Int32) -> EdgePairs:
-    """Match the edges of all faces.
-
-    faces: Vertex indices after merging coinciding positions, shape (m, 3)
-    """
+    """Match the edges of all faces."""
     edges = mesh_edges(faces)
     start, _ = _corner_vertices(faces)
     corners = edges.corners[edges.uses == 2].astype(np.int32)

@@ -23,7 +23,7 @@ from lightopt.scene import PanelLight
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DisturbedSamples:
+class DefectSamples:
     """Samples of one reflectance that lie in defects, j of them.
 
     index: Of each among the samples of the surface, shape (j,)
@@ -73,9 +73,9 @@ class DisturbedSamples:
         return r.R_d * diffuse, r.R_s * specular
 
 
-def disturbed_samples(
+def defect_samples(
     defects: Sequence[PlacedDefect], surface: SurfacePoints, reflectance: Reflectance
-) -> tuple[DisturbedSamples, ...]:
+) -> tuple[DefectSamples, ...]:
     """The samples of a surface that lie in defects, sorted by what they reflect; none without defects."""
     marks = mark_surface(defects, surface.points, surface.normals)
     if marks is None:
@@ -84,12 +84,12 @@ def disturbed_samples(
     different, group = np.unique(factors, axis=0, return_inverse=True)
     # the back of a face is black, and has no defects
     front = surface.front[marks.index]
-    groups: list[DisturbedSamples] = []
+    groups: list[DefectSamples] = []
     for number, (R_d_factor, sigma_factor) in enumerate(different.tolist()):
         own = np.flatnonzero((group.ravel() == number) & front)
         index = marks.index[own]
         groups.append(
-            DisturbedSamples(
+            DefectSamples(
                 index=index,
                 label=marks.label[own],
                 surface=replace(surface.take(index), normals=marks.normals[own]),

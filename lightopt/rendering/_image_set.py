@@ -20,10 +20,10 @@ from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.optics import expose, image_rng
 from lightopt.rendering._images import Geometry, LightImage, PostureImages, cast_rays_at, render_posture
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
-from lightopt.rendering._scene_checks import refuse_hopeless
+from lightopt.rendering._scene_checks import refuse_unusable_scene
 from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
 
-Report = Callable[[Posture, float, int], None]
+RenderProgress = Callable[[Posture, float, int], None]
 """Called with the posture at work, its share done (0 to 1) and the number of its rays cast so far."""
 
 
@@ -96,7 +96,7 @@ def render_image_set(
     options: RenderOptions = RenderOptions(),
     force: bool = False,
     warn: Callable[[str], None] | None = None,
-    report: Report | None = None,
+    report: RenderProgress | None = None,
 ) -> RenderedSet:
     """Render a part on a rig into a folder: EXR and PNG per light, geometry, patches, manifest.
 
@@ -123,7 +123,7 @@ def render_image_set(
         defects=options.defects,
     )
     caster = cast_rays_at(scene)
-    refuse_hopeless(scene, rig, part, caster)
+    refuse_unusable_scene(scene, rig, part, caster)
     plan = [
         (light.name, posture, exposure)
         for posture in scene.postures

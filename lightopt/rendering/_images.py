@@ -14,7 +14,7 @@ from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
 from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_seeing
-from lightopt.rendering._defect_shading import DisturbedSamples, disturbed_samples
+from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
@@ -153,23 +153,18 @@ def render_posture(
     ----------
     posture: Any posture, not only one of the scene's
     """
-    before = caster.rays_cast
+    before, finished = caster.rays_cast, 0
     job = _Job(scene, posture, caster, shadows, supersample, layers, patches)
-    _run_blocks(job, threads or available_processors(), progress)
-    return job.result(caster.rays_cast - before)
-
-
-def _run_blocks(job: _Job, threads: int, progress: Progress | None) -> None:
     blocks = job.blocks()
-    before, finished = job.caster.rays_cast, 0
 
     def done() -> None:
         nonlocal finished
         finished += 1
         if progress is not None:
-            progress(finished / len(blocks), job.caster.rays_cast - before)
+            progress(finished / len(blocks), caster.rays_cast - before)
 
-    run_all(((job.block, rows) for rows in blocks), threads=threads, done=done)
+    run_all(((job.block, rows) for rows in blocks), threads=threads or available_processors(), done=done)
+    return job.result(caster.rays_cast - before)
 
 
 class _Job:
@@ -198,12 +193,14 @@ class _Job:
         self.layers = [
             (np.zeros(shape, np.float32), np.zeros(shape, np.float32)) for _ in scene.lights if layers
         ]
-        self.points = np.zeros((*shape, 3), np.float32)
-        self.normals = np.zeros((*shape, 3), np.float32)
-        self.distance = np.zeros(shape, np.float32)
-        self.patch = np.full(shape, -1, np.int32)
-        self.hit = np.zeros(shape, np.bool_)
-        self.defect = np.full(shape, -1, np.int32) if scene.defects else None
+        self.geometry = Geometry(
+            points=np.zeros((*shape, 3), np.float32),
+            normals=np.zeros((*shape, 3), np.float32),
+            distance=np.zeros(shape, np.float32),
+            patch=np.full(shape, -1, np.int32),
+            hit=np.zeros(shape, np.bool_),
+            defect=np.full(shape, -1, np.int32) if scene.defects else None,
+        )
         self.back = np.zeros(shape, np.bool_)
         self.panels: list[PanelLight | ConvergedPanel] = [
             converged_panel(light, centre=caster.centre, radius=caster.radius)
@@ -211,7 +208,7 @@ class _Job:
             else light
             for light in self.view.lights
         ]
-        # neighbouring samples tell where penumbrae are, so that blocks then overlap by a row
+        # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
         self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
 
     def blocks(self) -> list[tuple[int, int]]:
@@ -228,23 +225,23 @@ class _Job:
         rows = _centres(top * n - self.halo, bottom * n + self.halo) / n
         columns = _centres(left * n, right * n) / n
         hits, surface = self._trace(columns, rows)
-        disturbed = self._disturbed(surface)
+        marked = self._in_defects(surface)
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
         target = (slice(top, bottom), slice(left, right))
         if n == 1:
-            self._store_geometry(hits, surface, disturbed, grid, own, target)
+            self._store_geometry(hits, surface, marked, grid, own, target)
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             pixels = (bottom - top, right - left)
-            self._store_geometry(centre_hits, centres, self._disturbed(centres), pixels, slice(None), target)
+            self._store_geometry(centre_hits, centres, self._in_defects(centres), pixels, slice(None), target)
         reflectance = self.scene.reflectance
         sample = hits.ray.astype(np.intp)
         caster = self.caster if self.shadows else None
         for index, panel in enumerate(self.panels):
             d, s, sight = self._shade(surface, panel, sample, grid)
             light = reflectance.R_d * d, reflectance.R_s * s
-            for some in disturbed:
+            for some in marked:
                 light[0][some.index], light[1][some.index] = some.light(
                     panel, sight, sample=sample, shape=grid, caster=caster
                 )
@@ -268,14 +265,7 @@ class _Job:
         return PostureImages(
             posture=self.posture,
             lights=tuple(images),
-            geometry=Geometry(
-                points=self.points,
-                normals=self.normals,
-                distance=self.distance,
-                patch=self.patch,
-                hit=self.hit,
-                defect=self.defect,
-            ),
+            geometry=self.geometry,
             back_faces=int(self.back.sum()),
             rays=rays,
         )
@@ -284,8 +274,8 @@ class _Job:
         x, y = np.meshgrid(columns, rows)
         return trace_samples(self.caster, self.scene.mesh, self.view.camera, x.ravel(), y.ravel())
 
-    def _disturbed(self, surface: SurfacePoints) -> tuple[DisturbedSamples, ...]:
-        return disturbed_samples(self.scene.defects, surface, self.scene.reflectance)
+    def _in_defects(self, surface: SurfacePoints) -> tuple[DefectSamples, ...]:
+        return defect_samples(self.scene.defects, surface, self.scene.reflectance)
 
     def _shade(
         self, surface: SurfacePoints, panel: PanelLight | ConvergedPanel, sample: Index, grid: tuple[int, int]
@@ -304,7 +294,7 @@ class _Job:
         self,
         hits: Hits,
         surface: SurfacePoints,
-        disturbed: tuple[DisturbedSamples, ...],
+        marked: tuple[DefectSamples, ...],
         grid: tuple[int, int],
         own: slice,
         target: tuple[slice, slice],
@@ -313,21 +303,22 @@ class _Job:
         patch = np.full(len(hits.ray), -1, np.int32)
         if self.patches is not None:
             patch = self.patches.patch_at(hits.face, hits.u, hits.v)
+        g = self.geometry
         images: list[tuple[NDArray[Any], Any]] = [
-            (self.points, surface.points @ rotation.T + translation),
-            (self.normals, surface.normals @ rotation.T),
-            (self.distance, hits.distance),
-            (self.patch, patch),
-            (self.hit, True),
+            (g.points, surface.points @ rotation.T + translation),
+            (g.normals, surface.normals @ rotation.T),
+            (g.distance, hits.distance),
+            (g.patch, patch),
+            (g.hit, True),
             (self.back, ~surface.front),
         ]
-        if self.defect is not None:
+        if g.defect is not None:
             label = np.full(len(surface), -1, np.int32)
-            for some in disturbed:
+            for some in marked:
                 label[some.index] = some.label
-            images.append((self.defect, label))
+            images.append((g.defect, label))
         for image, values in images:
-            nothing = -1 if image is self.patch or image is self.defect else 0
+            nothing = -1 if image is g.patch or image is g.defect else 0
             block = np.full((grid[0] * grid[1], *image.shape[2:]), nothing, image.dtype)
             block[hits.ray] = values
             image[target] = block.reshape(*grid, *image.shape[2:])[own]

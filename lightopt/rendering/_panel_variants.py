@@ -8,7 +8,6 @@ taken in 4 × 4 cells, each seen or hidden as its centre is.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
 from lightopt.optics import MIN_COS_VIEW
-from lightopt.rendering._converged import ConvergedPanel
+from lightopt.rendering._converged import ConvergedPanel, panel_probes
 from lightopt.rendering._lobe import (
     NODES,
     WEIGHTS,
@@ -40,7 +39,6 @@ from lightopt.rendering._panel import (
     plus,
     vector_at,
 )
-from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import panel_grid
 
@@ -93,7 +91,8 @@ def panel_variants(
     mixed = np.flatnonzero((number > 0) & (number < clear.shape[1]))
     cells = np.ones((len(surface), CELLS * CELLS), np.bool_)
     if caster is not None and len(mixed):
-        cells[mixed] = _clear_cells(surface.take(mixed), converged, caster)
+        # along the panel's second side first, as panel_grid has them
+        cells[mixed] = panel_probes(surface.take(mixed), panel_grid(converged.light, CELLS * CELLS), caster)
     _levels(
         surface.points,
         surface.normals,
@@ -108,16 +107,6 @@ def panel_variants(
         levels,
     )
     return levels
-
-
-def _clear_cells(surface: SurfacePoints, converged: ConvergedPanel, caster: RayCaster) -> Bool:
-    # along the panel's second side first, as panel_grid has them
-    centres = panel_grid(converged.light, CELLS * CELLS)
-    point, target = facing_pairs(replace(surface, normals=surface.facets), centres, geometric=False)
-    blocked = caster.occluded(surface.points, surface.facets, centres, point_index=point, target_index=target)
-    seen = np.zeros((len(surface), len(centres)), np.bool_)
-    seen[point[~blocked], target[~blocked]] = True
-    return seen
 
 
 @kernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -94,17 +94,8 @@ class PatchTable:
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """The table as named arrays for ``patches.npz``."""
-        p = self.patches
         return {
-            "vertices": p.vertices,
-            "triangles": p.triangles,
-            "centroids": p.centroids,
-            "normals": p.normals,
-            "areas": p.areas,
-            "face": p.face,
-            "roots": p.roots,
-            "children": p.children,
-            "cut_edge": p.cut_edge,
+            **{field.name: getattr(self.patches, field.name) for field in fields(Patches)},
             "visible": self.visible,
             "grazing": self.grazing,
             "postures_deg": np.array([[q.elevation_deg, q.rotation_deg] for q in self.postures]),
@@ -115,19 +106,8 @@ class PatchTable:
     @staticmethod
     def from_arrays(arrays: Mapping[str, NDArray[Any]]) -> PatchTable:
         """The table that :meth:`arrays` described."""
-        names = (
-            "vertices",
-            "triangles",
-            "centroids",
-            "normals",
-            "areas",
-            "face",
-            "roots",
-            "children",
-            "cut_edge",
-        )
         return PatchTable(
-            patches=Patches(**{name: arrays[name] for name in names}),
+            patches=Patches(**{field.name: arrays[field.name] for field in fields(Patches)}),
             postures=tuple(Posture(float(e), float(r)) for e, r in arrays["postures_deg"]),
             visible=arrays["visible"],
             grazing=arrays["grazing"],

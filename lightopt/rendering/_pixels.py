@@ -11,6 +11,7 @@ from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
+from lightopt.rendering._converged import probe_targets
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
@@ -29,7 +30,6 @@ MARGIN_PX = 2
 
 _BLOCK_ROWS = 64
 _PIECE = 32_768
-_INSET = 0.98
 
 T = TypeVar("T")
 
@@ -101,23 +101,24 @@ def panel_verdict(
     light: Part frame
     """
     surface = pixels.surface
-    targets = _probes(light)
-    asked = np.flatnonzero(surface.front)
+    # the points that shine; for the converged panel its centre and its corners
+    targets = probe_targets(light) if light.points == "auto" else panel_grid(light, light.points)
+    front = np.flatnonzero(surface.front)
 
     def piece(start: int) -> tuple[Index, Index, Index]:
-        some = surface.take(asked[start : start + _PIECE])
+        some = surface.take(front[start : start + _PIECE])
         point, target = facing_pairs(some, targets, geometric=True)
         blocked = caster.occluded(some.points, some.facets, targets, point_index=point, target_index=target)
         above, _ = facing_pairs(some, targets, geometric=False)
         return (
             np.bincount(point[~blocked], minlength=len(some)),
             np.bincount(above, minlength=len(some)),
-            asked[start : start + _PIECE],
+            front[start : start + _PIECE],
         )
 
     clear = np.zeros(len(surface), np.intp)
     above = np.zeros(len(surface), np.intp)
-    for seen, facing, where in in_threads(piece, range(0, len(asked), _PIECE), threads):
+    for seen, facing, where in in_threads(piece, range(0, len(front), _PIECE), threads):
         clear[where], above[where] = seen, facing
     # below the horizon of the interpolated normal there is no light, whatever is in the way
     # the terminator, where that horizon runs across the panel, moves with the least error of a normal
@@ -130,19 +131,6 @@ def panel_verdict(
     verdict = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
     verdict[mixed | (lit & near_hidden) | (hidden & near_lit)] = LEFT_OUT
     return verdict
-
-
-def _probes(light: PanelLight) -> Float64:
-    # the points that shine; for the converged panel its centre and its corners
-    if light.points != "auto":
-        return panel_grid(light, light.points)
-    half = 0.5 * _INSET
-    return np.array(
-        [
-            light.centre + s * light.size[0] * light.across + t * light.size[1] * light.along
-            for s, t in ((0.0, 0.0), (-half, -half), (-half, half), (half, -half), (half, half))
-        ]
-    )
 
 
 def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, int]) -> Bool:

@@ -90,7 +90,7 @@ def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
     return TooFewPixels(pixels=most, text=text)
 
 
-def refuse_hopeless(scene: Scene, rig: RigConfig, part: PartConfig, caster: RayCaster) -> None:
+def refuse_unusable_scene(scene: Scene, rig: RigConfig, part: PartConfig, caster: RayCaster) -> None:
     """Refuse to render what :func:`panels_in_part` or :func:`too_few_pixels` finds.
 
     Raises InputError: With one message for each thing found, and where it comes from

@@ -27,7 +27,6 @@ class Placement:
 
     Attributes
     ----------
-    rotation: Shape (3, 3)
     translation: [mm], shape (3,)
     """
 
