@@ -57,9 +57,7 @@ class _Kind(str, Enum):
     part = "part"
 
 
-def schema(
-    kind: Annotated[_Kind, typer.Argument(metavar="rig|part", help="Which kind of file.")],
-) -> None:
+def schema(kind: Annotated[_Kind, typer.Argument(metavar="rig|part", help="Which kind of file.")]) -> None:
     """Print the JSON schema of a rig or part file, for editors and other programs.
 
     An editor with the YAML language server uses it after a first line such as

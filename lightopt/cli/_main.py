@@ -59,15 +59,15 @@ def _common(
 
 
 app.command(short_help="Write a commented rig, part and mesh to start from.")(init)
-app.command(short_help="Say what is wrong with the files, and what they amount to.")(check)
+app.command(short_help="Validate rig and part files and summarise the set-up.")(check)
 app.command(short_help="Render what the camera would see.")(render)
 app.command(short_help="Capture images on the rig, or on the virtual bench.")(capture)
-app.command(short_help="Strew defects over a part, for trials.")(defects)
+app.command(short_help="Place random defects on a part for testing.")(defects)
 app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.")(fit_diffuse)
 app.command("fit-specular", short_help="Fit the specular coefficients to images.")(fit_specular)
 app.command(short_help="Find where the lights go, exactly.")(optimize)
-app.command(short_help="Find defects in images, and say where they are.")(inspect)
-app.command(short_help="Say where the highlights of several images overlap.")(overlap)
+app.command(short_help="Find defects in images and locate them on the part.")(inspect)
+app.command(short_help="Report where the highlights of several images overlap.")(overlap)
 app.command(short_help="Compare images or image sets, golden against new.")(compare)
 app.add_typer(bench, name="bench", short_help="Try the devices of a rig one by one.")
 app.command(short_help="Print the JSON schema of rig or part files.")(schema)
@@ -94,7 +94,7 @@ def _command() -> Callable[..., object]:
 
 
 def run(arguments: list[str]) -> int:
-    """Run a command line and return its exit status; errors are said on standard error, none is raised."""
+    """Run a command line and return its exit status; errors are printed to standard error, none is raised."""
     with _debugging(arguments) as rest:
         try:
             _speak_utf8()

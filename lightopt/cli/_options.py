@@ -20,7 +20,7 @@ PartFile = Annotated[
     Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")
 ]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace results that are there and differ.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite existing results.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 Postures = Annotated[
     list[str] | None,
@@ -55,7 +55,7 @@ LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9
 
 
 def make_folder(folder: Path) -> None:
-    """Make an output folder, or say why that cannot be."""
+    """Make an output folder; an InputError says why where that fails."""
     from lightopt.images import make_folder as make
 
     make(folder)

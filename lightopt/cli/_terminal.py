@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def say(text: str) -> None:
-    """One line of results on standard output."""
+    """Print a line of results to standard output."""
     typer.echo(text)
 
 
@@ -31,7 +31,7 @@ def say_warning(message: str) -> None:
 
 
 def version_wanted(wanted: bool) -> None:
-    """Say the version and leave."""
+    """Print the version and leave."""
     if wanted:
         from lightopt import __version__
 
@@ -115,7 +115,7 @@ def show_share(*, quiet: bool) -> Generator[Callable[[str, float], None] | None]
 def show_time_left(label: str, *, quiet: bool) -> Generator[Callable[[str, float], None] | None]:
     """Lines that say what is at work, how much is done of it and how long the rest will take, at most one a second.
 
-    None where nobody looks. For work that is mostly over at once: nothing is said of the first second of a stage.
+    None where nobody looks. Nothing is printed in the first second of a stage, since most stages are over by then.
     """
     if quiet or not sys.stderr.isatty():
         yield None

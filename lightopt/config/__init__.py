@@ -7,7 +7,7 @@ into physics.
 from lightopt.config._camera import CameraConfig
 from lightopt.config._defects import DefectConfig, PixelPlaceConfig
 from lightopt.config._edit import with_list
-from lightopt.config._fields import points_problem
+from lightopt.config._fields import MOST_POINTS, points_problem
 from lightopt.config._hardware import (
     AxisConfig,
     CameraDeviceConfig,
@@ -25,6 +25,7 @@ from lightopt.config._rig import RigConfig
 from lightopt.config._source import Source
 
 __all__ = [
+    "MOST_POINTS",
     "AxisConfig",
     "CameraConfig",
     "CameraDeviceConfig",

@@ -26,9 +26,7 @@ _Size = Annotated[
     expecting("a diameter, or [length, width], in mm from 0.001 to 1000"),
 ]
 _Slope = Annotated[
-    float,
-    Field(gt=0, le=60, allow_inf_nan=False),
-    expecting("a number above 0, up to 60 (degrees)"),
+    float, Field(gt=0, le=60, allow_inf_nan=False), expecting("a number above 0, up to 60 (degrees)")
 ]
 _Factor = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False), expecting("a number from 0 to 100")]
 _WidthFactor = Annotated[

@@ -35,7 +35,7 @@ INVALID: Final = _Invalid()
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with a file: the line it is in, the keys that lead to it, and what to tell."""
+    """One thing wrong with a file: the line it is in, the keys that lead to it, and the message."""
 
     line: int
     keys: Keys

@@ -1,4 +1,4 @@
-"""The kinds of value in the files, each with the words that say what is expected."""
+"""The kinds of value in the files, each with a description of what is expected."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Frozen(BaseModel):
 
 
 def complaint(reason: str) -> PydanticCustomError:
-    """Error that is told in these words."""
+    """Error with this message."""
     return PydanticCustomError("complaint", "{reason}", {"reason": reason})
 
 

@@ -79,14 +79,11 @@ class MeshConfig(Frozen):
     crease_angle_deg: Annotated[
         float, Field(gt=0, le=180, allow_inf_nan=False), expecting("a number above 0, up to 180 (degrees)")
     ] = Field(
-        default=30.0,
-        description="Edges where the facets' normals differ by more than this stay sharp [deg].",
+        default=30.0, description="Edges where the facets' normals differ by more than this stay sharp [deg]."
     )
     chord_tolerance_mm: (
         Annotated[
-            float,
-            Field(ge=1e-4, le=10, allow_inf_nan=False),
-            expecting("a number from 0.0001 to 10 (mm)"),
+            float, Field(ge=1e-4, le=10, allow_inf_nan=False), expecting("a number from 0.0001 to 10 (mm)")
         ]
         | None
     ) = Field(
@@ -154,8 +151,7 @@ class PlacementConfig(Frozen):
     """How the part lies in the world at posture (0, 0): turned, then anchored, then shifted."""
 
     anchor: Annotated[
-        Literal["as_modelled", "rest_on_table", "centred"],
-        expecting("as_modelled, rest_on_table or centred"),
+        Literal["as_modelled", "rest_on_table", "centred"], expecting("as_modelled, rest_on_table or centred")
     ] = Field(
         default="rest_on_table",
         description="as_modelled: the mesh's own origin; rest_on_table: bounding box centred in X and Y, "

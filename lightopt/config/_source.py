@@ -9,10 +9,6 @@ from pathlib import Path
 Keys = tuple[str | int, ...]
 
 
-def _no_lines() -> Mapping[Keys, int]:
-    return {}
-
-
 def dotted(keys: Keys) -> str:
     """Write a path of keys the way people read it: ``("lights", 2, "gain")`` is ``lights[2].gain``."""
     text = ""
@@ -46,7 +42,7 @@ class Source:
 
     path: Path
     sha256: str
-    lines: Mapping[Keys, int] = field(default_factory=_no_lines, repr=False, compare=False)
+    lines: Mapping[Keys, int] = field(default_factory=dict[Keys, int], repr=False, compare=False)
     text: str = field(default="", repr=False, compare=False)
 
     def line(self, *keys: str | int) -> int | None:

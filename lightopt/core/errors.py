@@ -87,7 +87,7 @@ class InputError(LightoptError):
 
 
 class CheckFailed(LightoptError):  # noqa: N818  (the check failed, not the program)
-    """A check said no (a difference, a missing golden). Exit status 1."""
+    """A check failed (a difference, a missing golden). Exit status 1."""
 
     exit_status = 1
 
@@ -99,7 +99,7 @@ class HardwareError(LightoptError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Work was ended by Ctrl-C or a signal, in a state that can be told. Exit status 130.
+    """Ctrl-C or a signal ended the work, in a known state. Exit status 130.
 
     Parameters
     ----------

@@ -12,9 +12,9 @@ JSON file; the part file of ``lightopt defects``, which stands alone, has it as 
 ``inputs``
     Hashes of the files that were read; names only, no folders, so that the same files give the same bytes everywhere.
 ``options``
-    What was asked for, as far as results depend on it.
+    Options of the run, as far as results depend on them.
 
-Results of equal provenance are the same. Whatever is reused (a set that is resumed, a luminance matrix that was kept, a
+Results of equal provenance are the same. Whatever is reused (a set that is resumed, a stored luminance matrix, a
 calibration) is reused only where its provenance is that of the run.
 """
 
@@ -50,7 +50,7 @@ def provenance(inputs: Mapping[str, Any], options: Mapping[str, Any]) -> dict[st
     Parameters
     ----------
     inputs: Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives
-    options: What was asked for, JSON-able
+    options: Of the run, JSON-able
     """
     return {**computed_by(), "inputs": dict(inputs), "options": dict(options)}
 
@@ -110,7 +110,7 @@ def files_sha256(folder: Path, names: Iterable[str]) -> str:
 
 
 def differences(there: Mapping[str, Any], now: Mapping[str, Any], *, partly: bool = False) -> str:
-    """What tells two runs apart, in words: first what a person set, then versions, then contents; empty where nothing.
+    """How two runs differ, in words: first options, then versions, then contents; empty where they do not.
 
     Names of files do not count: the same content under another name gives the same results.
 
@@ -122,9 +122,9 @@ def differences(there: Mapping[str, Any], now: Mapping[str, Any], *, partly: boo
     old, new = dict(_leaves(there)), dict(_leaves(now))
     keys = new if partly else dict.fromkeys((*old, *new))
     pairs = [(key, old.get(key), new.get(key)) for key in keys if old.get(key) != new.get(key)]
-    told = list(dict.fromkeys(_difference(*pair) for pair in sorted(pairs, key=lambda pair: _rank(*pair))))
-    more = len(told) - _MOST_DIFFERENCES
-    return "; ".join([*told[:_MOST_DIFFERENCES], *([f"and {more} more"] if more > 0 else [])])
+    texts = list(dict.fromkeys(_difference(*pair) for pair in sorted(pairs, key=lambda pair: _rank(*pair))))
+    more = len(texts) - _MOST_DIFFERENCES
+    return "; ".join([*texts[:_MOST_DIFFERENCES], *([f"and {more} more"] if more > 0 else [])])
 
 
 def _leaves(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

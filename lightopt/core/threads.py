@@ -34,7 +34,7 @@ def end_if_stopped() -> None:
 
 
 def available_processors() -> int:
-    """Processors that this process may use, which batch systems and containers restrict, where that can be told."""
+    """Processors that this process may use, which batch systems and containers restrict, where that is known."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -16,7 +16,7 @@ from lightopt.defects._profile import height_gradient, radial_place
 class Marks:
     """The points of a surface that lie in defects, j of them.
 
-    index: Of each among the points asked, ascending, shape (j,)
+    index: Of each among the points given, ascending, shape (j,)
     label: Index of its defect, the last one where several overlap; shape (j,)
     normals: Unit normals of the disturbed surface, shape (j, 3)
     R_d_factor, sigma_factor: By which R_d and σ are multiplied, shape (j,)

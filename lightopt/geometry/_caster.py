@@ -24,7 +24,7 @@ class RayRecorder(Protocol):
 
 
 class RayCaster:
-    """A bounding volume hierarchy over a triangle mesh, and the two questions asked of it.
+    """A bounding volume hierarchy over a triangle mesh, and the two queries of it.
 
     Safe to use from several threads at once; the answers do not depend on how rays are grouped into calls.
 
@@ -99,8 +99,8 @@ class RayCaster:
             if self._recorder is not None:
                 self._recorder(query, origins, directions)
         if self._packets is not None:
-            ask = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
-            return ask(origins, directions)
+            query_function = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
+            return query_function(origins, directions)
         if query == "OCCLUDED":
             # directions end at the target, so that a ray reaches from 0 to 1 of its length
             reach = np.ones(len(origins), np.float32)
@@ -165,7 +165,7 @@ class Hits:
 
     Attributes
     ----------
-    ray: Index of the ray among those asked, shape (k,)
+    ray: Index of the ray among those cast, shape (k,)
     face: Face that was met, shape (k,)
     u, v: Barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices; shape (k,)
     points: Points on the surface, frame of the mesh [mm], shape (k, 3)

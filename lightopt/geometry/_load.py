@@ -1,4 +1,4 @@
-"""Load a part's mesh from a file: read, check, repair, give it normals, and say what was done."""
+"""Load a part's mesh from a file: read, check, repair, give it normals, and describe what was done."""
 
 from __future__ import annotations
 
@@ -162,10 +162,10 @@ def _finish(name: str, soup: Soup, unit_mm: float, crease_angle: float | None) -
         turned = repaired.faces[:, 1] != faces[keep][:, 1]
         own[turned] = own[turned][:, (0, 2, 1)]
         is_cad = soup.format == "STEP"
-        mesh, said, merged = carried_normals(
+        mesh, replaced, merged = carried_normals(
             placed, own, repaired.pairs, soup.normals, crease_angle=None if is_cad else crease_angle
         )
-        warnings += said
+        warnings += replaced
         source = "CAD surface" if is_cad else "file"
     warnings += _vertex_warnings(soup, merged)
     return LoadedMesh(mesh, tuple(warnings), _described(mesh, soup.format, unit_mm, repaired, source))

@@ -133,16 +133,16 @@ def shade_seeing(
             verdict = _coarse_verdict(surface, converged.light, caster)
         uncertain = _disagreeing(verdict, sample, shape)
     diffuse, specular = _unshadowed(surface, converged, verdict, reflectance)
-    looked_at = np.zeros(len(surface), np.bool_)
+    shaded = np.zeros(len(surface), np.bool_)
     if caster is not None:
         light = _penumbra_light(converged, reflectance)
         while uncertain.any():
             penumbra = _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
             # a penumbra goes on until its neighbours, too, see the whole panel or none of it
-            looked_at |= uncertain
-            uncertain = _neighbours(penumbra, sample, shape) & ~looked_at & (verdict != _DARK)
+            shaded |= uncertain
+            uncertain = _neighbours(penumbra, sample, shape) & ~shaded & (verdict != _DARK)
     total = converged.light.total_weight
-    return total * diffuse, total * specular, PanelSight(verdict, looked_at)
+    return total * diffuse, total * specular, PanelSight(verdict, shaded)
 
 
 def shade_again(

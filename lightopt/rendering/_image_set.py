@@ -226,7 +226,7 @@ def _check_options(options: RenderOptions) -> None:
 
 
 def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptions) -> Manifest:
-    asked: dict[str, Any] = {
+    chosen: dict[str, Any] = {
         "postures": [posture.as_dict() for posture in scene.postures],
         "points": options.points,
         "noise": options.noise,
@@ -237,7 +237,7 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
     }
     # sets of parts without defects say nothing about them
     if part.defects and not options.defects:
-        asked["defects"] = False
+        chosen["defects"] = False
     shown = {"defects": defect_facts(scene.defects, scene.placement)} if scene.defects else {}
     return Manifest(
         kind="simulated",
@@ -250,7 +250,7 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
         rig=SourceFile(rig.source.path.name, rig.source.sha256),
         part=SourceFile(part.source.path.name, part.source.sha256),
         # a set that was begun by other code or packages is not continued: meshes, hits and noise depend on them
-        provenance=provenance(input_hashes(rig, part), asked),
+        provenance=provenance(input_hashes(rig, part), chosen),
         extra=shown,
     )
 
@@ -283,7 +283,7 @@ def _add_image(
     rng = None
     if seeds is not None:
         seed, light_index = seeds
-        # an image's noise must not depend on which others are asked for: the bits of angles and exposure are their
+        # an image's noise must not depend on which others are rendered: the bits of angles and exposure are their
         # numbers
         posture = _bits(images.posture.elevation_deg) << 64 | _bits(images.posture.rotation_deg)
         rng = image_rng(seed, light=light_index, posture=posture, exposure=_bits(exposure))

@@ -33,7 +33,7 @@ class LightImage:
     Attributes
     ----------
     level: Linear, unclipped, noise-free [grey level], shape (height, width)
-    diffuse, specular: Its two components [grey level], or None where not asked for
+    diffuse, specular: Its two components [grey level], or None without `layers`
     """
 
     light: str
@@ -110,7 +110,7 @@ def render(
     shadows: Whether the part casts shadows on itself
     supersample: n² rays per pixel on a regular n × n grid, averaged
     layers: Whether to keep the diffuse and the specular component apart as well
-    patches: Of the scene's mesh, to say which patch each pixel sees
+    patches: Of the scene's mesh, for the patch that each pixel sees
 
     Examples
     --------

@@ -3,7 +3,7 @@
 Rays to the corners of a grid of cells tell visible cells from hidden ones; where the edge of the shadow crosses the
 side of a cell is found by bisection, and between two such crossings the edge is taken as straight. Rays beside the
 middle of that chord tell whether it is; a cell where it is not is divided into a finer grid. How far all this goes
-depends on the light that is at stake in a cell: a cell worth a tenth of a level is not looked at twice.
+depends on the light that is at stake in a cell: a cell of a tenth of a level is not refined.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     # adds the light of the visible area of squares; returns which of them the edge of a shadow crosses
     surface, light = work.surface, work.light
     given = surface.points, surface.normals, surface.views, light, squares
-    state = _look_at_corners(work, squares, GRIDS[depth])
+    state = _states_at_corners(work, squares, GRIDS[depth])
     stake = add_visible_cells(*given, state, work.terms)
     if depth == 0:
         level = work.terms @ (light.diffuse_level, light.specular_level) + 0.5 * stake.sum(axis=(1, 2))
@@ -104,25 +104,25 @@ def _finer_squares(squares: Squares, chosen: Bool, *, divisions: int) -> Iterato
         yield Squares(point[some], s[some], t[some], cell / divisions)
 
 
-def _look_at_corners(work: _Work, squares: Squares, n: int) -> UInt8:
+def _states_at_corners(work: _Work, squares: Squares, n: int) -> UInt8:
     # what is seen at the corners of the cells, (q, n + 1, n + 1)
     square, row, column = (
         a.ravel()
         for a in np.meshgrid(np.arange(len(squares.point)), np.arange(n + 1), np.arange(n + 1), indexing="ij")
     )
-    state = _look(work, squares, square, column, row)
+    state = _states(work, squares, square, column, row)
     return state.reshape(len(squares.point), n + 1, n + 1)
 
 
-def _look(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
+def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
     # what is seen at places (x, y) of squares, counted in cells of their grid
     surface, point = work.surface, squares.point[square]
     s, t = squares.s[square] + x * squares.cell, squares.t[square] + y * squares.cell
-    state, asked, targets = _horizon_state(
+    state, undecided, targets = _horizon_state(
         surface.points, surface.normals, surface.facets, work.light.panel, point, s, t
     )
-    blocked = work.caster.occluded_from(surface.points, surface.facets, targets, point_index=point[asked])
-    state[asked] = np.where(blocked, BLOCKED, VISIBLE)
+    blocked = work.caster.occluded_from(surface.points, surface.facets, targets, point_index=point[undecided])
+    state[undecided] = np.where(blocked, BLOCKED, VISIBLE)
     return state
 
 
@@ -139,7 +139,7 @@ def _horizon_state(
     # what the horizon decides: below the interpolated one there is no light, below the face's own plane the face is in
     # the way; the rest needs a ray
     state = np.empty(len(point), np.uint8)
-    asked = np.empty(len(point), np.int32)
+    undecided = np.empty(len(point), np.int32)
     targets = np.empty((len(point), 3))
     m = 0
     for j in range(len(point)):
@@ -155,9 +155,9 @@ def _horizon_state(
         elif plane <= 0.0:
             state[j] = BLOCKED
         else:
-            asked[m] = j
+            undecided[m] = j
             m += 1
-    return state, asked[:m].copy(), targets[:m].copy()
+    return state, undecided[:m].copy(), targets[:m].copy()
 
 
 def _edge_crossings(
@@ -186,7 +186,7 @@ def _edge_crossings(
         j = np.flatnonzero(steps > step)
         middle = 0.5 * (low[j] + high[j])
         x, y = (column[j], row[j] + middle) if vertical else (column[j] + middle, row[j])
-        seen = _look(work, squares, square[j], x, y)
+        seen = _states(work, squares, square[j], x, y)
         as_first = (seen == BLOCKED) == from_blocked[j]
         low[j] = np.where(as_first, middle, low[j])
         high[j] = np.where(as_first, high[j], middle)
@@ -200,6 +200,6 @@ def _bent_edges(
     # cells where the edge of the shadow is not the chord between its crossings, as far as that matters
     bent, cell, x, y, expected = places_beside_chords(state, stake, across, along)
     n = stake.shape[1]
-    seen = _look(work, squares, cell // (n * n), x, y)
+    seen = _states(work, squares, cell // (n * n), x, y)
     bent.ravel()[cell[(seen == BLOCKED) != expected]] = True
     return bent

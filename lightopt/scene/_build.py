@@ -145,11 +145,11 @@ def part_postures(part: PartConfig) -> tuple[Posture, ...]:
     return tuple(Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg) for p in part.postures)
 
 
-def _postures(rig: RigConfig, part: PartConfig, asked: Sequence[Posture] | None) -> tuple[Posture, ...]:
-    if asked is None:
+def _postures(rig: RigConfig, part: PartConfig, chosen: Sequence[Posture] | None) -> tuple[Posture, ...]:
+    if chosen is None:
         named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     else:
-        named = [(posture, "posture") for posture in asked]
+        named = [(posture, "posture") for posture in chosen]
     problems = [
         problem for posture, where in named for problem in outside_stage_range(rig, posture, where=where)
     ]

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,16 +52,12 @@ class PinholeCamera:
 
     def moved(self, rotation: Float64, translation: Float64) -> PinholeCamera:
         """The camera after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
-        return PinholeCamera(
+        return replace(
+            self,
             position=rotation @ self.position + translation,
             right=rotation @ self.right,
             up=rotation @ self.up,
             forward=rotation @ self.forward,
-            width=self.width,
-            height=self.height,
-            pixel_size=self.pixel_size,
-            image_distance=self.image_distance,
-            distortion=self.distortion,
         )
 
 

@@ -14,7 +14,7 @@ ABSURD = (1.0 / 15.0, 2.5)
 """A part whose longest side is not between these shares of the view's shorter side is suspected of a wrong unit."""
 
 SENSIBLE = (0.15, 1.3)
-"""A unit is worth proposing where it brings the part's longest side between these shares."""
+"""A unit is proposed where it brings the part's longest side between these shares."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,13 @@ def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | Non
     likely = likely_units(longest, view, unit)
     if not likely:
         return None
-    told = " or ".join(
+    likely_text = " or ".join(
         f"{name} ({longest * MM_PER_UNIT[name] / MM_PER_UNIT[unit]:.4g} mm, a factor of "
         f"{_factor(MM_PER_UNIT[name] / MM_PER_UNIT[unit])})"
         for name in likely
     )
     read = f"Read as {unit}, the part's longest side is {longest:.4g} mm"
-    text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {told}"
+    text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {likely_text}"
     return UnitGuess(unit, likely, text)
 
 

@@ -94,14 +94,14 @@ def _clip(polygon: Float64, plane: Float64, least: float) -> Float64:
     # the part of a polygon where plane·x ≥ least (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); parts of one
     # that is not convex stay joined along the plane, which does not change the area
     height = polygon @ plane - least
-    kept: list[Float64] = []
+    clipped: list[Float64] = []
     for i in range(len(polygon)):
         j = (i + 1) % len(polygon)
         if height[i] >= 0.0:
-            kept.append(polygon[i])
+            clipped.append(polygon[i])
         if (height[i] >= 0.0) != (height[j] >= 0.0):
-            kept.append(polygon[i] + height[i] / (height[i] - height[j]) * (polygon[j] - polygon[i]))
-    return np.array(kept).reshape(-1, 3)
+            clipped.append(polygon[i] + height[i] / (height[i] - height[j]) * (polygon[j] - polygon[i]))
+    return np.array(clipped).reshape(-1, 3)
 
 
 def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> Bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lightopt.config import MOST_POINTS
 from lightopt.core.arrays import Float64
 from lightopt.scene._light import PanelLight
 
@@ -17,9 +18,6 @@ COARSE_SHARE = 0.1
 SATURATION_SHARE = 0.02
 """The area is compared where the highlight is saturated, from this share of its brightest level: the paper's knob is
 overexposed about 50 times at its highlight's peak. Anything from 0.005 to 0.2 gives nearly the same errors."""
-
-MOST_POINTS = 65_536
-"""More points than this a rig file may not ask for."""
 
 _STEPS_PER_SIGMA = 16
 _LARGEST_GAP = 60.0
@@ -103,7 +101,7 @@ def like_panels(lights: Sequence[PanelLight]) -> tuple[tuple[int, ...], ...]:
 
 
 def coarse_warnings(lights: Sequence[PanelLight], sigma: float) -> tuple[str, ...]:
-    """:func:`coarse_points` of several panels, those alike told together."""
+    """:func:`coarse_points` of several panels, those alike in one message."""
     grouped = (
         replace(lights[indices[0]], name=", ".join(lights[i].name for i in indices))
         for indices in like_panels(lights)

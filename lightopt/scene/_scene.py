@@ -13,14 +13,6 @@ from lightopt.scene._camera import PinholeCamera
 from lightopt.scene._light import PanelLight
 
 
-def _identity() -> Float64:
-    return np.eye(3)
-
-
-def _origin() -> Float64:
-    return np.zeros(3)
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Placement:
     """Where the mesh file's coordinates are in the part frame: x_part = rotation·x_file + translation.
@@ -30,8 +22,8 @@ class Placement:
     translation: [mm], shape (3,)
     """
 
-    rotation: Float64 = field(default_factory=_identity)
-    translation: Float64 = field(default_factory=_origin)
+    rotation: Float64 = field(default_factory=lambda: np.eye(3))
+    translation: Float64 = field(default_factory=lambda: np.zeros(3))
 
     def to_part(self, point: Float64) -> Float64:
         """A point of the file [mm], shape (3,), in the part frame."""

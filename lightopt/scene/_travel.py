@@ -54,10 +54,10 @@ def pace_text(rig: RigConfig) -> str:
     axes = (("tilt", stage.elevation), ("rotation", stage.rotation))
     speeds = {name: axis.speed_deg_per_s for name, axis in axes if axis is not None}
     if len(set(speeds.values())) == 1:
-        said = f"{next(iter(speeds.values())):g}°/s"
+        speed_text = f"{next(iter(speeds.values())):g}°/s"
     else:
-        said = ", ".join(f"{speed:g}°/s in {name}" for name, speed in speeds.items())
-    return f"at {said}, the speed_deg_per_s of the rig's hardware.stage"
+        speed_text = ", ".join(f"{speed:g}°/s in {name}" for name, speed in speeds.items())
+    return f"at {speed_text}, the speed_deg_per_s of the rig's hardware.stage"
 
 
 def _total(order: Sequence[Posture], start: Posture, time: Time) -> float:
