@@ -36,8 +36,8 @@ print(end)
 """
 
 HANDLERS = {
-    "command line": ("interrupts", "interrupt", "signal.signal(signal.SIGINT, interrupt)"),
-    "capture": ("capture._signals", "EndSignals", "EndSignals().install()"),
+    "command line": ("core.interrupts", "interrupt", "signal.signal(signal.SIGINT, interrupt)"),
+    "capture": ("rig.capture._signals", "EndSignals", "EndSignals().install()"),
 }
 
 
