@@ -41,7 +41,7 @@ LEAST_STRIPS, MOST_STRIPS = 2, 16
 """Strips that the visible area of a crossed cell is integrated in."""
 
 
-class PenumbraLight(NamedTuple):
+class ConvergedLight(NamedTuple):
     """A panel in the part's frame, and how bright its light is on a surface.
 
     diffuse_level, specular_level: Grey levels per unit of the two terms: R_d and R_s times the panel's total weight
@@ -130,7 +130,7 @@ def add_visible_cells(
     points: Float64,
     normals: Float64,
     views: Float64,
-    light: PenumbraLight,
+    light: ConvergedLight,
     squares: Squares,
     state: UInt8,
     terms: Float64,
@@ -178,7 +178,7 @@ def add_crossed_cells(
     points: Float64,
     normals: Float64,
     views: Float64,
-    light: PenumbraLight,
+    light: ConvergedLight,
     squares: Squares,
     state: UInt8,
     across: Float64,

@@ -1,6 +1,6 @@
 """``points: auto``: the panel as the continuous surface it is.
 
-Per pixel and light five rays, to the panel's corners and centre, tell lit from shaded. Where they agree among
+Per pixel and light five rays, to the panel's corners and centre, distinguish lit from shaded. Where they agree among
 themselves and with those of the neighbouring pixels, the panel is wholly visible or wholly hidden; the penumbrae that
 remain are worked out by :mod:`lightopt.rendering._penumbra`.
 """
@@ -17,9 +17,9 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.rendering._cells import PenumbraLight
+from lightopt.rendering._cells import ConvergedLight
 from lightopt.rendering._lobe import WHOLE_PANEL, out_of_reach, rectangle_diffuse, rectangle_specular
-from lightopt.rendering._panel import PanelNumbers, Vector, dot, panel_numbers, vector_at
+from lightopt.rendering._panel import Vector, dot, panel_numbers, vector_at
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
@@ -132,10 +132,10 @@ def shade_seeing(
         if verdict is None:
             verdict = _coarse_verdict(surface, converged.light, caster)
         uncertain = _disagreeing(verdict, sample, shape)
-    diffuse, specular = _unshadowed(surface, converged, verdict, reflectance)
+    light = _converged_light(converged, reflectance)
+    diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, verdict, light)
     shaded = np.zeros(len(surface), np.bool_)
     if caster is not None:
-        light = _penumbra_light(converged, reflectance)
         while uncertain.any():
             penumbra = _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
             # a penumbra goes on until its neighbours, too, see the whole panel or none of it
@@ -173,33 +173,18 @@ def shade_again(
     else:
         verdict[index] = _coarse_verdict(surface, converged.light, caster)
     own = verdict[index]
-    diffuse, specular = _unshadowed(surface, converged, own, reflectance)
+    light = _converged_light(converged, reflectance)
+    diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, own, light)
     if caster is not None:
         uncertain = (_disagreeing(verdict, sample, shape) | sight.penumbra)[index] & (own != _DARK)
-        light = _penumbra_light(converged, reflectance)
         _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
     total = converged.light.total_weight
     return total * diffuse, total * specular
 
 
-def _unshadowed(
-    surface: SurfacePoints, converged: ConvergedPanel, verdict: UInt8, reflectance: Reflectance
-) -> tuple[Float64, Float64]:
-    # light of the whole panel, of weight 1, where nothing is in the way
-    return _whole_panel(
-        surface.points,
-        surface.normals,
-        surface.views,
-        verdict,
-        panel_numbers(converged.light),
-        converged.nodes,
-        0.5 / reflectance.sigma**2,
-    )
-
-
-def _penumbra_light(converged: ConvergedPanel, reflectance: Reflectance) -> PenumbraLight:
+def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> ConvergedLight:
     total = converged.light.total_weight
-    return PenumbraLight(
+    return ConvergedLight(
         panel_numbers(converged.light),
         total * reflectance.R_d,
         total * reflectance.R_s,
@@ -211,7 +196,7 @@ def _penumbra_light(converged: ConvergedPanel, reflectance: Reflectance) -> Penu
 def _add_penumbrae(
     surface: SurfacePoints,
     uncertain: Bool,
-    light: PenumbraLight,
+    light: ConvergedLight,
     caster: RayCaster,
     diffuse: Float64,
     specular: Float64,
@@ -293,25 +278,19 @@ def _neighbours(flags: Bool, sample: Index, shape: tuple[int, int]) -> Bool:
 
 @kernel
 def _whole_panel(
-    points: Float64,
-    normals: Float64,
-    views: Float64,
-    verdict: UInt8,
-    panel: PanelNumbers,
-    panel_nodes: int,
-    inverse_two_sigma_squared: float,
+    points: Float64, normals: Float64, views: Float64, verdict: UInt8, light: ConvergedLight
 ) -> tuple[Float64, Float64]:
+    # light of the whole panel, of weight 1, where nothing is in the way
+    panel, inverse = light.panel, light.inverse_two_sigma_squared
     diffuse = np.zeros(len(points))
     specular = np.zeros(len(points))
     for i in range(len(points)):
         if verdict[i] != _CLEAR:
             continue
         p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
-        diffuse[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, panel_nodes)
-        if not out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
-            specular[i] = rectangle_specular(
-                p, n, v, dot(n, v), panel, WHOLE_PANEL, inverse_two_sigma_squared, panel_nodes
-            )
+        diffuse[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, light.nodes)
+        if not out_of_reach(p, n, v, panel, inverse):
+            specular[i] = rectangle_specular(p, n, v, dot(n, v), panel, WHOLE_PANEL, inverse, light.nodes)
     return diffuse, specular
 
 

@@ -24,7 +24,7 @@ from lightopt.rendering._cells import (
     MOST_BISECTIONS,
     SIDE_SHARE,
     VISIBLE,
-    PenumbraLight,
+    ConvergedLight,
     Squares,
     add_crossed_cells,
     add_visible_cells,
@@ -51,14 +51,14 @@ class _Work:
     """What is shaded, and the sums so far: the two terms (k, 2) and the levels of error allowed (k,)."""
 
     surface: SurfacePoints
-    light: PenumbraLight
+    light: ConvergedLight
     caster: RayCaster
     terms: Float64
     tolerance: Float64
 
 
 def shade_penumbra(
-    surface: SurfacePoints, light: PenumbraLight, caster: RayCaster
+    surface: SurfacePoints, light: ConvergedLight, caster: RayCaster
 ) -> tuple[Float64, Float64, Bool]:
     """Diffuse and specular light of the visible area of a panel of weight 1, per unit of R_d and R_s.
 
