@@ -57,15 +57,12 @@ def with_values(text: str, values: Mapping[Keys, str]) -> str:
 def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, replace: bool = False) -> str:
     """The text of a YAML file with a list of its own added at the end, or in the place of the one that is there.
 
-    Parameters
-    ----------
     text: A YAML document; with no such key unless that is to be replaced
     key: Of the list, at the top of the file
     entries: Text of each entry, as it is to stand in the file
     comment: To stand above the list; of one line or several
     replace: Whether a list of this key is replaced, with the comments of its entries; the one beside the key stays
         there
-
     Raises InputError: The file is written so that nothing can be added at its end: in braces, or closed
     """
     span = _list_span(text, key) if replace else None

@@ -24,11 +24,8 @@ def copied_text(
     Files are named relative to the configuration file: a part's mesh, the folder that a rig's camera replays, and the
     schema in the comment that editors read.
 
-    Parameters
-    ----------
     folder: Where the copy will lie
     values: What else the copy says anew, as for :func:`with_values`
-
     Raises InputError: As of :func:`with_values`
     """
     said = dict(values or {})

@@ -24,8 +24,6 @@ def dotted(keys: Keys) -> str:
 class Source:
     """The file that a configuration was read from.
 
-    Parameters
-    ----------
     path: The YAML file, as it was given
     sha256: Hash of the file's bytes, hexadecimal; empty for a configuration that was built in code
     lines: Line number (1-based) of each path of keys in the file

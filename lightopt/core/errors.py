@@ -23,8 +23,6 @@ def counted(number: int, noun: str) -> str:
 def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
     """A share in hundredths, to so many decimals; to more where it would else be rounded up to what it is short of.
 
-    Parameters
-    ----------
     short_of: What a lower share must not be mistaken for, such as a target; no other below 1 is mistaken for all
 
     Examples
@@ -45,8 +43,6 @@ def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
 class LightoptError(Exception):
     """Base of all errors that lightopt raises on purpose.
 
-    Parameters
-    ----------
     *messages: One or more messages for the person at the machine: what is wrong and where (file, line, key), what was
         expected, what was found, what to do. Each is shown on a line of its own.
     """
@@ -101,8 +97,6 @@ class HardwareError(LightoptError):
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C or a signal ended the work, in a known state. Exit status 130.
 
-    Parameters
-    ----------
     *messages: What state things are in and how to go on, for the person at the machine; each is shown on a line of its
         own
     """

@@ -47,8 +47,6 @@ _MOST_DIFFERENCES = 6
 def provenance(inputs: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """What a result depends on, as JSON; see the module for the layout.
 
-    Parameters
-    ----------
     inputs: Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives
     options: Of the run, JSON-able
     """
@@ -98,8 +96,6 @@ def file_sha256(path: str | Path) -> str:
 def files_sha256(folder: Path, names: Iterable[str]) -> str:
     """SHA-256 in hex of files by name and content; a missing one counts as such, and whoever reads it says so.
 
-    Parameters
-    ----------
     names: Relative to it, in their order
     """
     digest = hashlib.sha256()
@@ -114,8 +110,6 @@ def differences(there: Mapping[str, Any], now: Mapping[str, Any], *, partly: boo
 
     Names of files do not count: the same content under another name gives the same results.
 
-    Parameters
-    ----------
     there, now: Of the earlier and of the present run, JSON of any depth
     partly: Whether `now` is only a part of what is known of the present run
     """

@@ -57,8 +57,6 @@ def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | N
 def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | None = None) -> None:
     """Call each task's function with its arguments; the first exception stops the rest.
 
-    Parameters
-    ----------
     tasks: Taken up as threads become free, so that a long generator costs no memory
     done: Called from the calling thread after each task; an exception that it raises stops the rest, too
     """

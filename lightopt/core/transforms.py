@@ -14,8 +14,6 @@ from lightopt.core.arrays import Float64
 def direction(*, elevation: float, azimuth: float) -> Float64:
     """Unit vector d from the origin towards (elevation θ, azimuth φ), shape (3,), world frame.
 
-    Parameters
-    ----------
     elevation, azimuth: [rad]. Elevation is measured from the table plane: π/2 is straight above, and it may pass π/2.
     """
     c, s = np.cos(elevation), np.sin(elevation)
@@ -54,8 +52,6 @@ def rotation_z(angle: float) -> Float64:
 def posture_rotation(*, elevation: float, rotation: float) -> Float64:
     """Rotation R = Rx(θ_j)·Rz(φ_j) of a posture, shape (3, 3): the tilt cradle carries the rotary axis.
 
-    Parameters
-    ----------
     elevation, rotation: The posture's tilt θ_j and rotation φ_j [rad]
     """
     return rotation_x(elevation) @ rotation_z(rotation)
@@ -64,8 +60,6 @@ def posture_rotation(*, elevation: float, rotation: float) -> Float64:
 def rigid_transform(points: Float64, rotation: Float64, pivot: Float64) -> Float64:
     """Rotate points about a pivot: p' = pivot + R·(p − pivot).
 
-    Parameters
-    ----------
     points: [mm], shape (..., 3)
     pivot: [mm], shape (3,)
     """

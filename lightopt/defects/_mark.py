@@ -35,8 +35,6 @@ def mark_surface(defects: Sequence[PlacedDefect], points: Float64, normals: Floa
     Heights h of defects that overlap add up, and factors multiply. A displaced surface p + h·N has, for heights small
     against the radius of curvature, the normal N − ∇h normalised, ∇h the gradient along the surface.
 
-    Parameters
-    ----------
     defects: In the frame of the points
     points, normals: Of the undisturbed surface: [mm] and of unit length, shape (k, 3)
     """

@@ -48,8 +48,6 @@ STRETCH = 1.75
 def pixel_shares(shape: DefectShape) -> Float64:
     """F and A of the pixel with the greatest F, then of that with the greatest A, at :data:`PIXEL_RATIOS`; (n, 4).
 
-    Parameters
-    ----------
     shape: Of the defect; how steep it is does not matter
     """
     return np.array([grid_shares(shape, float(ratio), turn=TURN, offset=OFFSET) for ratio in PIXEL_RATIOS])

@@ -58,8 +58,6 @@ def tangent_direction(normal: Float64, angle: float, *, x_axis: Float64, y_axis:
 
     The reference is the X axis projected onto the tangent plane; where the surface all but faces along X, the Y axis.
 
-    Parameters
-    ----------
     x_axis, y_axis: Unit vectors of the part's axes, in the frame of the normal, shape (3,)
     """
     reference = tangent_references(normal[None, :], x_axis=x_axis, y_axis=y_axis)[0]
@@ -71,8 +69,6 @@ def tangent_direction(normal: Float64, angle: float, *, x_axis: Float64, y_axis:
 def tangent_references(normals: Float64, *, x_axis: Float64, y_axis: Float64) -> Float64:
     """The unit vectors in tangent planes that :func:`tangent_direction` counts from, shape (k, 3).
 
-    Parameters
-    ----------
     normals: Unit normals of the surface, shape (k, 3)
     x_axis, y_axis: As for :func:`tangent_direction`
     """
@@ -92,8 +88,6 @@ def surface_coordinates(
     Projection onto the tangent plane stands for lengths along the surface: on a radius of curvature R they differ at a
     distance a by a²/(6R²), 1 % at a = R/4.
 
-    Parameters
-    ----------
     points, normals: Of the surface [mm], shape (k, 3), frame of the defect
     """
     offset = points - defect.position

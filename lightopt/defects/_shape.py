@@ -60,8 +60,6 @@ class DefectShape:
 def depth_of_slope(kind: DefectKind, width: float, slope: float) -> float:
     """Depth or height of a defect [mm] from its steepest slope [rad]: tan(slope) · width/2 · the profile's integral.
 
-    Parameters
-    ----------
     kind: One of :data:`SHAPE_KINDS`
     width: Shorter extent of the outline [mm]
 

@@ -28,8 +28,6 @@ class RayCaster:
 
     Safe to use from several threads at once; the answers do not depend on how rays are grouped into calls.
 
-    Parameters
-    ----------
     vertices: [mm], shape (n, 3), any frame: rays are given in the same
     recorder: Called with every batch of rays in Embree's own units (for benchmarks)
     """
@@ -59,8 +57,6 @@ class RayCaster:
     def first_hit(self, origin: Float64, directions: Float64) -> Int32:
         """Index of the first face that each ray meets, −1 where none; shape (k,).
 
-        Parameters
-        ----------
         origin: Common origin of the rays [mm], shape (3,)
         directions: Shape (k, 3), any length
         """
@@ -74,8 +70,6 @@ class RayCaster:
 
         Ray i goes from ``points[point_index[i]]`` to ``targets[target_index[i]]``.
 
-        Parameters
-        ----------
         points: Points on the surface [mm], shape (n, 3)
         normals: Unit geometric normals on the side of the surface that the rays leave, shape (n, 3)
         targets: [mm], shape (t, 3)
@@ -186,8 +180,6 @@ def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Fl
     Embree's float32 answer is good to about 1e-5 of the distance, which is not enough for the normals of a glossy
     surface.
 
-    Parameters
-    ----------
     face: Answer of ``first_hit``, −1 where a ray met nothing, shape (n,)
     origin: Common origin of the rays [mm], shape (3,)
     directions: Shape (n, 3), any length

@@ -92,8 +92,6 @@ def load_mesh(
     vertex normals that they carry; anything else is smoothed within the crease angle. GLB is turned from Y up
     to Z up.
 
-    Parameters
-    ----------
     path: File; its ending tells the format (`MESH_SUFFIXES`)
     unit_mm: Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP
         declares its own, which a value has to agree with. GLB is metres by its specification; a value is believed over
@@ -105,7 +103,6 @@ def load_mesh(
     angular_tolerance: STEP: largest bend between neighbouring tangents along an edge [rad]
     max_triangles: More are refused, before loading where the file's header tells
     step_timeout_s, step_memory_gb: STEP: time [s] and memory [10⁹ bytes] the tessellation may take
-
     Raises InputError: The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
         triangles, coordinates that are not finite, or indices out of range; or a limit was reached
     """

@@ -42,8 +42,6 @@ def surface_place(mesh: TriangleMesh, face: int, u: float, v: float) -> SurfaceP
 class SurfaceFinder:
     """Finds the place of a mesh that is nearest to a point.
 
-    Parameters
-    ----------
     mesh: The mesh; what is worth knowing of its faces is worked out once
     """
 

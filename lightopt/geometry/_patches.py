@@ -22,8 +22,6 @@ class Patches:
     cut is an inner node of the face's binary tree; a tree entry e ≥ 0 is node e, an entry e < 0 is patch −1 −
     e.
 
-    Parameters
-    ----------
     vertices: The mesh's vertices, then one for each cut, part file's frame [mm], shape (n + c, 3)
     triangles: The patches' corners as indices into `vertices`, counterclockwise from outside, shape (p, 3), int32
     centroids: Centres of the patches [mm], shape (p, 3)
@@ -62,12 +60,9 @@ class Patches:
     def patch_at(self, face: ArrayLike, u: ArrayLike, v: ArrayLike) -> Int32:
         """Patch that holds each point of the mesh's surface; every point of a face belongs to exactly one.
 
-        Parameters
-        ----------
         face: Face index of each point, −1 where a ray missed, integers of shape (k,)
         u, v: Barycentric coordinates of the point (1 − u − v)·A + u·B + v·C, where A, B, C are the face's vertices in
             order, shape (k,)
-
         Returns: Patch index, −1 where `face` is −1, shape (k,), int32.
         Raises InputError: Shapes differ, or a face does not exist
         """
@@ -98,12 +93,9 @@ def refine(
     Longest-edge bisection (Rivara, Int. J. Numer. Meth. Eng. 20, 1984) bounds the smallest angle by half of
     the face's, so pieces do not become slivers. Neighbouring faces are cut independently of each other.
 
-    Parameters
-    ----------
     max_edge_mm: Longest edge of a patch [mm]
     max_patches: More are refused
     select: Faces to refine, shape (m,); the others become one patch each. All by default.
-
     Raises InputError: A parameter is out of range, or there would be more than `max_patches`
     """
     selected = _checked(mesh, max_edge_mm, select)
@@ -146,10 +138,7 @@ def estimate_patch_count(
     Exact below `limit`; where the number is certainly not below, some value of at least `limit` in little
     time.
 
-    Parameters
-    ----------
     mesh, max_edge_mm, select: As for :func:`refine`
-
     Raises InputError: A parameter is out of range
     """
     selected = _checked(mesh, max_edge_mm, select)

@@ -53,10 +53,7 @@ class MeshEdges:
 def merge_rows(rows: Float64) -> tuple[Int32, Int32]:
     """Find the unique rows of an array by exact value, in order of first occurrence.
 
-    Parameters
-    ----------
     rows: Positions, or positions with normals, shape (n, k)
-
     Returns: Row numbers of the first occurrences, shape (u,), and for each row the number of its unique row, shape
         (n,).
     """
@@ -68,8 +65,6 @@ def merge_rows(rows: Float64) -> tuple[Int32, Int32]:
 def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
     """Every edge of some faces once.
 
-    Parameters
-    ----------
     faces: Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are
     """
     start, end = _corner_vertices(faces)

@@ -21,12 +21,9 @@ class TriangleMesh:
     two faces that share a vertex also share its normal. Arrays of the right type are not copied; they are
     read-only here.
 
-    Parameters
-    ----------
     vertices: Positions in the part file's frame [mm], shape (n, 3)
     faces: Vertex indices, shape (m, 3), int32
     normals: Unit outward normals of the surface at the vertices, same frame, shape (n, 3); None shades flat facets
-
     Raises InputError: A shape is wrong, a coordinate is not finite, an index is out of range, or a normal is not of
         unit length
     """

@@ -142,11 +142,8 @@ def _flood(face_count: int, corners: Int32, same_direction: Bool) -> tuple[Int32
 def points_inside(points: Float64, mesh: TriangleMesh) -> Bool:
     """Whether points lie inside a surface: one that is mostly closed, around which it winds more than half a time.
 
-    Parameters
-    ----------
     points: [mm], shape (k, 3), frame of the mesh
     mesh: Its faces wind alike, whichever way
-
     Returns: Shape (k,).
     """
     low, high = mesh.bounds

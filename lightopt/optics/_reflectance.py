@@ -29,8 +29,6 @@ class Reflectance:
         What the lobe reflects goes as R_s·σ², its peak times the solid angle of the half vectors that it takes up, so
         R_s is divided by the square of the factor of σ; exact as σ goes to 0, within 2 % up to σ = 0.2.
 
-        Parameters
-        ----------
         R_d_factor, sigma_factor: By which R_d and σ are multiplied
         """
         return replace(
@@ -75,8 +73,6 @@ def half_vector_angle_squared(chord_squared: float) -> float:
 def torrance_sparrow(chord_squared: float, n_dot_v: float, inverse_two_sigma_squared: float) -> float:
     """Specular component per unit of R_s (paper, equation 3), for N·L > 0 and N·V > 0.
 
-    Parameters
-    ----------
     chord_squared: |N − H|² of the unit normal and the unit vector halfway between light and view
     n_dot_v: cosθ_o, clamped from below by :data:`MIN_COS_VIEW`
     inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]

@@ -26,8 +26,6 @@ class SaturatedRegion:
 def saturated_region(levels: NDArray[Any], saturation_level: float) -> SaturatedRegion:
     """Area and perimeter of the region at or above a level.
 
-    Parameters
-    ----------
     levels: Image, linear or as the camera delivers it, shape (height, width)
     saturation_level: In the units of `levels`
     """

@@ -76,11 +76,8 @@ class Sensor:
     def noise_variance(self, signal: Any, *, frames: Any = 1) -> Any:
         """Variance of a delivered level: read noise and shot noise, of which averaging leaves less, and rounding.
 
-        Parameters
-        ----------
         signal: Level above the black level [sensor level], of any shape; below 0 there is no shot noise
         frames: Of how many frames the level is the rounded mean
-
         Returns: [sensor level²], of the signal's shape and kind.
         """
         levels_per_electron = 1.0 / self.electrons_per_level if self.electrons_per_level else 0.0
@@ -112,12 +109,9 @@ def expose(
     Sensor level = black level + exposure · levels · (2^b − 1) / full scale. Shot noise is Poisson in the
     photo-electrons above black, read noise is Gaussian (EMVA Standard 1288, release 4.0, section 2).
 
-    Parameters
-    ----------
     levels: Linear image, shape (H, W) [grey level at exposure 1, the light's gain applied]
     exposure: Relative to the exposure at which the levels hold
     full_scale: Grey level that makes a full-scale sensor level at exposure 1: the scale of the reflectance
-
     Returns: uint8 (up to 8 bits) or uint16, right-aligned, shape of `levels`.
     Raises InputError: When the levels are not of shape (H, W), NaN or infinite, or the exposure or full scale is not a
         positive number
@@ -197,10 +191,7 @@ def saturated(quantised: Quantised, sensor: Sensor) -> Bool:
 def image_rng(seed: int, *, light: int, posture: int, exposure: int) -> np.random.Generator:
     """Make the generator of one image's noise: independent of other images', the same in any order.
 
-    Parameters
-    ----------
     light, posture, exposure: Index of the image's light, posture and exposure in the rig, the part and the run
-
     Raises InputError: When a number is negative
     """
     for name, value in (("seed", seed), ("light", light), ("posture", posture), ("exposure", exposure)):

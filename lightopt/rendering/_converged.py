@@ -64,8 +64,6 @@ class PanelSight:
 def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> ConvergedPanel:
     """Choose the diffuse quadrature of a panel by trying it on surface points all over a part.
 
-    Parameters
-    ----------
     light: Part frame
     centre, radius: Sphere around the part, part frame [mm]
     """
@@ -98,8 +96,6 @@ def shade_converged(
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of a whole panel, per unit of R_d and R_s; two arrays of shape (k,).
 
-    Parameters
-    ----------
     sample: Index of each point in the raveled grid of image samples that was traced, shape (k,): shadows are refined
         where neighbours in this grid disagree
     shape: Rows and columns of that grid; the grid's own border has no neighbours beyond it
@@ -299,8 +295,6 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
 
     That of the panel as a whole, whatever its number of points: R_s is what a single point of light would reach.
 
-    Parameters
-    ----------
     light: World frame
     """
     origin = np.zeros((1, 3))

@@ -103,11 +103,8 @@ def render_image_set(
     Each file is on disk and in the manifest before the next is made; a run that was killed is resumed by running it
     again.
 
-    Parameters
-    ----------
     rig, part: Configurations, or the paths of their YAML files
     folder: Made where it does not exist
-
     Raises InputError: Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that
         hardly a pixel sees. Nothing is written before all inputs are read.
     """

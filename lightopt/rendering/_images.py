@@ -104,8 +104,6 @@ def render(
 ) -> Iterator[PostureImages]:
     """Render all postures of a scene under all its lights, one posture after the other; its defects are shown.
 
-    Parameters
-    ----------
     scene: From :func:`lightopt.scene.build_scene`
     shadows: Whether the part casts shadows on itself
     supersample: n² rays per pixel on a regular n × n grid, averaged
@@ -147,11 +145,7 @@ def render_posture(
 ) -> PostureImages:
     """Render one posture of a scene under all its lights.
 
-    Parameters as in :func:`render`, and
-
-    Parameters
-    ----------
-    posture: Any posture, not only one of the scene's
+    Parameters as in :func:`render`, and any posture, not only one of the scene's.
     """
     before, finished = caster.rays_cast, 0
     job = _Job(scene, posture, caster, shadows, supersample, layers, patches)

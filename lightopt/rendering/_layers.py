@@ -92,8 +92,6 @@ def light_layer(
 ) -> LightLayer:
     """The diffuse layer of a panel, and what its specular layers need.
 
-    Parameters
-    ----------
     surface: Points that see the whole panel, part frame
     light: Part frame; with its own number of points
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for

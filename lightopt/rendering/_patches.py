@@ -135,8 +135,6 @@ class PatchPixels:
 def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATCH_BUDGET) -> PatchTable:
     """Cut the faces that the camera sees towards the pixel's footprint, within a budget (paper, section 3.3).
 
-    Parameters
-    ----------
     scene: With the postures to look from
     budget: About how many patches may be visible. A mesh that has more faces to begin with is not coarsened; half of
         the budget is for cutting long faces, however many others there are: where the camera sees more faces than the
@@ -199,8 +197,6 @@ def _most_cuts(budget: int, shown: int) -> int:
 def patch_pixels(patch: Int32, count: int) -> PatchPixels:
     """Turn a geometry image's patch channel round: from which patch a pixel shows to which pixels show a patch.
 
-    Parameters
-    ----------
     patch: Patch index of each pixel, −1 where none, shape (height, width)
     count: Number of patches
     """
@@ -245,12 +241,9 @@ def sight_of(
 ) -> tuple[Bool, Bool]:
     """Which points of the surface the camera sees, and which of these at a grazing angle.
 
-    Parameters
-    ----------
     points, normals, facets: Points [mm], normals of the surface there, and those of the facets that they lie on, part
         frame, shape (p, 3)
     view, caster: The camera as the part sees it, and the part's ray caster
-
     Returns visible, grazing: Boolean, shape (p,): in the image, from the front, with nothing in between; and of these,
         at more than :data:`lightopt.rendering.GRAZING_DEG` to the normal
     """
@@ -265,8 +258,6 @@ def sight_of(
 def visible_points(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> Bool:
     """Whether the camera sees points of the surface: in the image, from the front, with nothing in between.
 
-    Parameters
-    ----------
     points, normals: Points [mm] and normals of the facets that they lie on, part frame, shape (p, 3)
     view, caster: The camera as the part sees it, and the part's ray caster
     """

@@ -96,8 +96,6 @@ def panel_verdict(
 ) -> UInt8:
     """What each pixel sees of a panel: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (k,).
 
-    Parameters
-    ----------
     light: Part frame
     """
     surface = pixels.surface

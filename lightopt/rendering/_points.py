@@ -21,8 +21,6 @@ def shade_points(
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of a panel of m points, per unit of R_d and R_s; two arrays of shape (k,).
 
-    Parameters
-    ----------
     light: Part frame
     points: m = k²
     sigma: Of the specular lobe [rad]

@@ -86,8 +86,6 @@ def trace_samples(
 ) -> tuple[Hits, SurfacePoints]:
     """Cast camera rays through image points and describe the surface where they meet the part.
 
-    Parameters
-    ----------
     caster, mesh: The part, in its own frame
     camera: Part frame
     columns, rows: Image points [px], shape (n,)

@@ -111,8 +111,6 @@ def shade_variants(
 ) -> VariantLevels:
     """The light of a panel on a surface and on its variants.
 
-    Parameters
-    ----------
     surface: k points that the camera sees from the front, none of them another's neighbour; part frame
     references: Unit vectors in the tangent planes that directions count from, shape (k, 3)
     panel: Part frame: as point lights, or converged

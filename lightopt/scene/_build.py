@@ -56,13 +56,10 @@ def build_scene(
 ) -> Scene:
     """Place a rig's camera and lights and a part in the world frame.
 
-    Parameters
-    ----------
     rig, part: Configurations, or the paths of their YAML files
     lights: Names of the lights to keep, instead of all
     points: Point lights per panel, instead of the rig's
     defects: Whether the part has the defects that its file names, or is a good one
-
     Raises InputError: A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part
         wholly outside the view or a camera inside the part (with what another unit of the mesh file would make of it,
         where that explains it), a lens that folds the image over, a defect that is not on the part
@@ -163,11 +160,8 @@ def build_lights(
 ) -> tuple[PanelLight, ...]:
     """The rig's panels, world frame.
 
-    Parameters
-    ----------
     names: Of the lights to keep; all by default
     points: Point lights per panel, instead of the rig's
-
     Raises InputError: A name that the rig does not have
     """
     known = [light.name for light in rig.lights]
@@ -222,8 +216,6 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
 def chord_tolerance(part: PartConfig, footprint: float) -> float:
     """How far triangles may be from the CAD surface of a STEP file [mm].
 
-    Parameters
-    ----------
     footprint: Side of a pixel's footprint at the origin [mm]
     """
     if part.mesh.chord_tolerance_mm is not None:

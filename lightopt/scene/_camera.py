@@ -94,8 +94,6 @@ def place_camera(
 def pixel_directions(camera: PinholeCamera, columns: Float64, rows: Float64) -> Float64:
     """Directions of the rays through image points, not normalised, shape (k, 3), frame of the camera's vectors.
 
-    Parameters
-    ----------
     columns, rows: Image points [px], shape (k,): pixel (column 0, row 0) has its centre at (0.5, 0.5)
     """
     scale = camera.pixel_size / camera.image_distance
@@ -112,8 +110,6 @@ def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, F
     Points at or behind the pinhole have a depth ≤ 0 and image points of NaN. Points so far out that the lens model
     turns back on itself, which would put them into the image again, are given where they belong: well outside of it.
 
-    Parameters
-    ----------
     points: [mm], shape (k, 3), frame of the camera's vectors
     """
     offset = points - camera.position

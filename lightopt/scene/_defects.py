@@ -88,8 +88,6 @@ def build_catalogue(part: PartConfig) -> tuple[CatalogueEntry, ...]:
 def defect_facts(defects: Sequence[PlacedDefect], placement: Placement) -> list[dict[str, Any]]:
     """What is known of defects, wherever the part lies: JSON form, in the mesh file's coordinates, mm and degrees.
 
-    Parameters
-    ----------
     placement: Of the mesh file in the part frame
     """
     return [

@@ -97,8 +97,6 @@ def place_light(
 def panel_grid(light: PanelLight, points: int) -> Float64:
     """The m point lights of a panel at the centres of a k×k grid of cells (paper, figure 7), shape (m, 3) [mm].
 
-    Parameters
-    ----------
     points: m = k²
     """
     k = math.isqrt(points)

@@ -62,8 +62,6 @@ def likely_units(longest: float, view: float, unit: str) -> tuple[str, ...]:
 def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | None:
     """Units that the part's file is more probably in; None where the part fits the view, or no unit explains it.
 
-    Parameters
-    ----------
     longest: Its longest side as it is read now [mm]
     view: The view's shorter side [mm]
     """

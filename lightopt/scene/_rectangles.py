@@ -29,8 +29,6 @@ def panel_corners(light: PanelLight) -> Float64:
 def image_area(camera: PinholeCamera, polygon: Float64) -> float:
     """How much of the image a flat convex polygon covers [px²].
 
-    Parameters
-    ----------
     polygon: Corners in order [mm], shape (k, 3), frame of the camera's vectors
     """
     offset = polygon - camera.position
@@ -107,8 +105,6 @@ def _clip(polygon: Float64, plane: Float64, least: float) -> Float64:
 def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> Bool:
     """Whether the way from one point to others passes through a panel; shape (k,).
 
-    Parameters
-    ----------
     start: [mm], shape (3,), frame of the panel's vectors
     ends: [mm], shape (k, 3)
     """

@@ -56,8 +56,6 @@ def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
     saturated area is computed from both. This leaves out that an oblique view narrows the lobe across the plane of
     incidence, by the cosine of the angle of incidence.
 
-    Parameters
-    ----------
     sigma: Width of the lobe [rad]
     """
     if light.points == "auto":

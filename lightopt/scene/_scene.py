@@ -62,8 +62,6 @@ class Scene:
 def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:
     """The scene with its part elsewhere, and what is on it with it: p' = R·p + t at posture (0, 0).
 
-    Parameters
-    ----------
     rotation, translation: World frame, shapes (3, 3) and (3,) [mm]
     """
     place = scene.placement

@@ -19,8 +19,6 @@ Time = Callable[[Posture, Posture], float]
 def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> tuple[Posture, ...]:
     """Postures in an order that takes the stage little time: the least for up to 7, else a good one.
 
-    Parameters
-    ----------
     postures: In the order that counts where times are equal
     time: Of the move between two postures [s]
     """
@@ -33,8 +31,6 @@ def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> 
 def travel_s(stage: StageDeviceConfig | None, start: Posture, end: Posture) -> float:
     """Seconds that a stage takes from one posture to another, both axes at a time.
 
-    Parameters
-    ----------
     stage: The device; None for the virtual bench's
     """
     tilt, turn = end.elevation_deg - start.elevation_deg, end.rotation_deg - start.rotation_deg
