@@ -93,33 +93,15 @@ def shade_converged(
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
-) -> tuple[Float64, Float64]:
-    """Diffuse and specular light of a whole panel, per unit of R_d and R_s; two arrays of shape (k,).
+    verdict: UInt8 | None = None,
+) -> tuple[Float64, Float64, PanelSight]:
+    """Diffuse and specular light of a whole panel, per unit of R_d and R_s, shape (k,), and what the points see of it.
 
     sample: Index of each point in the raveled grid of image samples that was traced, shape (k,): shadows are refined
         where neighbours in this grid disagree
     shape: Rows and columns of that grid; the grid's own border has no neighbours beyond it
     reflectance: Its σ shapes the lobe; how finely penumbrae are worked out depends on R_d and R_s, too
-    """
-    diffuse, specular, _ = shade_seeing(
-        surface, converged, sample=sample, shape=shape, reflectance=reflectance, caster=caster
-    )
-    return diffuse, specular
-
-
-def shade_seeing(
-    surface: SurfacePoints,
-    converged: ConvergedPanel,
-    *,
-    sample: Index,
-    shape: tuple[int, int],
-    reflectance: Reflectance,
-    caster: RayCaster | None,
-    verdict: UInt8 | None = None,
-) -> tuple[Float64, Float64, PanelSight]:
-    """As :func:`shade_converged`, and what the points see of the panel, for :func:`shade_again`.
-
-    `verdict` is what the coarse rays say, from :func:`verdict_of_probes`, where they have been cast before.
+    verdict: Of the coarse rays, from :func:`verdict_of_probes`, where they have been cast before
     """
     if caster is None:
         verdict = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
@@ -159,7 +141,7 @@ def shade_again(
 
     surface: The j points with their own normals, part frame
     index: Of each among the k points of the surface, shape (j,)
-    sight: What the surface sees, from :func:`shade_seeing`
+    sight: What the surface sees, from :func:`shade_converged`
     sample, shape: Of the k points, as :func:`shade_converged` takes them
     reflectance: Of the j points
     """
@@ -306,7 +288,7 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     surface = SurfacePoints(origin, normal, normal, view[None], np.ones(1, np.bool_))
     whole = replace(light, points="auto")
     panel = converged_panel(whole, centre=origin[0], radius=1.0)
-    _, specular = shade_converged(
+    _, specular, _ = shade_converged(
         surface, panel, sample=np.zeros(1, np.intp), shape=(1, 1), reflectance=scene.reflectance, caster=None
     )
     return float(scene.reflectance.R_s * specular[0] * light.total_weight / whole.total_weight)

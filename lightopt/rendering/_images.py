@@ -13,7 +13,7 @@ from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
-from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_seeing
+from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_converged
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
@@ -277,7 +277,7 @@ class _Job:
         caster = self.caster if self.shadows else None
         reflectance = self.scene.reflectance
         if isinstance(panel, ConvergedPanel):
-            return shade_seeing(
+            return shade_converged(
                 surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster
             )
         assert panel.points != "auto"

@@ -22,7 +22,7 @@ from lightopt.rendering._converged import (
     ConvergedPanel,
     panel_probes,
     probe_targets,
-    shade_seeing,
+    shade_converged,
     verdict_of_probes,
 )
 from lightopt.rendering._panel import (
@@ -205,7 +205,7 @@ def _converged_variants(
     else:
         clear = panel_probes(surface, targets, caster)
         verdict = verdict_of_probes(surface, targets, clear)
-    diffuse, specular, _ = shade_seeing(
+    diffuse, specular, _ = shade_converged(
         surface,
         converged,
         # every second place of a row: no point is another's neighbour

@@ -166,7 +166,9 @@ class Matrices:
         patches = sum(len(table.inspectable(posture)) for posture in table.postures)
         return positions * patches * dtype <= MOST_BYTES
 
-    def levels(self, posture: Posture, candidates: Candidates, report: RenderProgress | None) -> LuminanceMatrix:
+    def levels(
+        self, posture: Posture, candidates: Candidates, report: RenderProgress | None
+    ) -> LuminanceMatrix:
         """The levels of a posture under other candidates, of whom :meth:`holds` says that there is room."""
         return self._made(posture, candidates.panels, None, report, 1)
 
