@@ -10,6 +10,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.geometry import Hits, RayCaster, TriangleMesh, resolve_hits
+from lightopt.rendering._panel import Vector, cross, divided, dot, length, minus, vector_at
 from lightopt.scene import PinholeCamera, pixel_directions
 
 GRAZING_DEG = 80.0
@@ -113,35 +114,29 @@ def _interpolate(
     front = np.empty(k, np.bool_)
     for i in range(k):
         a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
-        e1x, e1y, e1z = (
-            vertices[b, 0] - vertices[a, 0],
-            vertices[b, 1] - vertices[a, 1],
-            vertices[b, 2] - vertices[a, 2],
-        )
-        e2x, e2y, e2z = (
-            vertices[c, 0] - vertices[a, 0],
-            vertices[c, 1] - vertices[a, 1],
-            vertices[c, 2] - vertices[a, 2],
-        )
-        gx, gy, gz = e1y * e2z - e1z * e2y, e1z * e2x - e1x * e2z, e1x * e2y - e1y * e2x
-        length = np.sqrt(gx * gx + gy * gy + gz * gz)
-        gx, gy, gz = gx / length, gy / length, gz / length
-        vx, vy, vz = eye[0] - points[i, 0], eye[1] - points[i, 1], eye[2] - points[i, 2]
-        length = np.sqrt(vx * vx + vy * vy + vz * vz)
-        vx, vy, vz = vx / length, vy / length, vz / length
-        nx, ny, nz = gx, gy, gz
+        corner = vector_at(vertices, a)
+        facet = cross(minus(vector_at(vertices, b), corner), minus(vector_at(vertices, c), corner))
+        facet = divided(facet, length(facet))
+        view = minus(Vector(eye[0], eye[1], eye[2]), vector_at(points, i))
+        view = divided(view, length(view))
+        normal = facet
         if smooth:
             w = 1.0 - u[i] - v[i]
-            nx = w * vertex_normals[a, 0] + u[i] * vertex_normals[b, 0] + v[i] * vertex_normals[c, 0]
-            ny = w * vertex_normals[a, 1] + u[i] * vertex_normals[b, 1] + v[i] * vertex_normals[c, 1]
-            nz = w * vertex_normals[a, 2] + u[i] * vertex_normals[b, 2] + v[i] * vertex_normals[c, 2]
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if length > 1e-12:
-                nx, ny, nz = nx / length, ny / length, nz / length
-            else:
-                nx, ny, nz = gx, gy, gz
-        normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
-        facets[i, 0], facets[i, 1], facets[i, 2] = gx, gy, gz
-        views[i, 0], views[i, 1], views[i, 2] = vx, vy, vz
-        front[i] = gx * vx + gy * vy + gz * vz > 0.0
+            na, nb, nc = (
+                vector_at(vertex_normals, a),
+                vector_at(vertex_normals, b),
+                vector_at(vertex_normals, c),
+            )
+            mean = Vector(
+                w * na.x + u[i] * nb.x + v[i] * nc.x,
+                w * na.y + u[i] * nb.y + v[i] * nc.y,
+                w * na.z + u[i] * nb.z + v[i] * nc.z,
+            )
+            size = length(mean)
+            if size > 1e-12:
+                normal = divided(mean, size)
+        normals[i, 0], normals[i, 1], normals[i, 2] = normal
+        facets[i, 0], facets[i, 1], facets[i, 2] = facet
+        views[i, 0], views[i, 1], views[i, 2] = view
+        front[i] = dot(facet, view) > 0.0
     return normals, facets, views, front
