@@ -53,14 +53,10 @@ def other_package(monkeypatch):
 def copied(tmp_path, monkeypatch):
     """A copy of the sources, whose hash is taken."""
     package = tmp_path / "lightopt"
-    source = provenance.Path(provenance.__file__).parent
-    for name in ("provenance.py", "sensor", "cli", "report"):
-        if (source / name).is_dir():
-            shutil.copytree(source / name, package / name, ignore=shutil.ignore_patterns("__pycache__"))
-        else:
-            package.mkdir(exist_ok=True)
-            shutil.copyfile(source / name, package / name)
-    monkeypatch.setattr(provenance, "__file__", str(package / "provenance.py"))
+    source = provenance.Path(provenance.__file__).parents[1]
+    for name in ("core", "optics", "cli", "report"):
+        shutil.copytree(source / name, package / name, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(provenance, "__file__", str(package / "core" / "provenance.py"))
 
     def taken():
         provenance.code_sha256.cache_clear()
@@ -75,7 +71,7 @@ def test_the_hash_changes_with_any_code_that_computes(copied):
     before = taken()
     assert re.fullmatch("[0-9a-f]{64}", before)
     assert taken() == before
-    path = package / "sensor" / "_expose.py"
+    path = package / "optics" / "_sensor.py"
     text = path.read_text(encoding="utf-8")
     path.write_text(text + "\nGAIN = 2\n", encoding="utf-8")
     edited = taken()
@@ -94,9 +90,9 @@ def test_the_hash_does_not_change_with_what_only_shows_results(copied):
     before = taken()
     for name in ("cli/_main.py", "report/_page.py"):
         (package / name).write_text("changed = True\n", encoding="utf-8")
-    (package / "sensor" / "__pycache__").mkdir()
-    (package / "sensor" / "__pycache__" / "x.py").write_text("x = 1\n", encoding="utf-8")
-    (package / "sensor" / "notes.txt").write_text("x", encoding="utf-8")
+    (package / "optics" / "__pycache__").mkdir()
+    (package / "optics" / "__pycache__" / "x.py").write_text("x = 1\n", encoding="utf-8")
+    (package / "optics" / "notes.txt").write_text("x", encoding="utf-8")
     assert taken() == before
 
 
