@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -48,3 +50,19 @@ def init(
         write_bytes_atomic(folder / name, content)
         say(f"{folder / name}")
     say(f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}")
+
+
+class _Kind(str, Enum):
+    rig = "rig"
+    part = "part"
+
+
+def schema(kind: Annotated[_Kind, typer.Argument(metavar="rig|part", help="Which kind of file.")]) -> None:
+    """Print the JSON schema of a rig or part file, for editors and other programs.
+
+    An editor with the YAML language server uses it after a first line such as
+    # yaml-language-server: $schema=rig.json
+    """
+    from lightopt.config import json_schema
+
+    say(json.dumps(json_schema(kind.value), indent=2, ensure_ascii=False))

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]:
-    """Read a rig file and, where there is one, a part file, and say all that is wrong with both at once."""
+    """Read a rig file and, where there is one, a part file, and report all errors of both at once."""
     from lightopt.config import load_part, load_rig
 
     problems: list[str] = []

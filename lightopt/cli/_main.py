@@ -17,13 +17,12 @@ from lightopt.cli._check import check
 from lightopt.cli._compare import compare
 from lightopt.cli._defects import defects
 from lightopt.cli._fit import fit_diffuse, fit_specular
-from lightopt.cli._init import init
+from lightopt.cli._init import init, schema
 from lightopt.cli._inspect import inspect
 from lightopt.cli._optimize import optimize
 from lightopt.cli._overlap import overlap
 from lightopt.cli._process import INTERRUPTED
 from lightopt.cli._render import render
-from lightopt.cli._schema import schema
 from lightopt.cli._terminal import say_error, version_wanted
 from lightopt.cli._unexpected import DEBUG, DEFECT, debugging, report_unexpected, system_refused
 from lightopt.core.errors import LightoptError, error_text
@@ -60,15 +59,15 @@ def _common(
 
 
 app.command(short_help="Write a commented rig, part and mesh to start from.")(init)
-app.command(short_help="Say what is wrong with the files, and what they amount to.")(check)
+app.command(short_help="Validate rig and part files and summarise the set-up.")(check)
 app.command(short_help="Render what the camera would see.")(render)
 app.command(short_help="Capture images on the rig, or on the virtual bench.")(capture)
 app.command(short_help="Place random defects on a part for testing.")(defects)
 app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.")(fit_diffuse)
 app.command("fit-specular", short_help="Fit the specular coefficients to images.")(fit_specular)
 app.command(short_help="Find where the lights go, exactly.")(optimize)
-app.command(short_help="Find defects in images, and say where they are.")(inspect)
-app.command(short_help="Say where the highlights of several images overlap.")(overlap)
+app.command(short_help="Find defects in images and locate them on the part.")(inspect)
+app.command(short_help="Report where the highlights of several images overlap.")(overlap)
 app.command(short_help="Compare images or image sets, golden against new.")(compare)
 app.add_typer(bench, name="bench", short_help="Try the devices of a rig one by one.")
 app.command(short_help="Print the JSON schema of rig or part files.")(schema)
@@ -95,7 +94,7 @@ def _command() -> Callable[..., object]:
 
 
 def run(arguments: list[str]) -> int:
-    """Run a command line and return its exit status; errors are said on standard error, none is raised."""
+    """Run a command line and return its exit status; errors are printed to standard error, none is raised."""
     with _debugging(arguments) as rest:
         try:
             _speak_utf8()

@@ -20,7 +20,7 @@ PartFile = Annotated[
     Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")
 ]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace results that are there and differ.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite existing results.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 Postures = Annotated[
     list[str] | None,
@@ -55,7 +55,7 @@ LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9
 
 
 def make_folder(folder: Path) -> None:
-    """Make an output folder, or say why that cannot be."""
+    """Make an output folder; an InputError says why where that fails."""
     from lightopt.images import make_folder as make
 
     make(folder)
@@ -89,12 +89,7 @@ def parse_exposure(text: str, *, option: str = "--exposure") -> float:
 def parse_share(text: str, *, option: str, expected: str) -> float:
     """Read a number, a fraction such as 10/255, or per cent such as 95%; whether it is in its range is not looked at.
 
-    Parameters
-    ----------
-    text, option
-        As given, and with which option.
-    expected
-        What it is a share of and an example, for the message.
+    expected: What it is a share of and an example, for the message
     """
     number, percents, rest = text.partition("%")
     value = _number(number) / (100.0 if percents else 1.0)

@@ -21,12 +21,7 @@ _GONE = {errno.EPIPE, errno.ECONNRESET, *((errno.EINVAL,) if sys.platform == "wi
 class _Output(io.FileIO):
     """Standard output or error. What is written after its reader went away is dropped: it changes no exit status.
 
-    Parameters
-    ----------
-    number
-        File descriptor.
-    may_fail
-        Whether other errors, such as a full disk, are raised; of standard error nobody could be told.
+    may_fail: Whether other errors, such as a full disk, are raised; of standard error nobody could be told
     """
 
     def __init__(self, number: int, *, may_fail: bool) -> None:
@@ -48,13 +43,7 @@ class _Output(io.FileIO):
 
 
 def run_process(run: Callable[[list[str]], int]) -> int:
-    """Run a command line as this process, and return the exit status that it has to leave with.
-
-    Parameters
-    ----------
-    run
-        Takes the arguments and returns the exit status.
-    """
+    """Run a command line as this process, and return the exit status that it has to leave with."""
     _protect_streams()
     failed: list[str] = []
     threading.excepthook = lambda args: _thread_failed(args, failed)

@@ -7,7 +7,7 @@ from lightopt.cli._terminal import say
 
 
 def add_sheets(folder: Path, *, exposures: Sequence[float], title: str, force: bool, quiet: bool) -> None:
-    """Add a contact sheet per exposure to an image set, and say where they are."""
+    """Add a contact sheet per exposure to an image set, and print where they are."""
     from lightopt.report import add_contact_sheets
 
     sheets = add_contact_sheets(folder, exposures=exposures, title=title, overwrite=force)

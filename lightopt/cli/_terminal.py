@@ -11,11 +11,11 @@ import typer
 
 if TYPE_CHECKING:
     from lightopt.core.transforms import Posture
-    from lightopt.rendering import Report
+    from lightopt.rendering import RenderProgress
 
 
 def say(text: str) -> None:
-    """One line of results on standard output."""
+    """Print a line of results to standard output."""
     typer.echo(text)
 
 
@@ -31,7 +31,7 @@ def say_warning(message: str) -> None:
 
 
 def version_wanted(wanted: bool) -> None:
-    """Say the version and leave."""
+    """Print the version and leave."""
     if wanted:
         from lightopt import __version__
 
@@ -56,7 +56,7 @@ def together(postures: Sequence[Posture]) -> str:
 
 
 @contextmanager
-def show_progress(label: str, total: int, *, quiet: bool) -> Generator[Report | None]:
+def show_progress(label: str, total: int, *, quiet: bool) -> Generator[RenderProgress | None]:
     """A progress bar with rays per second while rendering `total` postures, or more; None where nobody looks at it."""
     if quiet or not sys.stderr.isatty():
         yield None
@@ -115,7 +115,7 @@ def show_share(*, quiet: bool) -> Generator[Callable[[str, float], None] | None]
 def show_time_left(label: str, *, quiet: bool) -> Generator[Callable[[str, float], None] | None]:
     """Lines that say what is at work, how much is done of it and how long the rest will take, at most one a second.
 
-    None where nobody looks. For work that is mostly over at once: nothing is said of the first second of a stage.
+    None where nobody looks. Nothing is printed in the first second of a stage, since most stages are over by then.
     """
     if quiet or not sys.stderr.isatty():
         yield None

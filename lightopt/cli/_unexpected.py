@@ -45,7 +45,7 @@ def system_refused(error: OSError) -> bool:
 
 
 def report_unexpected(error: BaseException) -> None:
-    """Say on one line of standard error what happened and where the traceback is.
+    """Report on one line of standard error what happened and where the traceback is.
 
     It is in a file of its own in the folder for temporary files, which only this user can read. Where that cannot be
     written, or tracebacks are asked for, it is on standard error instead.
@@ -62,7 +62,7 @@ def report_unexpected(error: BaseException) -> None:
     else:
         try:
             where = f"its traceback is in {_written(text)}; {where}"
-        except Exception as problem:  # noqa: BLE001  (the first error is told, whatever this one is)
+        except Exception as problem:  # noqa: BLE001  (the first error is reported, whatever this one is)
             where, shown = (
                 f"its traceback is above, because no file can be written: {error_text(problem)}",
                 True,

@@ -7,6 +7,7 @@ into physics.
 from lightopt.config._camera import CameraConfig
 from lightopt.config._defects import DefectConfig, PixelPlaceConfig
 from lightopt.config._edit import with_list
+from lightopt.config._fields import MOST_POINTS, points_problem
 from lightopt.config._hardware import (
     AxisConfig,
     CameraDeviceConfig,
@@ -15,19 +16,16 @@ from lightopt.config._hardware import (
     HardwareConfig,
     StageDeviceConfig,
 )
-from lightopt.config._input_hashes import input_hashes
-from lightopt.config._inspection import InspectionConfig
 from lightopt.config._lights import LightConfig, LightSourceConfig
-from lightopt.config._load import load_part, load_rig
+from lightopt.config._load import input_hashes, json_schema, load_part, load_rig
 from lightopt.config._load_lights import LightsOnly, load_lights
-from lightopt.config._part import PartConfig, PlacementConfig
-from lightopt.config._points import points_problem
+from lightopt.config._part import InspectionConfig, PartConfig, PlacementConfig
 from lightopt.config._relocate import copied_text
 from lightopt.config._rig import RigConfig
-from lightopt.config._schema import json_schema
 from lightopt.config._source import Source
 
 __all__ = [
+    "MOST_POINTS",
     "AxisConfig",
     "CameraConfig",
     "CameraDeviceConfig",

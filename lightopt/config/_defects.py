@@ -8,8 +8,16 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from lightopt.config._fields import Complaint, Coordinates, Frozen, Text, absent, complaint, expecting
-from lightopt.config._posture import PostureConfig
+from lightopt.config._fields import (
+    Complaint,
+    Coordinates,
+    Frozen,
+    PostureConfig,
+    Text,
+    absent,
+    complaint,
+    expecting,
+)
 from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, DefectKind, DefectShape, depth_of_slope, slope_of_depth
 
 _Extent = Annotated[float, Field(ge=1e-3, le=1e3, allow_inf_nan=False)]
@@ -18,9 +26,7 @@ _Size = Annotated[
     expecting("a diameter, or [length, width], in mm from 0.001 to 1000"),
 ]
 _Slope = Annotated[
-    float,
-    Field(gt=0, le=60, allow_inf_nan=False),
-    expecting("a number above 0, up to 60 (degrees)"),
+    float, Field(gt=0, le=60, allow_inf_nan=False), expecting("a number above 0, up to 60 (degrees)")
 ]
 _Factor = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False), expecting("a number from 0 to 100")]
 _WidthFactor = Annotated[

@@ -35,7 +35,7 @@ INVALID: Final = _Invalid()
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with a file: the line it is in, the keys that lead to it, and what to tell."""
+    """One thing wrong with a file: the line it is in, the keys that lead to it, and the message."""
 
     line: int
     keys: Keys
@@ -75,10 +75,7 @@ class _Node:
 def parse(text: str) -> Document:
     """Read one YAML document; `data` is None when there is nothing in it.
 
-    Raises
-    ------
-    YamlError
-        Where the text is not YAML, holds several documents, or expands beyond all measure.
+    Raises YamlError: Where the text is not YAML, holds several documents, or expands beyond all measure
     """
     reader = _Reader(text, yaml.SafeLoader)
     try:

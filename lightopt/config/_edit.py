@@ -24,17 +24,10 @@ class _Place:
 def with_values(text: str, values: Mapping[Keys, str]) -> str:
     """The text of a YAML file with some scalars replaced, or added to mappings that are there.
 
-    Parameters
-    ----------
-    text
-        A YAML document that :func:`lightopt.config.load_rig` or ``load_part`` has accepted.
-    values
-        New text of each value by its path of keys, as it is to stand in the file.
-
-    Raises
-    ------
-    InputError
-        The mapping around a key is not in the file, or is an alias that stands for a mapping somewhere else.
+    text: A YAML document that :func:`lightopt.config.load_rig` or ``load_part`` has accepted
+    values: New text of each value by its path of keys, as it is to stand in the file
+    Raises InputError: The mapping around a key is not in the file, or is an alias that stands for a mapping somewhere
+        else
     """
     spans, mappings = _index(text)
     places: list[_Place] = []
@@ -64,23 +57,13 @@ def with_values(text: str, values: Mapping[Keys, str]) -> str:
 def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, replace: bool = False) -> str:
     """The text of a YAML file with a list of its own added at the end, or in the place of the one that is there.
 
-    Parameters
-    ----------
-    text
-        A YAML document; with no such key unless that is to be replaced.
-    key
-        Of the list, at the top of the file.
-    entries
-        Text of each entry, as it is to stand in the file.
-    comment
-        To stand above the list; of one line or several.
-    replace
-        Whether a list of this key is replaced, with the comments of its entries; the one beside the key stays there.
-
-    Raises
-    ------
-    InputError
-        The file is written so that nothing can be added at its end: in braces, or closed.
+    text: A YAML document; with no such key unless that is to be replaced
+    key: Of the list, at the top of the file
+    entries: Text of each entry, as it is to stand in the file
+    comment: To stand above the list; of one line or several
+    replace: Whether a list of this key is replaced, with the comments of its entries; the one beside the key stays
+        there
+    Raises InputError: The file is written so that nothing can be added at its end: in braces, or closed
     """
     span = _list_span(text, key) if replace else None
     beside = "" if span is None else span.comment
@@ -115,12 +98,8 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
 class _ListSpan:
     """Where a list stands, from its key to the end of its last line.
 
-    Attributes
-    ----------
-    start, end
-        In the text; the end of the line is not in it.
-    comment
-        Beside the key, or behind a list in brackets, with the blanks before it.
+    start, end: In the text; the end of the line is not in it
+    comment: Beside the key, or behind a list in brackets, with the blanks before it
     """
 
     start: int

@@ -1,7 +1,8 @@
-"""The kinds of value in the files, each with the words that say what is expected."""
+"""The kinds of value in the files, each with a description of what is expected."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -17,7 +18,22 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from lightopt.config._points import MOST_POINTS, points_problem
+MOST_POINTS = 65_536
+
+
+def points_problem(points: int | str) -> str | None:
+    """What is wrong with a number of point lights, in words; None for a square up to `MOST_POINTS`, and for auto."""
+    if points == "auto":
+        return None
+    if isinstance(points, int) and 1 <= points <= MOST_POINTS:
+        k = math.isqrt(points)
+        if k * k == points:
+            return None
+        near = f"; the nearest are {k * k} and {(k + 1) ** 2}"
+    else:
+        near = f"; at most {MOST_POINTS}" if isinstance(points, int) and points > MOST_POINTS else ""
+    return f"expected a square (1, 4, 9, 16, …) or auto, found {points}{near}"
+
 
 if TYPE_CHECKING:
     from typing_extensions import LiteralString
@@ -33,7 +49,7 @@ class Frozen(BaseModel):
 
 
 def complaint(reason: str) -> PydanticCustomError:
-    """Error that is told in these words."""
+    """Error with this message."""
     return PydanticCustomError("complaint", "{reason}", {"reason": reason})
 
 
@@ -163,3 +179,10 @@ FileName = Annotated[
     AfterValidator(_portable),
     expecting("a name of letters, digits and . _ - (up to 64; it becomes a file name)"),
 ]
+
+
+class PostureConfig(Frozen):
+    """One posture of the stage."""
+
+    elevation_deg: Tilt = Field(description="Tilt of the cradle about X [deg].")
+    rotation_deg: Azimuth = Field(description="Rotation of the part about the stage's own axis [deg].")

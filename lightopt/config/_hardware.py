@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from lightopt.config._fields import FileName, Frozen, Positive, Text, absent, complaint, expecting
 from lightopt.config._template import Command, End, Pattern, needs_level, wrong_pair
+
+Value = TypeVar("Value")
 
 _Channel = Annotated[int, Field(ge=1, le=64), expecting("a channel number as on the device, from 1 to 64")]
 _Level = Annotated[int, Field(ge=1, le=65535), expecting("a whole intensity of the controller, from 1")]
@@ -29,6 +31,18 @@ _PORT = (
     "Serial port (/dev/serial/by-id/…, COM3), pyserial URL (socket://host:port, rfc2217://…), or virtual: "
     "simulated firmware on this computer."
 )
+
+
+def _only_of(
+    owner: str, value: Value, info: ValidationInfo, *, what: str = "one", missing: str | None = None
+) -> Value:
+    """A value that only one driver has, and which that driver needs where there is a message for its absence."""
+    driver = info.data.get("driver")
+    if driver == owner and value is None and missing is not None:
+        raise absent(missing, str(info.field_name))
+    if driver not in (None, owner) and value is not None:
+        raise complaint(f"only driver: {owner} has {what}, and the driver is {driver}; leave this out")
+    return value
 
 
 class TemplateConfig(Frozen):
@@ -116,12 +130,8 @@ class ControllerConfig(Frozen):
     @field_validator("template")
     @classmethod
     def _of_template(cls, template: TemplateConfig | None, info: ValidationInfo) -> TemplateConfig | None:
-        driver = info.data.get("driver")
-        if driver == "template" and template is None:
-            raise absent('missing key "template": commands and replies, for driver: template', "template")
-        if driver not in (None, "template") and template is not None:
-            raise complaint(f"only driver: template has one, and the driver is {driver}; leave this out")
-        return template
+        missing = 'missing key "template": commands and replies, for driver: template'
+        return _only_of("template", template, info, missing=missing)
 
 
 class ChannelConfig(Frozen):
@@ -266,8 +276,7 @@ class CameraDeviceConfig(Frozen):
         "timing.discard_frames are thrown away after each change; auto: software where the camera has it.",
     )
     fixed_exposure_us: Positive | None = Field(
-        default=None,
-        description="aravis, genicam: exposure time [us] of a camera that cannot be told one.",
+        default=None, description="aravis, genicam: exposure time [us] of a camera that cannot be told one."
     )
     packet_size: Annotated[int, Field(ge=576, le=65535), expecting("bytes, from 576 to 65535")] | None = (
         Field(
@@ -282,33 +291,19 @@ class CameraDeviceConfig(Frozen):
     @field_validator("folder")
     @classmethod
     def _of_folder(cls, folder: str | None, info: ValidationInfo) -> str | None:
-        driver = info.data.get("driver")
-        if driver == "folder" and folder is None:
-            raise absent('missing key "folder": an image set to replay, for driver: folder', "folder")
-        if driver not in (None, "folder") and folder is not None:
-            raise complaint(f"only driver: folder has one, and the driver is {driver}; leave this out")
-        return folder
+        missing = 'missing key "folder": an image set to replay, for driver: folder'
+        return _only_of("folder", folder, info, missing=missing)
 
     @field_validator("producer")
     @classmethod
     def _of_genicam(cls, producer: str | None, info: ValidationInfo) -> str | None:
-        driver = info.data.get("driver")
-        if driver == "genicam" and producer is None:
-            raise absent(
-                'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam',
-                "producer",
-            )
-        if driver not in (None, "genicam") and producer is not None:
-            raise complaint(f"only driver: genicam has one, and the driver is {driver}; leave this out")
-        return producer
+        missing = 'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam'
+        return _only_of("genicam", producer, info, missing=missing)
 
     @field_validator("packet_size", "packet_delay_ns")
     @classmethod
     def _of_aravis(cls, value: int | None, info: ValidationInfo) -> int | None:
-        driver = info.data.get("driver")
-        if driver not in (None, "aravis") and value is not None:
-            raise complaint(f"only driver: aravis has this, and the driver is {driver}; leave this out")
-        return value
+        return _only_of("aravis", value, info, what="this")
 
     @field_validator("port", "pixel_format", "offset_px", "gain", "trigger", "fixed_exposure_us")
     @classmethod

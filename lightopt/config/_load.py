@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import ValidationError
 
@@ -15,6 +15,7 @@ from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
 from lightopt.config._source import Source, dotted
 from lightopt.core.errors import InputError
+from lightopt.core.provenance import file_sha256
 
 MAX_BYTES = 1_000_000
 _KINDS = {"lightopt-rig": "a rig", "lightopt-part": "a part", "lightopt-images": "an image set"}
@@ -25,20 +26,8 @@ Config = TypeVar("Config", RigConfig, PartConfig)
 def load_rig(path: Path | str) -> RigConfig:
     """Read a rig file (``lightopt-rig/1``).
 
-    Parameters
-    ----------
-    path
-        The YAML file.
-
-    Returns
-    -------
-    RigConfig
-        What the file says, in its own units; ``source`` names file, hash and lines.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        With one message per thing that is wrong, sorted by line.
+    Returns: What the file says, in its own units; ``source`` names file, hash and lines.
+    Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
     return _load(Path(path), RigConfig, "lightopt-rig/1")
 
@@ -46,21 +35,9 @@ def load_rig(path: Path | str) -> RigConfig:
 def load_part(path: Path | str) -> PartConfig:
     """Read a part file (``lightopt-part/1``); its mesh file must exist.
 
-    Parameters
-    ----------
-    path
-        The YAML file.
-
-    Returns
-    -------
-    PartConfig
-        What the file says, in its own units; ``source`` names file, hash and lines, and
+    Returns: What the file says, in its own units; ``source`` names file, hash and lines, and
         ``source.resolve(part.mesh.file)`` is the path of the mesh.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        With one message per thing that is wrong, sorted by line.
+    Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
     return _load(Path(path), PartConfig, "lightopt-part/1")
 
@@ -169,3 +146,39 @@ def _decode(data: bytes, path: Path) -> str:
     if "\0" in text:
         raise InputError(f"{path}: this is a binary file; expected YAML text")
     return text
+
+
+def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str, str]]:
+    """Names, without folders, and SHA-256 of the rig file and the part file as they were read, and that of the mesh.
+
+    Without a part, of the rig file alone.
+
+    Raises OSError: The mesh cannot be read
+    """
+    hashes = {"rig": _file(rig)}
+    if part is not None:
+        hashes["part"] = _file(part)
+        hashes["mesh"] = {"sha256": file_sha256(part.source.resolve(part.mesh.file))}
+    return hashes
+
+
+def _file(config: RigConfig | PartConfig) -> dict[str, str]:
+    return {"file": config.source.path.name, "sha256": config.source.sha256}
+
+
+def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of rig or part files, generated from the models.
+
+    Rules that tie keys together are not in it; :func:`load_rig` and :func:`load_part` check those too.
+
+    Raises ValueError: For another kind
+    """
+    models = {"rig": RigConfig, "part": PartConfig}
+    if kind not in models:
+        raise ValueError(f"there are schemas of {', '.join(models)}, not of {kind}")
+    schema = models[kind].model_json_schema()
+    for model in (schema, *schema["$defs"].values()):
+        for field in model["properties"].values():
+            field.pop("title", None)  # only the key again, in capitals
+    schema["title"] = f"lightopt {kind}"
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -25,18 +25,12 @@ class LightsOnly:
 
     Attributes
     ----------
-    name
-        Of the rig, or of its file where that cannot be read.
-    rig
-        The rig; None where anything is wrong with its file.
-    hardware
-        Controllers and lights that can be read, without the stage; None where there is no such section.
-    unreadable
-        Controllers that cannot.
-    lights_unknown
-        Lights of those controllers, or of none that the file has.
-    problems
-        All that is wrong with the file.
+    name: Of the rig, or of its file where that cannot be read
+    rig: The rig; None where anything is wrong with its file
+    hardware: Controllers and lights that can be read, without the stage; None where there is no such section
+    unreadable: Controllers that cannot
+    lights_unknown: Lights of those controllers, or of none that the file has
+    problems: All that is wrong with the file
     """
 
     name: str
@@ -53,15 +47,8 @@ def load_lights(path: Path | str) -> LightsOnly:
     Controllers and lights are read one by one; a mistake in one hides no other. Where the file is not even YAML, the
     lines of its ``hardware`` section are read by themselves.
 
-    Parameters
-    ----------
-    path
-        The rig file.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        With all that is wrong, when the file cannot be read, or has no section of which a controller can be read.
+    Raises lightopt.core.errors.InputError: With all that is wrong, when the file cannot be read, or has no section of
+        which a controller can be read
     """
     path = Path(path)
     try:

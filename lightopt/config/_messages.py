@@ -18,7 +18,7 @@ KNOWN_ERRORS = frozenset(
     {"absent", "complaint", "expected", "extra_forbidden", "missing", "model_type", "too_long", "too_short"}
     | {"tuple_type"}
 )
-"""The kinds of error that the models can raise; any other would be told with less care."""
+"""The kinds of error that the models can raise; any other gets a general message."""
 
 _LONGEST = 60
 

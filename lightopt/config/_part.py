@@ -18,16 +18,39 @@ from lightopt.config._fields import (
     Coordinates,
     Frozen,
     Positive,
+    PostureConfig,
     Text,
     absent,
     complaint,
     expecting,
     with_complaints,
 )
-from lightopt.config._inspection import InspectionConfig
-from lightopt.config._posture import PostureConfig
 from lightopt.config._source import Source
 from lightopt.core.units import step_units_mm, unit_name
+
+_Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False), expecting("a number from 0 to 1")]
+
+
+class InspectionConfig(Frozen):
+    """Limits that `lightopt inspect` says OK or NG by."""
+
+    most_defects: Annotated[int, Field(ge=0, le=10**6), expecting("a whole number from 0 to 1000000")] = (
+        Field(default=0, description="A part with more defects than this is no good.")
+    )
+    least_size_mm: Annotated[
+        float, Field(ge=0, le=1e3, allow_inf_nan=False), expecting("a number from 0 to 1000 (mm)")
+    ] = Field(default=0.0, description="Defects shorter than this do not count [mm].")
+    least_contrast: _Share = Field(
+        default=0.0,
+        description="Defects that change the light by less than this share, under the light that shows them best, do "
+        "not count.",
+    )
+    least_inspected: _Share = Field(
+        default=0.0,
+        description="A part of whose visible surface, over all postures, less than this share could be inspected, if "
+        "only for glints, is no good.",
+    )
+
 
 _UNITLESS = (".stl", ".ply", ".obj")
 _STEP = (".step", ".stp")
@@ -56,14 +79,11 @@ class MeshConfig(Frozen):
     crease_angle_deg: Annotated[
         float, Field(gt=0, le=180, allow_inf_nan=False), expecting("a number above 0, up to 180 (degrees)")
     ] = Field(
-        default=30.0,
-        description="Edges where the facets' normals differ by more than this stay sharp [deg].",
+        default=30.0, description="Edges where the facets' normals differ by more than this stay sharp [deg]."
     )
     chord_tolerance_mm: (
         Annotated[
-            float,
-            Field(ge=1e-4, le=10, allow_inf_nan=False),
-            expecting("a number from 0.0001 to 10 (mm)"),
+            float, Field(ge=1e-4, le=10, allow_inf_nan=False), expecting("a number from 0.0001 to 10 (mm)")
         ]
         | None
     ) = Field(
@@ -131,8 +151,7 @@ class PlacementConfig(Frozen):
     """How the part lies in the world at posture (0, 0): turned, then anchored, then shifted."""
 
     anchor: Annotated[
-        Literal["as_modelled", "rest_on_table", "centred"],
-        expecting("as_modelled, rest_on_table or centred"),
+        Literal["as_modelled", "rest_on_table", "centred"], expecting("as_modelled, rest_on_table or centred")
     ] = Field(
         default="rest_on_table",
         description="as_modelled: the mesh's own origin; rest_on_table: bounding box centred in X and Y, "

@@ -24,19 +24,9 @@ def copied_text(
     Files are named relative to the configuration file: a part's mesh, the folder that a rig's camera replays, and the
     schema in the comment that editors read.
 
-    Parameters
-    ----------
-    config
-        The configuration, as read from its file.
-    folder
-        Where the copy will lie.
-    values
-        What else the copy says anew, as for :func:`with_values`.
-
-    Raises
-    ------
-    InputError
-        As of :func:`with_values`.
+    folder: Where the copy will lie
+    values: What else the copy says anew, as for :func:`with_values`
+    Raises InputError: As of :func:`with_values`
     """
     said = dict(values or {})
     for keys, name in _names(config).items():

@@ -31,10 +31,7 @@ def is_number(text: str) -> bool:
 def plain_scalar(text: str) -> str | int | float | bool | None:
     """Value of an unquoted scalar.
 
-    Raises
-    ------
-    NotFiniteError
-        For NaN, infinities and numbers beyond a double.
+    Raises NotFiniteError: For NaN, infinities and numbers beyond a double
     """
     if text in _NULL:
         return None

@@ -9,10 +9,6 @@ from pathlib import Path
 Keys = tuple[str | int, ...]
 
 
-def _no_lines() -> Mapping[Keys, int]:
-    return {}
-
-
 def dotted(keys: Keys) -> str:
     """Write a path of keys the way people read it: ``("lights", 2, "gain")`` is ``lights[2].gain``."""
     text = ""
@@ -28,16 +24,10 @@ def dotted(keys: Keys) -> str:
 class Source:
     """The file that a configuration was read from.
 
-    Parameters
-    ----------
-    path
-        The YAML file, as it was given.
-    sha256
-        Hash of the file's bytes, hexadecimal; empty for a configuration that was built in code.
-    lines
-        Line number (1-based) of each path of keys in the file.
-    text
-        The file's text as it was read; empty for a configuration that was built in code.
+    path: The YAML file, as it was given
+    sha256: Hash of the file's bytes, hexadecimal; empty for a configuration that was built in code
+    lines: Line number (1-based) of each path of keys in the file
+    text: The file's text as it was read; empty for a configuration that was built in code
 
     Examples
     --------
@@ -50,7 +40,7 @@ class Source:
 
     path: Path
     sha256: str
-    lines: Mapping[Keys, int] = field(default_factory=_no_lines, repr=False, compare=False)
+    lines: Mapping[Keys, int] = field(default_factory=dict[Keys, int], repr=False, compare=False)
     text: str = field(default="", repr=False, compare=False)
 
     def line(self, *keys: str | int) -> int | None:

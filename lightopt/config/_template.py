@@ -50,7 +50,7 @@ def _filled_in(text: str) -> str:
 
 
 def needs_level(text: str) -> str:
-    """Refuse a command to set an intensity that does not say the intensity."""
+    """Refuse a command to set an intensity that lacks the intensity."""
     if not any(name == "level" for _, name, _, _ in string.Formatter().parse(text)):
         raise complaint("the field {level} is missing: the command would set no intensity")
     return text
@@ -65,7 +65,7 @@ def _compiled(text: str) -> str:
 
 
 def wrong_pair(read: str | None, reply: str | None) -> None:
-    """Refuse a question without a reply that tells the intensity, and a reply without a question."""
+    """Refuse a `read` without a reply that has the intensity, and a reply without a `read`."""
     if read is None and reply is not None:
         raise complaint("there is no `read` that it could answer; add it, or leave this out")
     if read is None:

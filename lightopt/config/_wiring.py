@@ -22,14 +22,9 @@ def misfits(
 ) -> Iterator[Complaint]:
     """What does not fit together, by the path under ``hardware``; parts that are wrong themselves are passed over.
 
-    Parameters
-    ----------
-    hardware
-        The section as it was read.
-    lights
-        Names of the rig's lights; None where they are wrong themselves.
-    camera
-        The rig's camera; None where it is wrong itself.
+    hardware: The section as it was read
+    lights: Names of the rig's lights; None where they are wrong themselves
+    camera: The rig's camera; None where it is wrong itself
     """
     if not isinstance(hardware, Mapping):
         return

@@ -5,17 +5,6 @@ Library code raises them; only :mod:`lightopt.cli` turns them into messages and 
 
 from __future__ import annotations
 
-__all__ = [
-    "CheckFailed",
-    "HardwareError",
-    "InputError",
-    "Interrupted",
-    "LightoptError",
-    "counted",
-    "error_text",
-    "percent",
-]
-
 _NOISE = 1e-9
 """Shares that differ by less are the same."""
 
@@ -34,14 +23,7 @@ def counted(number: int, noun: str) -> str:
 def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
     """A share in hundredths, to so many decimals; to more where it would else be rounded up to what it is short of.
 
-    Parameters
-    ----------
-    share
-        The share.
-    digits
-        Decimals.
-    short_of
-        What a lower share must not be mistaken for, such as a target; no other below 1 is mistaken for all.
+    short_of: What a lower share must not be mistaken for, such as a target; no other below 1 is mistaken for all
 
     Examples
     --------
@@ -61,10 +43,7 @@ def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
 class LightoptError(Exception):
     """Base of all errors that lightopt raises on purpose.
 
-    Parameters
-    ----------
-    *messages
-        One or more messages for the person at the machine: what is wrong and where (file, line, key), what was
+    *messages: One or more messages for the person at the machine: what is wrong and where (file, line, key), what was
         expected, what was found, what to do. Each is shown on a line of its own.
     """
 
@@ -104,7 +83,7 @@ class InputError(LightoptError):
 
 
 class CheckFailed(LightoptError):  # noqa: N818  (the check failed, not the program)
-    """A check said no (a difference, a missing golden). Exit status 1."""
+    """A check failed (a difference, a missing golden). Exit status 1."""
 
     exit_status = 1
 
@@ -116,12 +95,10 @@ class HardwareError(LightoptError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Work was ended by Ctrl-C or a signal, in a state that can be told. Exit status 130.
+    """Ctrl-C or a signal ended the work, in a known state. Exit status 130.
 
-    Parameters
-    ----------
-    *messages
-        What state things are in and how to go on, for the person at the machine; each is shown on a line of its own.
+    *messages: What state things are in and how to go on, for the person at the machine; each is shown on a line of its
+        own
     """
 
     def __init__(self, *messages: str) -> None:

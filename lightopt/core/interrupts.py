@@ -13,8 +13,6 @@ import threading
 import time
 from types import FrameType
 
-__all__ = ["interrupt", "put_off"]
-
 _AGAIN_AFTER_S = 0.005
 _CALLED_BY_COMPILED_CODE = ("llvmlite", "numba.core.serialize")
 
@@ -26,13 +24,7 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def put_off(number: int, frame: FrameType | None) -> bool:
-    """Whether a signal came where compiled code calls Python. It is then sent to the main thread again, a little later.
-
-    Parameters
-    ----------
-    number, frame
-        What Python gives to the handler.
-    """
+    """Whether compiled code was calling Python when the signal came; if so, it is sent again a little later."""
     while frame is not None:
         name = str(frame.f_globals.get("__name__"))
         if any(name == one or name.startswith(f"{one}.") for one in _CALLED_BY_COMPILED_CODE):

@@ -40,8 +40,6 @@ from numba.core.sigutils import normalize_signature
 from numba.extending import intrinsic
 from numba.np import linalg
 
-__all__ = ["cache_folder", "call_address", "fingerprint", "kernel"]
-
 _VERSIONS = repr((sys.version_info[:2], numba.__version__, llvmlite.__version__, np.__version__))
 
 
@@ -91,10 +89,7 @@ call_address: Any = intrinsic(_call)
 def fingerprint(compiled: Any) -> str:
     """Digest of all that the machine code of a kernel depends on, but the types of its arguments and the processor.
 
-    Raises
-    ------
-    TypeError
-        When the kernel uses something whose content has no digest, such as a module of the package.
+    Raises TypeError: When the kernel uses something whose content has no digest, such as a module of the package
     """
     return _fingerprint(compiled.py_func)
 

@@ -1,4 +1,4 @@
-"""Work done by threads, counted, so that the calling thread can tell which share of it is over."""
+"""Progress of work that threads do: counted by any of them, reported by the calling thread."""
 
 from __future__ import annotations
 
@@ -10,19 +10,11 @@ Share = Callable[[float], None]
 
 
 class Work:
-    """Units of work, counted by any thread and told by the calling one.
+    """Units of work, counted by any thread and reported by the calling one."""
 
-    Parameters
-    ----------
-    total
-        Units in all.
-    tell
-        Called with the share that is done; None for nobody.
-    """
-
-    def __init__(self, total: float, tell: Share | None) -> None:
+    def __init__(self, total: float, report: Share | None) -> None:
         self._total = max(1.0, float(total))
-        self._tell = tell
+        self._report = report
         self._done = 0.0
         self._lock = Lock()
 
@@ -32,16 +24,16 @@ class Work:
             self._done += units
 
     def tell(self) -> None:
-        """Tell the share that is done."""
-        if self._tell is not None:
-            self._tell(min(1.0, self._done / self._total))
+        """Report the share that is done."""
+        if self._report is not None:
+            self._report(min(1.0, self._done / self._total))
 
 
-def part_of(tell: Share | None, start: float, end: float) -> Share | None:
-    """Tells the share of a part of the work as a share of the whole: from `start` to `end`."""
-    if tell is None:
+def part_of(report: Share | None, start: float, end: float) -> Share | None:
+    """Reports the share of a part of the work as a share of the whole: from `start` to `end`."""
+    if report is None:
         return None
-    return lambda share: tell(start + (end - start) * share)
+    return lambda share: report(start + (end - start) * share)
 
 
 def pieces(count: int, most: int) -> Iterator[tuple[int, int]]:

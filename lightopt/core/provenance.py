@@ -12,9 +12,9 @@ JSON file; the part file of ``lightopt defects``, which stands alone, has it as 
 ``inputs``
     Hashes of the files that were read; names only, no folders, so that the same files give the same bytes everywhere.
 ``options``
-    What was asked for, as far as results depend on it.
+    Options of the run, as far as results depend on them.
 
-Results of equal provenance are the same. Whatever is reused (a set that is resumed, a luminance matrix that was kept, a
+Results of equal provenance are the same. Whatever is reused (a set that is resumed, a stored luminance matrix, a
 calibration) is reused only where its provenance is that of the run.
 """
 
@@ -32,16 +32,6 @@ from typing import Any
 
 from lightopt import __version__
 
-__all__ = [
-    "code_sha256",
-    "computed_by",
-    "differences",
-    "file_sha256",
-    "files_sha256",
-    "provenance",
-    "versions",
-]
-
 _PACKAGES = ("cascadio", "embreex", "llvmlite", "numba", "numpy", "OpenImageIO", "scipy", "trimesh")
 """Packages that results depend on; llvmlite turns numba's code into that of the processor."""
 
@@ -57,12 +47,8 @@ _MOST_DIFFERENCES = 6
 def provenance(inputs: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """What a result depends on, as JSON; see the module for the layout.
 
-    Parameters
-    ----------
-    inputs
-        Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives.
-    options
-        What was asked for, JSON-able.
+    inputs: Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives
+    options: Of the run, JSON-able
     """
     return {**computed_by(), "inputs": dict(inputs), "options": dict(options)}
 
@@ -99,13 +85,7 @@ def versions() -> dict[str, str]:
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, in hex.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be read.
-    """
+    """SHA-256 of a file's bytes, in hex."""
     digest = hashlib.sha256()
     with Path(path).open("rb") as file:
         while block := file.read(_BLOCK_BYTES):
@@ -116,12 +96,7 @@ def file_sha256(path: str | Path) -> str:
 def files_sha256(folder: Path, names: Iterable[str]) -> str:
     """SHA-256 in hex of files by name and content; a missing one counts as such, and whoever reads it says so.
 
-    Parameters
-    ----------
-    folder
-        Where they lie.
-    names
-        Relative to it, in their order.
+    names: Relative to it, in their order
     """
     digest = hashlib.sha256()
     for name in names:
@@ -131,23 +106,19 @@ def files_sha256(folder: Path, names: Iterable[str]) -> str:
 
 
 def differences(there: Mapping[str, Any], now: Mapping[str, Any], *, partly: bool = False) -> str:
-    """What tells two runs apart, in words: first what a person set, then versions, then contents; empty where nothing.
+    """How two runs differ, in words: first options, then versions, then contents; empty where they do not.
 
     Names of files do not count: the same content under another name gives the same results.
 
-    Parameters
-    ----------
-    there, now
-        Of the earlier and of the present run, JSON of any depth.
-    partly
-        Whether `now` is only a part of what is known of the present run.
+    there, now: Of the earlier and of the present run, JSON of any depth
+    partly: Whether `now` is only a part of what is known of the present run
     """
     old, new = dict(_leaves(there)), dict(_leaves(now))
     keys = new if partly else dict.fromkeys((*old, *new))
     pairs = [(key, old.get(key), new.get(key)) for key in keys if old.get(key) != new.get(key)]
-    told = list(dict.fromkeys(_difference(*pair) for pair in sorted(pairs, key=lambda pair: _rank(*pair))))
-    more = len(told) - _MOST_DIFFERENCES
-    return "; ".join([*told[:_MOST_DIFFERENCES], *([f"and {more} more"] if more > 0 else [])])
+    texts = list(dict.fromkeys(_difference(*pair) for pair in sorted(pairs, key=lambda pair: _rank(*pair))))
+    more = len(texts) - _MOST_DIFFERENCES
+    return "; ".join([*texts[:_MOST_DIFFERENCES], *([f"and {more} more"] if more > 0 else [])])
 
 
 def _leaves(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

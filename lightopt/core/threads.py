@@ -34,7 +34,7 @@ def end_if_stopped() -> None:
 
 
 def available_processors() -> int:
-    """Processors that this process may use, which batch systems and containers restrict, where that can be told."""
+    """Processors that this process may use, which batch systems and containers restrict, where that is known."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -57,14 +57,8 @@ def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | N
 def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | None = None) -> None:
     """Call each task's function with its arguments; the first exception stops the rest.
 
-    Parameters
-    ----------
-    tasks
-        Taken up as threads become free, so that a long generator costs no memory.
-    threads
-        Number of threads; with one the calling thread does the work.
-    done
-        Called from the calling thread after each task; an exception that it raises stops the rest, too.
+    tasks: Taken up as threads become free, so that a long generator costs no memory
+    done: Called from the calling thread after each task; an exception that it raises stops the rest, too
     """
     if threads == 1:
         for function, arguments in tasks:

@@ -7,87 +7,61 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = [
-    "Posture",
-    "azimuth_tangent",
-    "direction",
-    "elevation_tangent",
-    "posture_rotation",
-    "rigid_transform",
-    "rotation_x",
-    "rotation_y",
-    "rotation_z",
-]
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
+from lightopt.core.arrays import Float64
 
 
-def direction(*, elevation: float, azimuth: float) -> Vector:
+def direction(*, elevation: float, azimuth: float) -> Float64:
     """Unit vector d from the origin towards (elevation θ, azimuth φ), shape (3,), world frame.
 
-    Parameters
-    ----------
-    elevation, azimuth
-        [rad]. Elevation is measured from the table plane: π/2 is straight above, and it may pass π/2.
+    elevation, azimuth: [rad]. Elevation is measured from the table plane: π/2 is straight above, and it may pass π/2.
     """
     c, s = np.cos(elevation), np.sin(elevation)
     return np.array([c * np.cos(azimuth), c * np.sin(azimuth), s])
 
 
-def elevation_tangent(*, elevation: float, azimuth: float) -> Vector:
+def elevation_tangent(*, elevation: float, azimuth: float) -> Float64:
     """Unit vector e_θ = ∂d/∂θ, shape (3,), world frame; angles in [rad]."""
     c, s = np.cos(elevation), np.sin(elevation)
     return np.array([-s * np.cos(azimuth), -s * np.sin(azimuth), c])
 
 
-def azimuth_tangent(*, azimuth: float) -> Vector:
+def azimuth_tangent(*, azimuth: float) -> Float64:
     """Unit vector e_φ along increasing azimuth, shape (3,), world frame; angle in [rad]. e_φ × e_θ = d."""
     return np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
 
 
-def rotation_x(angle: float) -> Matrix:
+def rotation_x(angle: float) -> Float64:
     """Rotation about the X axis by `angle` [rad], shape (3, 3)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
-def rotation_y(angle: float) -> Matrix:
+def rotation_y(angle: float) -> Float64:
     """Rotation about the Y axis by `angle` [rad], shape (3, 3)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
-def rotation_z(angle: float) -> Matrix:
+def rotation_z(angle: float) -> Float64:
     """Rotation about the Z axis by `angle` [rad], shape (3, 3)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def posture_rotation(*, elevation: float, rotation: float) -> Matrix:
+def posture_rotation(*, elevation: float, rotation: float) -> Float64:
     """Rotation R = Rx(θ_j)·Rz(φ_j) of a posture, shape (3, 3): the tilt cradle carries the rotary axis.
 
-    Parameters
-    ----------
-    elevation, rotation
-        The posture's tilt θ_j and rotation φ_j [rad].
+    elevation, rotation: The posture's tilt θ_j and rotation φ_j [rad]
     """
     return rotation_x(elevation) @ rotation_z(rotation)
 
 
-def rigid_transform(points: NDArray[np.float64], rotation: Matrix, pivot: Vector) -> NDArray[np.float64]:
+def rigid_transform(points: Float64, rotation: Float64, pivot: Float64) -> Float64:
     """Rotate points about a pivot: p' = pivot + R·(p − pivot).
 
-    Parameters
-    ----------
-    points
-        [mm], shape (..., 3).
-    rotation
-        Shape (3, 3).
-    pivot
-        [mm], shape (3,).
+    points: [mm], shape (..., 3)
+    pivot: [mm], shape (3,)
     """
     return (points - pivot) @ rotation.T + pivot
 
@@ -98,8 +72,7 @@ class Posture:
 
     Attributes
     ----------
-    elevation_deg, rotation_deg
-        θ_j and φ_j [°].
+    elevation_deg, rotation_deg: θ_j and φ_j [°]
     """
 
     elevation_deg: float
@@ -109,7 +82,7 @@ class Posture:
         return f"({self.elevation_deg:g}°, {self.rotation_deg:g}°)"
 
     @property
-    def matrix(self) -> Matrix:
+    def matrix(self) -> Float64:
         """R = Rx(θ_j)·Rz(φ_j), shape (3, 3)."""
         return posture_rotation(
             elevation=math.radians(self.elevation_deg), rotation=math.radians(self.rotation_deg)

@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-__all__ = ["MM_PER_UNIT", "UNIT_NAMES", "step_units_mm", "unit_name"]
-
 MM_PER_UNIT: Mapping[str, float] = MappingProxyType(
     {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "ft": 304.8}
 )
@@ -33,11 +31,6 @@ def step_units_mm(data: bytes) -> frozenset[float]:
 
     Units that only define others (an inch is defined in mm) are none of the geometry's. Empty where none is declared,
     or none that is known.
-
-    Parameters
-    ----------
-    data
-        Content of the file.
     """
     used = {number for refs in _CONTEXT.findall(data) for number in re.findall(rb"#\s*(\d+)", refs)}
     units: set[float | None] = set()

@@ -14,12 +14,8 @@ class CatalogueEntry:
 
     Attributes
     ----------
-    name
-        For people.
-    shape
-        Its size, steepness and factors.
-    reason
-        Why it stands for what is found on parts.
+    shape: Its size, steepness and factors
+    reason: Why it stands for what is found on parts
     """
 
     name: str

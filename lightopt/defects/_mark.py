@@ -6,32 +6,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Index, Int32
 from lightopt.defects._placed import PlacedDefect, surface_coordinates
 from lightopt.defects._profile import height_gradient, radial_place
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Marks:
     """The points of a surface that lie in defects, j of them.
 
-    Attributes
-    ----------
-    index
-        Of each among the points asked, ascending, shape (j,).
-    label
-        Index of its defect, the last one where several overlap; shape (j,).
-    normals
-        Unit normals of the disturbed surface, shape (j, 3).
-    R_d_factor, sigma_factor
-        By which R_d and σ are multiplied, shape (j,).
+    index: Of each among the points given, ascending, shape (j,)
+    label: Index of its defect, the last one where several overlap; shape (j,)
+    normals: Unit normals of the disturbed surface, shape (j, 3)
+    R_d_factor, sigma_factor: By which R_d and σ are multiplied, shape (j,)
     """
 
-    index: NDArray[np.intp]
-    label: NDArray[np.int32]
+    index: Index
+    label: Int32
     normals: Float64
     R_d_factor: Float64
     sigma_factor: Float64
@@ -43,12 +35,8 @@ def mark_surface(defects: Sequence[PlacedDefect], points: Float64, normals: Floa
     Heights h of defects that overlap add up, and factors multiply. A displaced surface p + h·N has, for heights small
     against the radius of curvature, the normal N − ∇h normalised, ∇h the gradient along the surface.
 
-    Parameters
-    ----------
-    defects
-        In the frame of the points.
-    points, normals
-        Of the undisturbed surface: [mm] and of unit length, shape (k, 3).
+    defects: In the frame of the points
+    points, normals: Of the undisturbed surface: [mm] and of unit length, shape (k, 3)
     """
     if not defects or not len(points):
         return None

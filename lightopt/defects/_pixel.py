@@ -20,12 +20,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.defects._profile import height_gradient, radial_place
 from lightopt.defects._shape import SHAPE_KINDS, DefectShape
-
-Float64 = NDArray[np.float64]
 
 PER_OCTAVE = 4
 LEAST_OCTAVE, MOST_OCTAVE = -5, 3
@@ -50,10 +48,7 @@ STRETCH = 1.75
 def pixel_shares(shape: DefectShape) -> Float64:
     """F and A of the pixel with the greatest F, then of that with the greatest A, at :data:`PIXEL_RATIOS`; (n, 4).
 
-    Parameters
-    ----------
-    shape
-        Of the defect; how steep it is does not matter.
+    shape: Of the defect; how steep it is does not matter
     """
     return np.array([grid_shares(shape, float(ratio), turn=TURN, offset=OFFSET) for ratio in PIXEL_RATIOS])
 
@@ -63,16 +58,9 @@ def grid_shares(
 ) -> tuple[float, float, float, float]:
     """As :func:`pixel_shares`, on one grid of pixels.
 
-    Parameters
-    ----------
-    shape
-        Of the defect.
-    ratio
-        Side of a pixel's footprint over the width.
-    turn
-        Of the grid against the defect's length [rad].
-    offset
-        Of one pixel's middle from the defect's, along the grid's axes [px].
+    ratio: Side of a pixel's footprint over the width
+    turn: Of the grid against the defect's length [rad]
+    offset: Of one pixel's middle from the defect's, along the grid's axes [px]
     """
     side = ratio * shape.width
     along = min(0.5 * shape.length, max(STRETCH * side, 0.5 * shape.width)) + 0.5 * side

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.defects._shape import DefectShape
-
-Float64 = NDArray[np.float64]
 
 LEAST_NORMAL_COSINE = 0.5
 """Points whose normal is more than 60° from the defect's are another side of the part."""
@@ -32,16 +30,10 @@ class PlacedDefect:
 
     Attributes
     ----------
-    name
-        Of this one, for people.
-    shape
-        What it is like.
-    position
-        Its centre, on the surface [mm], shape (3,).
-    normal
-        Unit normal of the undisturbed surface there, shape (3,).
-    along
-        Unit vector of its length, in the tangent plane, shape (3,).
+    name: Of this one, for people
+    position: Its centre, on the surface [mm], shape (3,)
+    normal: Unit normal of the undisturbed surface there, shape (3,)
+    along: Unit vector of its length, in the tangent plane, shape (3,)
     """
 
     name: str
@@ -66,14 +58,7 @@ def tangent_direction(normal: Float64, angle: float, *, x_axis: Float64, y_axis:
 
     The reference is the X axis projected onto the tangent plane; where the surface all but faces along X, the Y axis.
 
-    Parameters
-    ----------
-    normal
-        Unit normal of the surface, shape (3,).
-    angle
-        [rad].
-    x_axis, y_axis
-        Unit vectors of the part's axes, in the frame of the normal, shape (3,).
+    x_axis, y_axis: Unit vectors of the part's axes, in the frame of the normal, shape (3,)
     """
     reference = tangent_references(normal[None, :], x_axis=x_axis, y_axis=y_axis)[0]
     (nx, ny, nz), (x, y, z) = normal.tolist(), reference.tolist()
@@ -84,12 +69,8 @@ def tangent_direction(normal: Float64, angle: float, *, x_axis: Float64, y_axis:
 def tangent_references(normals: Float64, *, x_axis: Float64, y_axis: Float64) -> Float64:
     """The unit vectors in tangent planes that :func:`tangent_direction` counts from, shape (k, 3).
 
-    Parameters
-    ----------
-    normals
-        Unit normals of the surface, shape (k, 3).
-    x_axis, y_axis
-        As for :func:`tangent_direction`.
+    normals: Unit normals of the surface, shape (k, 3)
+    x_axis, y_axis: As for :func:`tangent_direction`
     """
     references = x_axis - (normals @ x_axis)[:, None] * normals
     lengths = np.linalg.norm(references, axis=1)
@@ -101,16 +82,13 @@ def tangent_references(normals: Float64, *, x_axis: Float64, y_axis: Float64) ->
 
 def surface_coordinates(
     defect: PlacedDefect, points: Float64, normals: Float64
-) -> tuple[Float64, Float64, NDArray[np.bool_]]:
+) -> tuple[Float64, Float64, Bool]:
     """Coordinates x, y of points in a defect's tangent plane [mm], and whether they belong to its surface.
 
     Projection onto the tangent plane stands for lengths along the surface: on a radius of curvature R they differ at a
     distance a by a²/(6R²), 1 % at a = R/4.
 
-    Parameters
-    ----------
-    points, normals
-        Of the surface [mm], shape (k, 3), frame of the defect.
+    points, normals: Of the surface [mm], shape (k, 3), frame of the defect
     """
     offset = points - defect.position
     x, y, z = offset @ defect.along, offset @ defect.across, offset @ defect.normal

@@ -23,11 +23,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.defects._shape import BLEND, BLISTER_TOP, SHAPE_KINDS, DefectShape, depth_of_slope
-
-Float64 = NDArray[np.float64]
 
 
 def radial_place(shape: DefectShape, x: Float64, y: Float64) -> Float64:

@@ -29,17 +29,12 @@ class DefectShape:
 
     Attributes
     ----------
-    kind
-        scratch, dent, bump, pit, blister, stain or haze.
-    length, width
-        Of its outline [mm], the length along its direction, at least the width; equal for a round one. The outline is
-        an ellipse, for a scratch a strip with round ends.
-    slope
-        Steepest slope of its walls [rad], where they run along the length; 0 for stains and hazes.
-    R_d_factor
-        By which it multiplies R_d.
-    sigma_factor
-        By which it multiplies σ.
+    kind: scratch, dent, bump, pit, blister, stain or haze
+    length, width: Of its outline [mm], the length along its direction, at least the width; equal for a round one. The
+        outline is an ellipse, for a scratch a strip with round ends.
+    slope: Steepest slope of its walls [rad], where they run along the length; 0 for stains and hazes
+    R_d_factor: By which it multiplies R_d
+    sigma_factor: By which it multiplies σ
     """
 
     kind: DefectKind
@@ -65,14 +60,8 @@ class DefectShape:
 def depth_of_slope(kind: DefectKind, width: float, slope: float) -> float:
     """Depth or height of a defect [mm] from its steepest slope [rad]: tan(slope) · width/2 · the profile's integral.
 
-    Parameters
-    ----------
-    kind
-        One of :data:`SHAPE_KINDS`.
-    width
-        Shorter extent of the outline [mm].
-    slope
-        [rad].
+    kind: One of :data:`SHAPE_KINDS`
+    width: Shorter extent of the outline [mm]
 
     Examples
     --------

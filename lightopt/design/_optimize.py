@@ -34,7 +34,7 @@ from lightopt.design.responses._luminance_matrix import Thresholds
 from lightopt.design.responses._posture_matrices import Matrices
 from lightopt.design.search._all_objectives import candidates_beside, searched, searched_beside
 from lightopt.images import Overlap
-from lightopt.rendering import PatchTable, Report, cast_rays_at, refuse_hopeless
+from lightopt.rendering import PatchTable, RenderProgress, cast_rays_at, refuse_unusable_scene
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
 
 
@@ -84,7 +84,7 @@ def optimize(
     force: bool = False,
     warn: Callable[[str], None] | None = None,
     tell: Callable[[str], None] | None = None,
-    report: Report | None = None,
+    report: RenderProgress | None = None,
     searching: Callable[[str, float], None] | None = None,
     appraise: Appraise | None = None,
     page: Callable[[Draft], str] | None = None,
@@ -161,7 +161,7 @@ def optimize(
     caster = cast_rays_at(scene)
     # a light that moves may find its way out of the part: only its candidates count
     still = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
-    refuse_hopeless(replace(scene, lights=still), rig, part, caster)
+    refuse_unusable_scene(replace(scene, lights=still), rig, part, caster)
     candidates = offered = find(scene=scene)
     if options.places is not None and any(map(can_move, rig.lights)):
         offered = find(places=None, scene=scene)

@@ -30,7 +30,7 @@ from lightopt.design.postures._candidate_postures import candidates_of, places_o
 from lightopt.design.postures._grid import posture_grid
 from lightopt.design.postures._pair_visibility import Survey
 from lightopt.design.tolerances._tolerances import lights_problem
-from lightopt.rendering import Report
+from lightopt.rendering import RenderProgress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ def plan(
     force: bool = False,
     warn: Callable[[str], None] | None = None,
     tell: Callable[[str], None] | None = None,
-    report: Report | None = None,
+    report: RenderProgress | None = None,
     searching: Tell | None = None,
     page: Callable[[Draft], str] | None = None,
     legend: Legend | None = None,

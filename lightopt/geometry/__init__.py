@@ -4,8 +4,7 @@ The one home of trimesh and cascadio. Knows triangles and lengths, no camera and
 the frame of the part's file, in mm, Z up.
 """
 
-from lightopt.geometry._caster import RayCaster
-from lightopt.geometry._hits import Hits, resolve_hits
+from lightopt.geometry._caster import Hits, RayCaster, resolve_hits
 from lightopt.geometry._load import UNITLESS_SUFFIXES, load_mesh
 from lightopt.geometry._nearest import SurfaceFinder, SurfacePlace, surface_place
 from lightopt.geometry._patches import Patches, estimate_patch_count, refine

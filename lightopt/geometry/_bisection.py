@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32, UInt8
 from lightopt.core.kernels import kernel
 
 # Pending triangles of one face: one for each level of its tree. Two cuts at most halve the longest edge, so
@@ -15,9 +16,7 @@ _LEVELS = 512
 
 
 @kernel
-def _longest_edge(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], limit: float
-) -> int:
+def _longest_edge(a: Float64, b: Float64, c: Float64, limit: float) -> int:
     """Edge k (from corner k to k + 1) that is longest, the first of equals; −1 if none is over the limit."""
     best, edge = limit * limit, -1
     for k in range(3):
@@ -42,13 +41,7 @@ def _halves(
 
 
 @kernel
-def count_pieces(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    selected: NDArray[np.bool_],
-    limit: float,
-    enough: int,
-) -> int:
+def count_pieces(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough: int) -> int:
     """Count the pieces of all faces, up to `enough`."""
     stack = np.empty((_LEVELS, 3, 3))
     triangle = np.empty((3, 3))
@@ -78,11 +71,7 @@ def count_pieces(
 
 @kernel
 def build_pieces(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    selected: NDArray[np.bool_],
-    limit: float,
-    count: int,
+    vertices: Float64, faces: Int32, selected: Bool, limit: float, count: int
 ) -> tuple[NDArray[Any], ...]:
     """Cut all faces: vertices, triangles, centroid weights, depths, faces, and the trees of `Patches`.
 
@@ -154,13 +143,8 @@ def build_pieces(
 
 @kernel
 def find_pieces(
-    roots: NDArray[np.int32],
-    children: NDArray[np.int32],
-    cut_edge: NDArray[np.uint8],
-    faces: NDArray[np.int32],
-    us: NDArray[np.float64],
-    vs: NDArray[np.float64],
-) -> NDArray[np.int32]:
+    roots: Int32, children: Int32, cut_edge: UInt8, faces: Int32, us: Float64, vs: Float64
+) -> Int32:
     """Patch of each point; −1 for face −1.
 
     Down the tree the weights of the corners tell the half: the point is nearer to the end of the cut edge

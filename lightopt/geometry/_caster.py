@@ -1,17 +1,16 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh as EmbreeMesh
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.geometry._packets import packet_scene
-
-Float64 = NDArray[np.float64]
 
 SURFACE_OFFSET = 1e-5
 """Shadow rays start this fraction of the mesh's radius off the surface: 0.25 µm on a 50 mm part. Embree's own hits lie
@@ -21,27 +20,19 @@ within 1e-7 of the radius of the surface, and an offset 100 times smaller alread
 class RayRecorder(Protocol):
     """What a benchmark passes to :class:`RayCaster` to keep the rays exactly as Embree saw them."""
 
-    def __call__(self, query: str, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> None: ...
+    def __call__(self, query: str, origins: Float32, directions: Float32) -> None: ...
 
 
 class RayCaster:
-    """A bounding volume hierarchy over a triangle mesh, and the two questions asked of it.
+    """A bounding volume hierarchy over a triangle mesh, and the two queries of it.
 
     Safe to use from several threads at once; the answers do not depend on how rays are grouped into calls.
 
-    Parameters
-    ----------
-    vertices
-        [mm], shape (n, 3), any frame: rays are given in the same.
-    faces
-        Vertex indices, shape (m, 3).
-    recorder
-        Called with every batch of rays in Embree's own units (for benchmarks).
+    vertices: [mm], shape (n, 3), any frame: rays are given in the same
+    recorder: Called with every batch of rays in Embree's own units (for benchmarks)
     """
 
-    def __init__(
-        self, vertices: Float64, faces: NDArray[np.int32], *, recorder: RayRecorder | None = None
-    ) -> None:
+    def __init__(self, vertices: Float64, faces: Int32, *, recorder: RayRecorder | None = None) -> None:
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         self.centre: Float64 = 0.5 * (low + high)
         self.radius = float(0.5 * np.linalg.norm(high - low))
@@ -63,42 +54,26 @@ class RayCaster:
         """Number of rays cast so far."""
         return self._rays_cast
 
-    def first_hit(self, origin: Float64, directions: Float64) -> NDArray[np.int32]:
+    def first_hit(self, origin: Float64, directions: Float64) -> Int32:
         """Index of the first face that each ray meets, −1 where none; shape (k,).
 
-        Parameters
-        ----------
-        origin
-            Common origin of the rays [mm], shape (3,).
-        directions
-            Shape (k, 3), any length.
+        origin: Common origin of the rays [mm], shape (3,)
+        directions: Shape (k, 3), any length
         """
         origins32, directions32 = _primary_rays(origin, directions, self.centre, self.radius)
         return self._run("INTERSECT", origins32, directions32)
 
     def occluded(
-        self,
-        points: Float64,
-        normals: Float64,
-        targets: Float64,
-        *,
-        point_index: NDArray[np.int32],
-        target_index: NDArray[np.int32],
-    ) -> NDArray[np.bool_]:
+        self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32, target_index: Int32
+    ) -> Bool:
         """Whether the mesh blocks the way from a surface point to a target; shape (k,).
 
         Ray i goes from ``points[point_index[i]]`` to ``targets[target_index[i]]``.
 
-        Parameters
-        ----------
-        points
-            Points on the surface [mm], shape (n, 3).
-        normals
-            Unit geometric normals on the side of the surface that the rays leave, shape (n, 3).
-        targets
-            [mm], shape (t, 3).
-        point_index, target_index
-            Shape (k,).
+        points: Points on the surface [mm], shape (n, 3)
+        normals: Unit geometric normals on the side of the surface that the rays leave, shape (n, 3)
+        targets: [mm], shape (t, 3)
+        point_index, target_index: Shape (k,)
         """
         origins32, directions32 = _shadow_rays(
             points, normals, targets, point_index, target_index, self.centre, self.radius
@@ -106,22 +81,20 @@ class RayCaster:
         return self._run("OCCLUDED", origins32, directions32) >= 0
 
     def occluded_from(
-        self, points: Float64, normals: Float64, targets: Float64, *, point_index: NDArray[np.int32]
-    ) -> NDArray[np.bool_]:
+        self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32
+    ) -> Bool:
         """As :meth:`occluded`, with a target of its own for each ray: targets of shape (k, 3)."""
         index = np.arange(len(point_index), dtype=np.int32)
         return self.occluded(points, normals, targets, point_index=point_index, target_index=index)
 
-    def _run(
-        self, query: str, origins: NDArray[np.float32], directions: NDArray[np.float32]
-    ) -> NDArray[np.int32]:
+    def _run(self, query: str, origins: Float32, directions: Float32) -> Int32:
         with self._lock:
             self._rays_cast += len(origins)
             if self._recorder is not None:
                 self._recorder(query, origins, directions)
         if self._packets is not None:
-            ask = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
-            return ask(origins, directions)
+            query_function = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
+            return query_function(origins, directions)
         if query == "OCCLUDED":
             # directions end at the target, so that a ray reaches from 0 to 1 of its length
             reach = np.ones(len(origins), np.float32)
@@ -132,7 +105,7 @@ class RayCaster:
 @kernel
 def _primary_rays(
     origin: Float64, directions: Float64, centre: Float64, radius: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32, Float32]:
     # each ray starts near the mesh's bounding sphere, not at the far camera: the rounding of its origin to float32
     # then is that of the part's size, not of the camera's distance
     n = len(directions)
@@ -163,11 +136,11 @@ def _shadow_rays(
     points: Float64,
     normals: Float64,
     targets: Float64,
-    point_index: NDArray[np.int32],
-    target_index: NDArray[np.int32],
+    point_index: Int32,
+    target_index: Int32,
     centre: Float64,
     radius: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32, Float32]:
     n = len(point_index)
     origins32 = np.empty((n, 3), np.float32)
     directions32 = np.empty((n, 3), np.float32)
@@ -178,3 +151,88 @@ def _shadow_rays(
             origins32[i, a] = start
             directions32[i, a] = (targets[t, a] - centre[a]) / radius - start
     return origins32, directions32
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named.
+
+    Attributes
+    ----------
+    ray: Index of the ray among those cast, shape (k,)
+    face: Face that was met, shape (k,)
+    u, v: Barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices; shape (k,)
+    points: Points on the surface, frame of the mesh [mm], shape (k, 3)
+    distance: Along the ray from its origin [mm], shape (k,)
+    """
+
+    ray: Int32
+    face: Int32
+    u: Float64
+    v: Float64
+    points: Float64
+    distance: Float64
+
+
+def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Float64, faces: Int32) -> Hits:
+    """Solve the hits that :meth:`RayCaster.first_hit` found, leaving out the rays that met nothing.
+
+    Embree's float32 answer is good to about 1e-5 of the distance, which is not enough for the normals of a glossy
+    surface.
+
+    face: Answer of ``first_hit``, −1 where a ray met nothing, shape (n,)
+    origin: Common origin of the rays [mm], shape (3,)
+    directions: Shape (n, 3), any length
+    """
+    return Hits(*_resolve(face, origin, directions, vertices, faces))
+
+
+@kernel
+def _resolve(
+    face: Int32, origin: Float64, directions: Float64, vertices: Float64, faces: Int32
+) -> tuple[Int32, Int32, Float64, Float64, Float64, Float64]:
+    count = 0
+    for i in range(len(face)):
+        if face[i] >= 0:
+            count += 1
+    ray = np.empty(count, np.int32)
+    hit = np.empty(count, np.int32)
+    u = np.empty(count)
+    v = np.empty(count)
+    points = np.empty((count, 3))
+    distance = np.empty(count)
+    k = 0
+    for i in range(len(face)):
+        f = face[i]
+        if f < 0:
+            continue
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        e1x, e1y, e1z = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+        e2x, e2y, e2z = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
+        px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
+        determinant = e1x * px + e1y * py + e1z * pz
+        sx, sy, sz = origin[0] - ax, origin[1] - ay, origin[2] - az
+        qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
+        if determinant != 0.0:
+            bu = (sx * px + sy * py + sz * pz) / determinant
+            bv = (dx * qx + dy * qy + dz * qz) / determinant
+        else:
+            bu = bv = 1.0 / 3.0
+        # at the edge of a triangle float32 and float64 may disagree by a rounding error: stay on the triangle
+        bu = min(max(bu, 0.0), 1.0)
+        bv = min(max(bv, 0.0), 1.0 - bu)
+        x = ax + bu * e1x + bv * e2x
+        y = ay + bu * e1y + bv * e2y
+        z = az + bu * e1z + bv * e2z
+        ray[k] = i
+        hit[k] = f
+        u[k] = bu
+        v[k] = bv
+        points[k, 0] = x
+        points[k, 1] = y
+        points[k, 2] = z
+        distance[k] = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
+        k += 1
+    return ray, hit, u, v, points, distance

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import InputError
 from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
 from lightopt.geometry._soup import Soup, check_budget
@@ -25,10 +25,7 @@ _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("a
 def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
     """Triangles of a binary or ASCII STL file.
 
-    Raises
-    ------
-    InputError
-        The file is cut off, is no STL, or has more than `max_triangles`.
+    Raises InputError: The file is cut off, is no STL, or has more than `max_triangles`
     """
     claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     is_binary = len(data) == 84 + 50 * claimed
@@ -86,10 +83,7 @@ def _check_ascii_stl(name: str, data: bytes) -> int:
 def read_ply(name: str, data: bytes, max_triangles: int) -> Soup:
     """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept.
 
-    Raises
-    ------
-    InputError
-        The file is cut off, is no PLY, or has more than `max_triangles`.
+    Raises InputError: The file is cut off, is no PLY, or has more than `max_triangles`
     """
     from trimesh.exchange.ply import load_ply
 
@@ -131,11 +125,8 @@ def _listed(counts: dict[str, int]) -> str:
 def read_obj(name: str, data: bytes, max_triangles: int) -> Soup:
     """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them.
 
-    Raises
-    ------
-    InputError
-        A face has fewer than three vertices or one numbered 0, the file is no OBJ, or has more than
-        `max_triangles`.
+    Raises InputError: A face has fewer than three vertices or one numbered 0, the file is no OBJ, or has more than
+        `max_triangles`
     """
     from trimesh.exchange.obj import load_obj
 
@@ -165,10 +156,7 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> Soup:
 
     glTF is Y up by its specification: (x, y, z) becomes (x, −z, y).
 
-    Raises
-    ------
-    InputError
-        The file is cut off, is no GLB, or has more than `max_triangles`.
+    Raises InputError: The file is cut off, is no GLB, or has more than `max_triangles`
     """
     import trimesh
 
@@ -213,9 +201,9 @@ def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
 
 
 def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> Soup:
-    vertices: list[NDArray[np.float64]] = []
-    faces: list[NDArray[np.int64]] = []
-    normals: list[NDArray[np.float64]] = []
+    vertices: list[Float64] = []
+    faces: list[Int64] = []
+    normals: list[Float64] = []
     start = 0
     for part in parts:
         vertices.append(np.asarray(part["vertices"], dtype=np.float64))
@@ -244,7 +232,7 @@ def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertic
     )
 
 
-def _fans(polygons: NDArray[np.int64]) -> NDArray[np.int64]:
+def _fans(polygons: Int64) -> Int64:
     """Triangles (0, k, k+1) of polygons with the same number of corners, shape (m, 3)."""
     corners = polygons.shape[1]
     return np.stack([polygons[:, (0, k, k + 1)] for k in range(1, corners - 1)], axis=1).reshape(-1, 3)

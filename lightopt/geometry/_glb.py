@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import InputError
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -17,10 +18,7 @@ _COMPONENTS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
     """JSON tree and binary chunk of a GLB file.
 
-    Raises
-    ------
-    InputError
-        The file is no GLB of version 2, or its length disagrees with its header.
+    Raises InputError: The file is no GLB of version 2, or its length disagrees with its header
     """
     if len(data) < 20 or data[:4] != b"glTF":
         raise InputError(f"{name}: not a GLB file: expected it to begin with 'glTF', found {data[:4]!r}")
@@ -48,10 +46,7 @@ def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
 def glb_triangle_count(name: str, tree: dict[str, Any]) -> int:
     """Count the triangles that the accessors of all meshes announce (each mesh once).
 
-    Raises
-    ------
-    InputError
-        The tree refers to things that it does not have.
+    Raises InputError: The tree refers to things that it does not have
     """
     try:
         total = 0
@@ -66,10 +61,7 @@ def glb_triangle_count(name: str, tree: dict[str, Any]) -> int:
 
 
 def placed(
-    matrix: NDArray[np.float64],
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    normals: NDArray[np.float64] | None,
+    matrix: Float64, vertices: Float64, faces: Int64, normals: Float64 | None
 ) -> dict[str, NDArray[Any]]:
     """Vertices, faces and normals after an affine transform, shape (4, 4); a mirror turns the winding."""
     linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
@@ -90,15 +82,9 @@ def placed(
 def parse_glb(name: str, data: bytes) -> list[dict[str, NDArray[Any]]]:
     """Meshes of a GLB file, placed by their nodes, axes as stored: positions, normals, indexed triangles.
 
-    Returns
-    -------
-    list of dict
-        ``vertices`` [file unit] (n, 3), ``faces`` (m, 3), ``vertex_normals`` (n, 3) where the file has them.
-
-    Raises
-    ------
-    InputError
-        The file is damaged or uses a feature (sparse or compressed data) that the STEP worker never writes.
+    Returns: ``vertices`` [file unit] (n, 3), ``faces`` (m, 3), ``vertex_normals`` (n, 3) where the file has them.
+    Raises InputError: The file is damaged or uses a feature (sparse or compressed data) that the STEP worker never
+        writes
     """
     tree, blob = split_glb(name, data)
     parts: list[dict[str, NDArray[Any]]] = []
@@ -127,7 +113,7 @@ def parse_glb(name: str, data: bytes) -> list[dict[str, NDArray[Any]]]:
     return parts
 
 
-def _local(node: dict[str, Any]) -> NDArray[np.float64]:
+def _local(node: dict[str, Any]) -> Float64:
     """Transform of a node into its parent's frame, shape (4, 4)."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T

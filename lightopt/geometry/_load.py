@@ -1,4 +1,4 @@
-"""Load a part's mesh from a file: read, check, repair, give it normals, and say what was done."""
+"""Load a part's mesh from a file: read, check, repair, give it normals, and describe what was done."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.errors import InputError
 from lightopt.geometry._formats import read_glb, read_obj, read_ply, read_stl
 from lightopt.geometry._normals import carried_normals, smooth_normals
@@ -38,22 +38,13 @@ _MOST_TRIANGLES = 700_000_000
 class MeshDescription:
     """What a loaded mesh is, in numbers.
 
-    Parameters
-    ----------
-    format
-        The file's format ("binary STL").
-    unit_mm
-        Length of one unit of the file [mm]; 1 for STEP, which is converted as it is read.
-    triangles, vertices
-        Numbers after repair; vertices are counted after splitting at creases.
-    components
-        Surfaces connected through edges that exactly two triangles share.
-    open_edges, nonmanifold_edges
-        Edges of one triangle, and of three or more.
-    size_mm
-        Sides of the bounding box, part file's frame [mm].
-    normals
-        Where the normals come from: "facets", "smoothed", "file" or "CAD surface".
+    format: The file's format ("binary STL")
+    unit_mm: Length of one unit of the file [mm]; 1 for STEP, which is converted as it is read
+    triangles, vertices: Numbers after repair; vertices are counted after splitting at creases
+    components: Surfaces connected through edges that exactly two triangles share
+    open_edges, nonmanifold_edges: Edges of one triangle, and of three or more
+    size_mm: Sides of the bounding box, part file's frame [mm]
+    normals: Where the normals come from: "facets", "smoothed", "file" or "CAD surface"
     """
 
     format: str
@@ -74,17 +65,7 @@ class MeshDescription:
 
 @dataclass(frozen=True, eq=False)
 class LoadedMesh:
-    """A mesh and what there is to say about it.
-
-    Parameters
-    ----------
-    mesh
-        The mesh, part file's frame [mm].
-    warnings
-        What was repaired or is odd, with numbers.
-    description
-        What was loaded.
-    """
+    """A mesh and what there is to say about it."""
 
     mesh: TriangleMesh
     warnings: tuple[str, ...]
@@ -111,33 +92,19 @@ def load_mesh(
     vertex normals that they carry; anything else is smoothed within the crease angle. GLB is turned from Y up
     to Z up.
 
-    Parameters
-    ----------
-    path
-        File; its ending tells the format (`MESH_SUFFIXES`).
-    unit_mm
-        Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP
-        declares its own, which a value has to agree with. GLB is metres by its specification; a value is
-        believed over that, as many programs write other units.
-    normals
-        "smooth" for vertex normals, "facet" for none.
-    crease_angle
-        Largest bend between two facets across an edge that is smooth [rad], 0 to π; for meshes without own
-        normals.
-    chord_tolerance_mm
-        STEP: largest distance between triangles and the surface [mm].
-    angular_tolerance
-        STEP: largest bend between neighbouring tangents along an edge [rad].
-    max_triangles
-        More are refused, before loading where the file's header tells.
-    step_timeout_s, step_memory_gb
-        STEP: time [s] and memory [10⁹ bytes] the tessellation may take.
-
-    Raises
-    ------
-    InputError
-        The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
-        triangles, coordinates that are not finite, or indices out of range; or a limit was reached.
+    path: File; its ending tells the format (`MESH_SUFFIXES`)
+    unit_mm: Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP
+        declares its own, which a value has to agree with. GLB is metres by its specification; a value is believed over
+        that, as many programs write other units.
+    normals: "smooth" for vertex normals, "facet" for none
+    crease_angle: Largest bend between two facets across an edge that is smooth [rad], 0 to π; for meshes without own
+        normals
+    chord_tolerance_mm: STEP: largest distance between triangles and the surface [mm]
+    angular_tolerance: STEP: largest bend between neighbouring tangents along an edge [rad]
+    max_triangles: More are refused, before loading where the file's header tells
+    step_timeout_s, step_memory_gb: STEP: time [s] and memory [10⁹ bytes] the tessellation may take
+    Raises InputError: The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
+        triangles, coordinates that are not finite, or indices out of range; or a limit was reached
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -192,10 +159,10 @@ def _finish(name: str, soup: Soup, unit_mm: float, crease_angle: float | None) -
         turned = repaired.faces[:, 1] != faces[keep][:, 1]
         own[turned] = own[turned][:, (0, 2, 1)]
         is_cad = soup.format == "STEP"
-        mesh, said, merged = carried_normals(
+        mesh, replaced, merged = carried_normals(
             placed, own, repaired.pairs, soup.normals, crease_angle=None if is_cad else crease_angle
         )
-        warnings += said
+        warnings += replaced
         source = "CAD surface" if is_cad else "file"
     warnings += _vertex_warnings(soup, merged)
     return LoadedMesh(mesh, tuple(warnings), _described(mesh, soup.format, unit_mm, repaired, source))
@@ -213,7 +180,7 @@ def _vertex_warnings(soup: Soup, merged: int) -> list[str]:
     return warnings
 
 
-def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> TriangleMesh:
+def _compact(vertices: Float64, faces: Int32) -> TriangleMesh:
     used = np.zeros(len(vertices), dtype=np.bool_)
     used[faces] = True
     number = np.cumsum(used, dtype=np.int32) - 1

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.geometry._triangle_mesh import TriangleMesh
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -19,12 +17,8 @@ class SurfacePlace:
 
     Attributes
     ----------
-    point
-        [mm], shape (3,), frame of the mesh.
-    normal
-        Unit normal there as shading has it: interpolated, or the facet's, shape (3,).
-    face
-        That it is on.
+    point: [mm], shape (3,), frame of the mesh
+    normal: Unit normal there as shading has it: interpolated, or the facet's, shape (3,)
     """
 
     point: Float64
@@ -48,10 +42,7 @@ def surface_place(mesh: TriangleMesh, face: int, u: float, v: float) -> SurfaceP
 class SurfaceFinder:
     """Finds the place of a mesh that is nearest to a point.
 
-    Parameters
-    ----------
-    mesh
-        The mesh; what is worth knowing of its faces is worked out once.
+    mesh: The mesh; what is worth knowing of its faces is worked out once
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:

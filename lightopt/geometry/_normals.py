@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.geometry._topology import EdgePairs, merge_rows
 from lightopt.geometry._triangle_mesh import TriangleMesh
@@ -17,7 +17,7 @@ _SAME_NORMAL = 1e-5
 
 
 def smooth_normals(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], pairs: EdgePairs, *, crease_angle: float
+    vertices: Float64, faces: Int32, pairs: EdgePairs, *, crease_angle: float
 ) -> tuple[TriangleMesh, int]:
     """Mesh with angle-weighted vertex normals, split where the surface bends by more than the crease angle.
 
@@ -26,21 +26,9 @@ def smooth_normals(
     Computing vertex normals from polygonal facets, J. Graphics Tools 3, 1998), so the normal does not depend
     on how the surface is cut.
 
-    Parameters
-    ----------
-    vertices
-        Positions without coinciding ones [mm], shape (n, 3).
-    faces
-        Vertex indices with an agreeing winding, shape (m, 3).
-    pairs
-        Edges of these faces.
-    crease_angle
-        Largest angle between the normals of two faces across a smooth edge [rad].
-
-    Returns
-    -------
-    tuple
-        The mesh, and the number of normals that cancelled out and became those of a face.
+    vertices: Positions without coinciding ones [mm], shape (n, 3)
+    faces: Vertex indices with an agreeing winding, shape (m, 3)
+    crease_angle: Largest angle between the normals of two faces across a smooth edge [rad]
     """
     corners = vertices[faces]
     flat = _unit_cross(corners)
@@ -56,12 +44,7 @@ def smooth_normals(
 
 
 def carried_normals(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    pairs: EdgePairs,
-    normals: NDArray[np.float64],
-    *,
-    crease_angle: float | None,
+    vertices: Float64, faces: Int32, pairs: EdgePairs, normals: Float64, *, crease_angle: float | None
 ) -> tuple[TriangleMesh, tuple[str, ...], int]:
     """Mesh with the normals that its file carries, vertices of equal position and normal merged.
 
@@ -69,23 +52,12 @@ def carried_normals(
     coarse sphere with exact normals needs that); as many programs average them over true creases, a warning
     counts such edges.
 
-    Parameters
-    ----------
-    vertices
-        Positions as in the file [mm], shape (n, 3).
-    faces
-        Vertex indices after repair, shape (m, 3).
-    pairs
-        Edges of these faces, coinciding vertices taken as one.
-    normals
-        Vertex normals as in the file, shape (n, 3).
-    crease_angle
-        Largest bend of an edge that is expected to be smooth [rad]; None trusts the normals everywhere.
-
-    Returns
-    -------
-    tuple
-        The mesh, warnings about normals that had to be replaced or turned, and the number of vertices merged.
+    vertices: Positions as in the file [mm], shape (n, 3)
+    faces: Vertex indices after repair, shape (m, 3)
+    pairs: Edges of these faces, coinciding vertices taken as one
+    normals: Vertex normals as in the file, shape (n, 3)
+    crease_angle: Largest bend of an edge that is expected to be smooth [rad]; None trusts the normals everywhere
+    Returns: The mesh, warnings about normals that had to be replaced or turned, and the number of vertices merged.
     """
     # triangle edges are long against rounding, so sums over the faces around a vertex tell its outside
     corners = vertices[faces]
@@ -127,9 +99,7 @@ def carried_normals(
     return TriangleMesh(vertices[keep], compact[faces], given[keep]), tuple(warnings), merged
 
 
-def _smeared_creases(
-    at_corners: NDArray[np.float64], flat: NDArray[np.float64], pairs: EdgePairs, crease_angle: float
-) -> list[str]:
+def _smeared_creases(at_corners: Float64, flat: Float64, pairs: EdgePairs, crease_angle: float) -> list[str]:
     sharp = pairs.corners[_bends(flat, pairs) > crease_angle + _ANGLE_ROUNDING]
     c, d = sharp[:, 0], sharp[:, 1]
     level = (np.abs(at_corners[c] - at_corners[_next(d)]) < _SAME_NORMAL).all(axis=1)
@@ -144,7 +114,7 @@ def _smeared_creases(
     return [message]
 
 
-def _bends(flat: NDArray[np.float64], pairs: EdgePairs) -> NDArray[np.float64]:
+def _bends(flat: Float64, pairs: EdgePairs) -> Float64:
     """Angle between the facets' normals across each edge [rad], shape (e,)."""
     a, b = flat[pairs.corners[:, 0] // 3], flat[pairs.corners[:, 1] // 3]
     # the sine from the cross product and the cosine from the dot product: accurate near 0 and near π
@@ -152,19 +122,17 @@ def _bends(flat: NDArray[np.float64], pairs: EdgePairs) -> NDArray[np.float64]:
     return np.arctan2(np.sqrt(np.einsum("ij,ij->i", sine, sine)), np.einsum("ij,ij->i", a, b))
 
 
-def _next(corners: NDArray[np.int32]) -> NDArray[np.int32]:
+def _next(corners: Int32) -> Int32:
     """Corner after each corner in its face."""
     return corners - corners % 3 + (corners + 1) % 3
 
 
-def _unit_cross(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit_cross(corners: Float64) -> Float64:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return cross / np.sqrt(np.einsum("ij,ij->i", cross, cross))[:, None]
 
 
-def _unit_or(
-    vectors: NDArray[np.float64], fallback: NDArray[np.float64], *, least: float = 1e-9
-) -> tuple[NDArray[np.float64], int]:
+def _unit_or(vectors: Float64, fallback: Float64, *, least: float = 1e-9) -> tuple[Float64, int]:
     """Vectors at unit length, the fallback where they are too short, and the number of those."""
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
     short = length <= least
@@ -174,7 +142,7 @@ def _unit_or(
 
 
 @kernel
-def _join_corners(corner_count: int, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
+def _join_corners(corner_count: int, pairs: Int32) -> Int32:
     """Lowest corner of the group that each corner belongs to (union-find with path halving)."""
     parent = np.arange(corner_count).astype(np.int32)
     for e in range(len(pairs)):
@@ -188,7 +156,7 @@ def _join_corners(corner_count: int, pairs: NDArray[np.int32]) -> NDArray[np.int
 
 
 @kernel
-def _join(parent: NDArray[np.int32], x: int, y: int) -> None:
+def _join(parent: Int32, x: int, y: int) -> None:
     while parent[x] != x:
         parent[x] = parent[parent[x]]
         x = parent[x]
@@ -199,9 +167,7 @@ def _join(parent: NDArray[np.int32], x: int, y: int) -> None:
 
 
 @kernel
-def _sum_by_angle(
-    corners: NDArray[np.float64], flat: NDArray[np.float64], faces: NDArray[np.int32], vertex_count: int
-) -> NDArray[np.float64]:
+def _sum_by_angle(corners: Float64, flat: Float64, faces: Int32, vertex_count: int) -> Float64:
     total = np.zeros((vertex_count, 3))
     for f in range(len(faces)):
         for k in range(3):

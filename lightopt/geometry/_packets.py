@@ -18,9 +18,8 @@ import numpy as np
 from embreex import rtcore_scene  # noqa: F401  # pyright: ignore[reportUnusedImport]  # loads the library
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32, Int32
 from lightopt.core.kernels import call_address, kernel
-
-Float32 = NDArray[np.float32]
 
 _POINTER, _INT, _UNSIGNED, _SIZE = ctypes.c_void_p, ctypes.c_int, ctypes.c_uint, ctypes.c_size_t
 _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
@@ -35,10 +34,7 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "rtcReleaseGeometry": (None, [_POINTER]),
     "rtcCommitGeometry": (None, [_POINTER]),
     "rtcAttachGeometry": (_UNSIGNED, [_POINTER, _POINTER]),
-    "rtcSetSharedGeometryBuffer": (
-        None,
-        [_POINTER, _INT, _UNSIGNED, _INT, _POINTER, _SIZE, _SIZE, _SIZE],
-    ),
+    "rtcSetSharedGeometryBuffer": (None, [_POINTER, _INT, _UNSIGNED, _INT, _POINTER, _SIZE, _SIZE, _SIZE]),
 }
 
 _MAJOR = 4
@@ -73,7 +69,7 @@ def _aligned(count: int) -> Float32:
 @kernel
 def _blocked(
     function: int, scene: int, arguments: int, width: int, origins: Float32, directions: Float32
-) -> NDArray[np.int32]:
+) -> Int32:
     # 0 where anything lies within the length of a direction, −1 where nothing does
     n = len(origins)
     found = np.empty(n, np.int32)
@@ -96,9 +92,7 @@ def _blocked(
 
 
 @kernel
-def _nearest(
-    function: int, scene: int, arguments: int, origins: Float32, directions: Float32
-) -> NDArray[np.int32]:
+def _nearest(function: int, scene: int, arguments: int, origins: Float32, directions: Float32) -> Int32:
     # the triangle that each ray meets first, −1 where none
     n = len(origins)
     found = np.empty(n, np.int32)
@@ -118,17 +112,9 @@ def _nearest(
 
 
 class PacketScene:
-    """A hierarchy over triangles, asked through Embree's own functions.
+    """A hierarchy over triangles, asked through Embree's own functions."""
 
-    Parameters
-    ----------
-    vertices
-        Shape (n, 3).
-    faces
-        Vertex indices, shape (m, 3).
-    """
-
-    def __init__(self, vertices: Float32, faces: NDArray[np.int32]) -> None:
+    def __init__(self, vertices: Float32, faces: Int32) -> None:
         library, device, width = _embree(os.getpid())
         self._library, self._width = library, width
         # Embree reads these arrays as long as the scene is there, and 16 bytes at each vertex
@@ -160,7 +146,7 @@ class PacketScene:
         if scene := getattr(self, "_scene", None):
             self._library.rtcReleaseScene(scene)
 
-    def first_hit(self, origins: Float32, directions: Float32) -> NDArray[np.int32]:
+    def first_hit(self, origins: Float32, directions: Float32) -> Int32:
         """Index of the first triangle that each ray meets, −1 where none; shape (k,).
 
         One after another: of triangles that share an edge which a ray meets, a packet takes one or the other by what
@@ -169,7 +155,7 @@ class PacketScene:
         function = _address(self._library.rtcIntersect1)
         return _nearest(function, self._scene, self._argument_address, origins, directions)
 
-    def occluded(self, origins: Float32, directions: Float32) -> NDArray[np.int32]:
+    def occluded(self, origins: Float32, directions: Float32) -> Int32:
         """0 where anything lies within the length of a direction, −1 where nothing does; shape (k,)."""
         function = _address(getattr(self._library, f"rtcOccluded{self._width}"))
         return _blocked(function, self._scene, self._argument_address, self._width, origins, directions)
@@ -181,16 +167,8 @@ def _address(function: Any) -> int:
     return address
 
 
-def packet_scene(vertices: Float32, faces: NDArray[np.int32]) -> PacketScene | None:
-    """A hierarchy to be asked with packets; None where this Embree or processor takes none.
-
-    Parameters
-    ----------
-    vertices
-        Shape (n, 3).
-    faces
-        Vertex indices, shape (m, 3).
-    """
+def packet_scene(vertices: Float32, faces: Int32) -> PacketScene | None:
+    """A hierarchy to be asked with packets; None where this Embree or processor takes none."""
     return PacketScene(vertices, faces) if _works(os.getpid()) else None
 
 

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lightopt.core.arrays import Bool, Float64, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.geometry._bisection import build_pieces, count_pieces, find_pieces
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_areas, face_normals
@@ -21,37 +22,26 @@ class Patches:
     cut is an inner node of the face's binary tree; a tree entry e ≥ 0 is node e, an entry e < 0 is patch −1 −
     e.
 
-    Parameters
-    ----------
-    vertices
-        The mesh's vertices, then one for each cut, part file's frame [mm], shape (n + c, 3).
-    triangles
-        The patches' corners as indices into `vertices`, counterclockwise from outside, shape (p, 3), int32.
-    centroids
-        Centres of the patches [mm], shape (p, 3).
-    normals
-        Unit outward normals at the centroids: the vertex normals interpolated, or the facet's, shape (p, 3).
-    areas
-        [mm²], shape (p,). Those of a face sum up to the face's area.
-    face
-        Face of the mesh that the patch lies on, ascending, shape (p,), int32.
-    roots
-        Tree entry of each face, shape (m,), int32.
-    children
-        Tree entries of the two halves of each cut, shape (c, 2), int32.
-    cut_edge
-        Which edge of its triangle was cut: k runs from corner k to corner k + 1, shape (c,), uint8.
+    vertices: The mesh's vertices, then one for each cut, part file's frame [mm], shape (n + c, 3)
+    triangles: The patches' corners as indices into `vertices`, counterclockwise from outside, shape (p, 3), int32
+    centroids: Centres of the patches [mm], shape (p, 3)
+    normals: Unit outward normals at the centroids: the vertex normals interpolated, or the facet's, shape (p, 3)
+    areas: [mm²], shape (p,). Those of a face sum up to the face's area.
+    face: Face of the mesh that the patch lies on, ascending, shape (p,), int32
+    roots: Tree entry of each face, shape (m,), int32
+    children: Tree entries of the two halves of each cut, shape (c, 2), int32
+    cut_edge: Which edge of its triangle was cut: k runs from corner k to corner k + 1, shape (c,), uint8
     """
 
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int32]
-    centroids: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    areas: NDArray[np.float64]
-    face: NDArray[np.int32]
-    roots: NDArray[np.int32]
-    children: NDArray[np.int32]
-    cut_edge: NDArray[np.uint8]
+    vertices: Float64
+    triangles: Int32
+    centroids: Float64
+    normals: Float64
+    areas: Float64
+    face: Int32
+    roots: Int32
+    children: Int32
+    cut_edge: UInt8
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -63,30 +53,18 @@ class Patches:
         return len(self.triangles)
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Float64:
         """Corners of the patches [mm], shape (p, 3, 3); made anew on each call."""
         return self.vertices[self.triangles]
 
-    def patch_at(self, face: ArrayLike, u: ArrayLike, v: ArrayLike) -> NDArray[np.int32]:
+    def patch_at(self, face: ArrayLike, u: ArrayLike, v: ArrayLike) -> Int32:
         """Patch that holds each point of the mesh's surface; every point of a face belongs to exactly one.
 
-        Parameters
-        ----------
-        face
-            Face index of each point, −1 where a ray missed, integers of shape (k,).
-        u, v
-            Barycentric coordinates of the point (1 − u − v)·A + u·B + v·C, where A, B, C are the face's
-            vertices in order, shape (k,).
-
-        Returns
-        -------
-        NDArray
-            Patch index, −1 where `face` is −1, shape (k,), int32.
-
-        Raises
-        ------
-        InputError
-            Shapes differ, or a face does not exist.
+        face: Face index of each point, −1 where a ray missed, integers of shape (k,)
+        u, v: Barycentric coordinates of the point (1 − u − v)·A + u·B + v·C, where A, B, C are the face's vertices in
+            order, shape (k,)
+        Returns: Patch index, −1 where `face` is −1, shape (k,), int32.
+        Raises InputError: Shapes differ, or a face does not exist
         """
         faces = np.asarray(face)
         us, vs = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
@@ -108,28 +86,17 @@ class Patches:
 
 
 def refine(
-    mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: NDArray[np.bool_] | None = None
+    mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: Bool | None = None
 ) -> Patches:
     """Patches of a mesh: every face bisected at its longest edge until no edge is longer than `max_edge_mm`.
 
     Longest-edge bisection (Rivara, Int. J. Numer. Meth. Eng. 20, 1984) bounds the smallest angle by half of
     the face's, so pieces do not become slivers. Neighbouring faces are cut independently of each other.
 
-    Parameters
-    ----------
-    mesh
-        Mesh to refine.
-    max_edge_mm
-        Longest edge of a patch [mm].
-    max_patches
-        More are refused.
-    select
-        Faces to refine, shape (m,); the others become one patch each. All by default.
-
-    Raises
-    ------
-    InputError
-        A parameter is out of range, or there would be more than `max_patches`.
+    max_edge_mm: Longest edge of a patch [mm]
+    max_patches: More are refused
+    select: Faces to refine, shape (m,); the others become one patch each. All by default.
+    Raises InputError: A parameter is out of range, or there would be more than `max_patches`
     """
     selected = _checked(mesh, max_edge_mm, select)
     count = estimate_patch_count(mesh, max_edge_mm, select=select, limit=max_patches + 1)
@@ -164,28 +131,15 @@ def refine(
 
 
 def estimate_patch_count(
-    mesh: TriangleMesh,
-    max_edge_mm: float,
-    *,
-    select: NDArray[np.bool_] | None = None,
-    limit: int = 10_000_000,
+    mesh: TriangleMesh, max_edge_mm: float, *, select: Bool | None = None, limit: int = 10_000_000
 ) -> int:
     """Count the patches that :func:`refine` would make, without making them.
 
     Exact below `limit`; where the number is certainly not below, some value of at least `limit` in little
     time.
 
-    Parameters
-    ----------
-    mesh, max_edge_mm, select
-        As for :func:`refine`.
-    limit
-        Count no further.
-
-    Raises
-    ------
-    InputError
-        A parameter is out of range.
+    mesh, max_edge_mm, select: As for :func:`refine`
+    Raises InputError: A parameter is out of range
     """
     selected = _checked(mesh, max_edge_mm, select)
     if limit < 1:
@@ -198,7 +152,7 @@ def estimate_patch_count(
     return int(count_pieces(mesh.vertices, mesh.faces, selected, max_edge_mm, limit))
 
 
-def _checked(mesh: TriangleMesh, max_edge_mm: float, select: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _checked(mesh: TriangleMesh, max_edge_mm: float, select: Bool | None) -> Bool:
     if not (math.isfinite(max_edge_mm) and max_edge_mm > 0.0):
         raise InputError(f"patches: expected an edge length above 0 mm, found {max_edge_mm}")
     if select is None:

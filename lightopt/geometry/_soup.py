@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32, Int64
 from lightopt.core.errors import InputError, counted
 
 # Peak of loading and smoothing a binary STL of 1.3 million triangles: 700 bytes each, measured.
@@ -24,25 +24,17 @@ _FARTHEST_MM = 1e9
 class Soup:
     """Triangles of a file in the file's unit.
 
-    Parameters
-    ----------
-    vertices
-        Positions [file unit], Z up, shape (n, 3).
-    faces
-        Vertex indices as found in the file, shape (m, 3).
-    normals
-        Vertex normals carried by the file, not necessarily of unit length, shape (n, 3), or None.
-    format
-        What the file is, for people ("binary STL").
-    repeats_vertices
-        The format repeats a vertex for each face or seam, so coinciding vertices are nothing to report.
-    warnings
-        What was noticed while reading.
+    vertices: Positions [file unit], Z up, shape (n, 3)
+    faces: Vertex indices as found in the file, shape (m, 3)
+    normals: Vertex normals carried by the file, not necessarily of unit length, shape (n, 3), or None
+    format: What the file is, for people ("binary STL")
+    repeats_vertices: The format repeats a vertex for each face or seam, so coinciding vertices are nothing to report
+    warnings: What was noticed while reading
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    normals: NDArray[np.float64] | None
+    vertices: Float64
+    faces: Int64
+    normals: Float64 | None
     format: str
     repeats_vertices: bool
     warnings: tuple[str, ...] = ()
@@ -51,10 +43,7 @@ class Soup:
 def check_budget(name: str, triangles: int, max_triangles: int) -> None:
     """Refuse a mesh of more than `max_triangles` before its data is loaded.
 
-    Raises
-    ------
-    InputError
-        With both numbers and the memory that loading would take.
+    Raises InputError: With both numbers and the memory that loading would take
     """
     if triangles > max_triangles:
         gigabytes = triangles * BYTES_PER_TRIANGLE / 1e9
@@ -67,10 +56,7 @@ def check_budget(name: str, triangles: int, max_triangles: int) -> None:
 def check_soup(name: str, soup: Soup, unit_mm: float) -> None:
     """Refuse triangles that cannot be repaired.
 
-    Raises
-    ------
-    InputError
-        No triangles, a vertex that is not finite or beyond all reason, or a vertex index out of range.
+    Raises InputError: No triangles, a vertex that is not finite or beyond all reason, or a vertex index out of range
     """
     if not len(soup.faces):
         raise InputError(f"{name}: the {soup.format} file has no triangles ({len(soup.vertices)} vertices)")
@@ -98,7 +84,7 @@ def check_soup(name: str, soup: Soup, unit_mm: float) -> None:
         )
 
 
-def keep_faces_with_area(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+def keep_faces_with_area(vertices: Float64, faces: Int32) -> Bool:
     """Tell which faces have an area, and so a direction, shape (m,)."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     u, v, w = b - a, c - a, c - b

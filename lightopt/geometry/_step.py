@@ -32,16 +32,10 @@ _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
 class StepLimits:
     """How finely a STEP file is tessellated, and what that may cost.
 
-    Parameters
-    ----------
-    chord_tolerance_mm
-        Largest distance between triangle and surface [mm].
-    angular_tolerance
-        Largest angle between neighbouring tangents along an edge [rad].
-    timeout_s
-        Time for both passes together [s].
-    memory_gb
-        Address space of the worker [10⁹ bytes]; not limited on Windows.
+    chord_tolerance_mm: Largest distance between triangle and surface [mm]
+    angular_tolerance: Largest angle between neighbouring tangents along an edge [rad]
+    timeout_s: Time for both passes together [s]
+    memory_gb: Address space of the worker [10⁹ bytes]; not limited on Windows
     """
 
     chord_tolerance_mm: float
@@ -58,11 +52,8 @@ def read_step(
     The file declares its unit; a unit that the caller gives has to be the same. A first, coarse tessellation
     learns the size, so that a unit mistake ends in a message and not in hours of tessellating.
 
-    Raises
-    ------
-    InputError
-        The file is cut off or not STEP, its unit is another one, the part is over 1 m or under 0.1 mm, a
-        limit was reached, or there are more than `max_triangles`.
+    Raises InputError: The file is cut off or not STEP, its unit is another one, the part is over 1 m or under 0.1 mm, a
+        limit was reached, or there are more than `max_triangles`
     """
     name = str(path)
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
@@ -80,7 +71,7 @@ def read_step(
     coarse, _ = _tessellate(path, (_COARSE_LINEAR, _COARSE_ANGULAR, True), limits, deadline)
     _check_size(name, parse_glb(name, coarse), declared_unit_mm(data))
     tolerances = (limits.chord_tolerance_mm, limits.angular_tolerance, False)
-    fine, said = _tessellate(path, tolerances, limits, deadline)
+    fine, output = _tessellate(path, tolerances, limits, deadline)
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
     parts = parse_glb(name, fine)
     starts = np.cumsum([0] + [len(part["vertices"]) for part in parts])
@@ -90,7 +81,7 @@ def read_step(
         np.concatenate([part["vertex_normals"] for part in parts]),
         "STEP",
         repeats_vertices=True,
-        warnings=(f"the CAD kernel reported while reading the STEP file: {said}",) if said else (),
+        warnings=(f"the CAD kernel reported while reading the STEP file: {output}",) if output else (),
     )
 
 
@@ -175,10 +166,10 @@ def _tessellate(
             ) from error
         if done.returncode == 0 and glb.is_file():
             return glb.read_bytes(), _last_line(done.stdout)
-    said = f" ({_last_line(done.stdout)})" if done.stdout.strip() else ""
+    output = f" ({_last_line(done.stdout)})" if done.stdout.strip() else ""
     if done.returncode == _step_worker.EXIT_READ:
         raise InputError(
-            f"{path}: the STEP file could not be read{said}. Export it again (AP203, AP214 or AP242)"
+            f"{path}: the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)"
         )
     if done.returncode == _step_worker.EXIT_MEMORY:
         raise InputError(
@@ -186,7 +177,7 @@ def _tessellate(
             "mesh.chord_tolerance_mm, or simplify the part"
         )
     raise InputError(
-        f"{path}: {what} ended with status {done.returncode}{said}: the CAD kernel crashed on this file or "
+        f"{path}: {what} ended with status {done.returncode}{output}: the CAD kernel crashed on this file or "
         f"reached the memory limit of {limits.memory_gb:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
         "part as STL"
     )

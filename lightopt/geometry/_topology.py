@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt64
 from lightopt.core.kernels import kernel
 
 
@@ -14,22 +15,16 @@ from lightopt.core.kernels import kernel
 class EdgePairs:
     """Edges that exactly two faces use, and the number of the others.
 
-    Parameters
-    ----------
-    corners
-        The two corners that begin the edge, one in each face, as 3·face + corner, lower face first, shape (e,
-        2), int32.
-    same_direction
-        True where both faces run along the edge in the same direction (their windings disagree), shape (e,).
-    rim
-        True for faces that touch an edge used once or more than twice, shape (m,).
-    open_edges, nonmanifold_edges
-        Number of edges used by one face, and by three or more.
+    corners: The two corners that begin the edge, one in each face, as 3·face + corner, lower face first, shape (e, 2),
+        int32
+    same_direction: True where both faces run along the edge in the same direction (their windings disagree), shape (e,)
+    rim: True for faces that touch an edge used once or more than twice, shape (m,)
+    open_edges, nonmanifold_edges: Number of edges used by one face, and by three or more
     """
 
-    corners: NDArray[np.int32]
-    same_direction: NDArray[np.bool_]
-    rim: NDArray[np.bool_]
+    corners: Int32
+    same_direction: Bool
+    rim: Bool
     open_edges: int
     nonmanifold_edges: int
 
@@ -38,41 +33,28 @@ class EdgePairs:
 class MeshEdges:
     """Every edge once.
 
-    Attributes
-    ----------
-    ends
-        Vertex indices, the lower one first, shape (e, 2).
-    uses
-        Number of faces at the edge, shape (e,).
-    corners
-        The corners that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2).
-    order
-        All corners, those of an edge together, shape (3·m,).
+    ends: Vertex indices, the lower one first, shape (e, 2)
+    uses: Number of faces at the edge, shape (e,)
+    corners: The corners that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2)
+    order: All corners, those of an edge together, shape (3·m,)
     """
 
-    ends: NDArray[np.int64]
-    uses: NDArray[np.int64]
-    corners: NDArray[np.int64]
-    order: NDArray[np.int64]
+    ends: Int64
+    uses: Int64
+    corners: Int64
+    order: Int64
 
     @property
-    def faces(self) -> NDArray[np.int64]:
+    def faces(self) -> Int64:
         """The first and the last of the faces at the edge, shape (e, 2)."""
         return self.corners // 3
 
 
-def merge_rows(rows: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def merge_rows(rows: Float64) -> tuple[Int32, Int32]:
     """Find the unique rows of an array by exact value, in order of first occurrence.
 
-    Parameters
-    ----------
-    rows
-        Positions, or positions with normals, shape (n, k).
-
-    Returns
-    -------
-    tuple
-        Row numbers of the first occurrences, shape (u,), and for each row the number of its unique row, shape
+    rows: Positions, or positions with normals, shape (n, k)
+    Returns: Row numbers of the first occurrences, shape (u,), and for each row the number of its unique row, shape
         (n,).
     """
     # adding 0.0 turns −0.0 into 0.0, so that equal numbers have equal bits
@@ -83,10 +65,7 @@ def merge_rows(rows: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np
 def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
     """Every edge of some faces once.
 
-    Parameters
-    ----------
-    faces
-        Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are.
+    faces: Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are
     """
     start, end = _corner_vertices(faces)
     count = int(start.max()) + 1
@@ -103,14 +82,8 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
     )
 
 
-def edge_pairs(faces: NDArray[np.int32]) -> EdgePairs:
-    """Match the edges of all faces.
-
-    Parameters
-    ----------
-    faces
-        Vertex indices after merging coinciding positions, shape (m, 3).
-    """
+def edge_pairs(faces: Int32) -> EdgePairs:
+    """Match the edges of all faces."""
     edges = mesh_edges(faces)
     start, _ = _corner_vertices(faces)
     corners = edges.corners[edges.uses == 2].astype(np.int32)
@@ -125,13 +98,13 @@ def edge_pairs(faces: NDArray[np.int32]) -> EdgePairs:
     )
 
 
-def _corner_vertices(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _corner_vertices(faces: NDArray[np.integer]) -> tuple[Int64, Int64]:
     """The vertices at which the edge of each corner begins and ends, shape (3·m,)."""
     return faces.reshape(-1).astype(np.int64), faces[:, (1, 2, 0)].reshape(-1).astype(np.int64)
 
 
 @kernel
-def _merge_bits(bits: NDArray[np.uint64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
     n, k = bits.shape
     size = 16
     while size < 2 * n:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 
@@ -20,26 +21,16 @@ class TriangleMesh:
     two faces that share a vertex also share its normal. Arrays of the right type are not copied; they are
     read-only here.
 
-    Parameters
-    ----------
-    vertices
-        Positions in the part file's frame [mm], shape (n, 3).
-    faces
-        Vertex indices, shape (m, 3), int32.
-    normals
-        Unit outward normals of the surface at the vertices, same frame, shape (n, 3); None shades flat
-        facets.
-
-    Raises
-    ------
-    InputError
-        A shape is wrong, a coordinate is not finite, an index is out of range, or a normal is not of unit
-        length.
+    vertices: Positions in the part file's frame [mm], shape (n, 3)
+    faces: Vertex indices, shape (m, 3), int32
+    normals: Unit outward normals of the surface at the vertices, same frame, shape (n, 3); None shades flat facets
+    Raises InputError: A shape is wrong, a coordinate is not finite, an index is out of range, or a normal is not of
+        unit length
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    normals: NDArray[np.float64] | None = None
+    vertices: Float64
+    faces: Int32
+    normals: Float64 | None = None
 
     def __post_init__(self) -> None:
         vertices = _rows_of_three("vertices", self.vertices)
@@ -68,21 +59,21 @@ class TriangleMesh:
         object.__setattr__(self, "normals", normals)
 
     @property
-    def bounds(self) -> NDArray[np.float64]:
+    def bounds(self) -> Float64:
         """Lowest and highest corner of the bounding box of all vertices [mm], shape (2, 3)."""
         if not len(self.vertices):
             raise InputError("mesh: no vertices, so no bounding box")
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
 
-def face_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
+def face_normals(mesh: TriangleMesh) -> Float64:
     """Outward unit normals of the facets, part file's frame, shape (m, 3); zero for faces without area."""
     cross = _cross(mesh.vertices, mesh.faces)
     length = np.sqrt(np.einsum("ij,ij->i", cross, cross))
     return cross / np.where(length > 0.0, length, 1.0)[:, None]
 
 
-def face_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
+def face_areas(mesh: TriangleMesh) -> Float64:
     """Areas of the flat facets [mm²], shape (m,)."""
     cross = _cross(mesh.vertices, mesh.faces)
     return 0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross))
@@ -91,19 +82,7 @@ def face_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
 def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike) -> TriangleMesh:
     """Mesh after the rigid motion p' = R·p + t; normals are turned with it.
 
-    Parameters
-    ----------
-    mesh
-        Mesh to move.
-    rotation
-        Rotation matrix R, shape (3, 3).
-    translation
-        Translation t [mm], shape (3,).
-
-    Raises
-    ------
-    InputError
-        R is not a rotation (a scaling or a mirror would falsify normals and winding), or t is not finite.
+    Raises InputError: R is not a rotation (a scaling or a mirror would falsify normals and winding), or t is not finite
     """
     R = np.asarray(rotation, dtype=np.float64)
     t = np.asarray(translation, dtype=np.float64)
@@ -116,7 +95,7 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
 
 
 @kernel
-def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def _cross(vertices: Float64, faces: Int32) -> Float64:
     # normals as long as twice the areas
     result = np.empty((len(faces), 3))
     for i in range(len(faces)):
@@ -129,7 +108,7 @@ def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[n
     return result
 
 
-def _rows_of_three(name: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rows_of_three(name: str, values: Float64) -> Float64:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"mesh {name}: expected shape (n, 3), found {array.shape}")

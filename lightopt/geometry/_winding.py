@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.errors import counted
 from lightopt.core.kernels import kernel
 from lightopt.geometry._topology import EdgePairs, edge_pairs
@@ -20,36 +20,24 @@ _NO_VOLUME = 1e-9
 class Repaired:
     """Faces with a winding that agrees across every edge of two faces.
 
-    Parameters
-    ----------
-    faces
-        Vertex indices, shape (m, 3).
-    pairs
-        Their edges.
-    components
-        Number of surfaces connected through edges of two faces.
-    warnings
-        What was turned, with numbers.
+    components: Number of surfaces connected through edges of two faces
+    warnings: What was turned, with numbers
     """
 
-    faces: NDArray[np.int32]
+    faces: Int32
     pairs: EdgePairs
     components: int
     warnings: tuple[str, ...]
 
 
-def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Repaired:
+def repair_winding(vertices: Float64, faces: Int32) -> Repaired:
     """Turn the faces that wind against their neighbours, then the closed surfaces that are inside out.
 
     Of each connected surface the smaller share is turned. A closed surface of negative volume is turned
     unless it lies inside another one: then it is a cavity and faces the right way.
 
-    Parameters
-    ----------
-    vertices
-        Positions without coinciding ones [mm], shape (n, 3).
-    faces
-        Vertex indices, all of them with an area, shape (m, 3).
+    vertices: Positions without coinciding ones [mm], shape (n, 3)
+    faces: Vertex indices, all of them with an area, shape (m, 3)
     """
     pairs = edge_pairs(faces)
     label, turn = _flood(len(faces), pairs.corners, pairs.same_direction)
@@ -84,16 +72,11 @@ def repair_winding(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> R
     return Repaired(faces, pairs, components, tuple(warnings))
 
 
-def _turned(faces: NDArray[np.int32], turn: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _turned(faces: Int32, turn: Bool) -> Int32:
     return np.where(turn[:, None], faces[:, (0, 2, 1)], faces)
 
 
-def _inside_out(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    label: NDArray[np.int32],
-    closed: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
+def _inside_out(vertices: Float64, faces: Int32, label: Int32, closed: Bool) -> Bool:
     # the volume of a closed surface does not depend on the origin, its rounding error does
     corners = (vertices - vertices.mean(axis=0))[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -122,9 +105,7 @@ def _inside_out(
 
 
 @kernel
-def _flood(
-    face_count: int, corners: NDArray[np.int32], same_direction: NDArray[np.bool_]
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+def _flood(face_count: int, corners: Int32, same_direction: Bool) -> tuple[Int32, Bool]:
     """Label connected faces; turn[f] tells whether f winds against the first face of its surface."""
     neighbour = np.full((face_count, 3), -1, dtype=np.int32)
     against = np.zeros((face_count, 3), dtype=np.bool_)
@@ -158,20 +139,12 @@ def _flood(
     return label, turn
 
 
-def points_inside(points: NDArray[np.float64], mesh: TriangleMesh) -> NDArray[np.bool_]:
+def points_inside(points: Float64, mesh: TriangleMesh) -> Bool:
     """Whether points lie inside a surface: one that is mostly closed, around which it winds more than half a time.
 
-    Parameters
-    ----------
-    points
-        [mm], shape (k, 3), frame of the mesh.
-    mesh
-        Its faces wind alike, whichever way.
-
-    Returns
-    -------
-    ndarray
-        Shape (k,).
+    points: [mm], shape (k, 3), frame of the mesh
+    mesh: Its faces wind alike, whichever way
+    Returns: Shape (k,).
     """
     low, high = mesh.bounds
     inside = np.all((points >= low) & (points <= high), axis=1)
@@ -183,17 +156,13 @@ def points_inside(points: NDArray[np.float64], mesh: TriangleMesh) -> NDArray[np
 
 
 @kernel
-def winding_number(triangles: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+def winding_number(triangles: Float64, point: Float64) -> float:
     """How often closed surfaces surround a point.
 
     Solid angles by van Oosterom and Strackee 1983, doi:10.1109/TBME.1983.325207, eq. 8.
 
-    Parameters
-    ----------
-    triangles
-        Corners [mm], shape (m, 3, 3).
-    point
-        [mm], shape (3,).
+    triangles: Corners [mm], shape (m, 3, 3)
+    point: [mm], shape (3,)
     """
     x, y, z = point[0], point[1], point[2]
     total = 0.0

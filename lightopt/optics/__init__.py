@@ -4,17 +4,16 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 :mod:`lightopt.rendering`; it knows neither meshes nor rigs.
 """
 
-from lightopt.optics._exposure import expose, image_rng, saturated
-from lightopt.optics._models import (
+from lightopt.optics._reflectance import (
     MAX_LOBE_EXPONENT,
     MIN_COS_VIEW,
+    Reflectance,
     half_vector_angle_squared,
     lambert,
     torrance_sparrow,
 )
-from lightopt.optics._reflectance import Reflectance
 from lightopt.optics._saturated_region import saturated_region
-from lightopt.optics._sensor import Sensor
+from lightopt.optics._sensor import Sensor, expose, image_rng, saturated
 
 __all__ = [
     "MAX_LOBE_EXPONENT",

@@ -8,17 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
+
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatedRegion:
     """Area and perimeter of the saturated pixels, by which the paper compares simulation and measurement (section 4.4).
 
-    Attributes
-    ----------
-    area
-        Number of pixels at or above the saturation level [px].
-    perimeter
-        Length of the line at the saturation level, interpolated between pixel centres [px].
+    area: Number of pixels at or above the saturation level [px]
+    perimeter: Length of the line at the saturation level, interpolated between pixel centres [px]
     """
 
     area: int
@@ -28,12 +26,8 @@ class SaturatedRegion:
 def saturated_region(levels: NDArray[Any], saturation_level: float) -> SaturatedRegion:
     """Area and perimeter of the region at or above a level.
 
-    Parameters
-    ----------
-    levels
-        Image, linear or as the camera delivers it, shape (height, width).
-    saturation_level
-        In the units of `levels`.
+    levels: Image, linear or as the camera delivers it, shape (height, width)
+    saturation_level: In the units of `levels`
     """
     above = np.asarray(levels) >= saturation_level
     excess = np.pad(np.asarray(levels, dtype=np.float64) - saturation_level, 1, constant_values=-1.0)
@@ -42,7 +36,7 @@ def saturated_region(levels: NDArray[Any], saturation_level: float) -> Saturated
     return SaturatedRegion(area=int(above.sum()), perimeter=_contour_length(excess))
 
 
-def _contour_length(values: NDArray[np.float64]) -> float:
+def _contour_length(values: Float64) -> float:
     # marching squares: every 2 × 2 square of pixel centres is crossed by straight pieces of the line where values are 0
     corners = (values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1])
     mixed = np.zeros(corners[0].shape, np.bool_)
@@ -66,15 +60,11 @@ def _contour_length(values: NDArray[np.float64]) -> float:
     return total + _length(top, bottom, split)
 
 
-def _crossing(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _crossing(first: Float64, second: Float64) -> Float64:
     # share of the way from the first corner to the second where the value passes zero; meaningless where it does not
     difference = first - second
     return np.clip(first / np.where(difference == 0.0, 1.0, difference), 0.0, 1.0)
 
 
-def _length(
-    start: tuple[NDArray[np.float64], NDArray[np.float64]],
-    end: tuple[NDArray[np.float64], NDArray[np.float64]],
-    where: NDArray[np.bool_],
-) -> float:
+def _length(start: tuple[Float64, Float64], end: tuple[Float64, Float64], where: Bool) -> float:
     return float(np.hypot(start[0] - end[0], start[1] - end[1])[where].sum())

@@ -1,9 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
-from lightopt.rendering._converged import converged_panel, shade_converged
-from lightopt.rendering._grazing import GRAZING_COSINE, GRAZING_DEG
-from lightopt.rendering._highlight import highlight_level
-from lightopt.rendering._image_set import RenderOptions, Report, render_image_set
+from lightopt.rendering._converged import converged_panel, highlight_level, shade_converged
+from lightopt.rendering._image_set import RenderOptions, RenderProgress, render_image_set
 from lightopt.rendering._images import (
     Geometry,
     LightImage,
@@ -26,8 +24,8 @@ from lightopt.rendering._patches import (
 )
 from lightopt.rendering._pixels import UNLIT, WHOLE, PosturePixels, panel_verdict, trace_pixels
 from lightopt.rendering._points import shade_points
-from lightopt.rendering._scene_checks import panels_in_part, refuse_hopeless, too_few_pixels
-from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.rendering._scene_checks import panels_in_part, refuse_unusable_scene, too_few_pixels
+from lightopt.rendering._surface import GRAZING_COSINE, GRAZING_DEG, SurfacePoints, trace_samples
 from lightopt.rendering._variants import shade_variants, surface_variants
 
 __all__ = [
@@ -43,7 +41,7 @@ __all__ = [
     "PostureImages",
     "PosturePixels",
     "RenderOptions",
-    "Report",
+    "RenderProgress",
     "SurfacePoints",
     "build_patches",
     "cast_rays_at",
@@ -56,7 +54,7 @@ __all__ = [
     "patch_pixels",
     "patch_positions",
     "patches_for_edge",
-    "refuse_hopeless",
+    "refuse_unusable_scene",
     "render",
     "render_image_set",
     "render_posture",

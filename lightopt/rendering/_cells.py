@@ -5,44 +5,25 @@ is seen at its corners, and by where the edge crosses its sides.
 
 What the functions share
 ------------------------
-points, normals, views
-    Surface points [mm], unit normals and unit view directions, part frame, shape (k, 3).
-panel
-    Part frame.
-point, s, t, cell
-    Surface point of each of q squares, shape (q,); its lower corner, shape (q,), and the side of its cells, in units of
-    the panel's sides, from 0 to 1.
-state
-    What is seen at the corners of the cells, shape (q, n + 1, n + 1): BELOW, VISIBLE or BLOCKED.
-across, along
-    Where the edge crosses the sides of cells that run along s and along t, as a share of the side; shape
-    (q, n + 1, n) and (q, n, n + 1).
-stake
-    Of crossed cells, the light of the whole cell in units of the error allowed; 0 of others; shape (q, n, n).
-inverse_two_sigma_squared
-    1/(2σ²) [rad⁻²].
-panel_nodes
-    Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission; a cell needs fewer.
-nodes, weights
-    Gauss–Legendre rules.
-terms
-    Diffuse and specular light so far, per unit of R_d and R_s, of a panel of weight 1; shape (k, 2).
+points, normals, views: Surface points [mm], unit normals and unit view directions, part frame, shape (k, 3)
+state: What is seen at the corners of the cells, shape (q, n + 1, n + 1): BELOW, VISIBLE or BLOCKED
+across, along: Where the edge crosses the sides of cells that run along s and along t, as a share of the side; shape
+    (q, n + 1, n) and (q, n, n + 1)
+stake: Of crossed cells, the light of the whole cell in units of the error allowed; 0 of others; shape (q, n, n)
+terms: Diffuse and specular light so far, per unit of R_d and R_s, of a panel of weight 1; shape (k, 2)
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
-from lightopt.rendering._lobe import out_of_reach, rectangle_diffuse, rectangle_specular
-from lightopt.rendering._panel import PanelNumbers
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
-State = NDArray[np.uint8]
+from lightopt.rendering._lobe import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
+from lightopt.rendering._panel import PanelNumbers, dot, vector_at
 
 BELOW, VISIBLE, BLOCKED = 1, 2, 3
 """What a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle."""
@@ -60,21 +41,46 @@ LEAST_STRIPS, MOST_STRIPS = 2, 16
 """Strips that the visible area of a crossed cell is integrated in."""
 
 
+class ConvergedLight(NamedTuple):
+    """A panel in the part's frame, and how bright its light is on a surface.
+
+    diffuse_level, specular_level: Grey levels per unit of the two terms: R_d and R_s times the panel's total weight
+    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
+    nodes: Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission; a cell needs fewer
+    """
+
+    panel: PanelNumbers
+    diffuse_level: float
+    specular_level: float
+    inverse_two_sigma_squared: float
+    nodes: int
+
+
+class Squares(NamedTuple):
+    """Pieces of the panel that a grid is laid over, q of them; several may belong to one surface point.
+
+    point: Surface point of each, shape (q,)
+    s, t: Lower corner, in units of the panel's sides, from 0 to 1; shape (q,)
+    cell: Side of the grid's cells, in the same units
+    """
+
+    point: Int32
+    s: Float64
+    t: Float64
+    cell: float
+
+
 @kernel
 def places_beside_chords(
-    state: State, stake: Float64, across: Float64, along: Float64
-) -> tuple[Bool, NDArray[np.int64], Float64, Float64, Bool]:
+    state: UInt8, stake: Float64, across: Float64, along: Float64
+) -> tuple[Bool, Int64, Float64, Float64, Bool]:
     """Places that tell whether the edge of the shadow is straight inside the crossed cells where that matters.
 
     They are on both sides of the chord between the edge's crossings, as far from it as the edge may be without harm.
 
-    Returns
-    -------
-    bent
-        Cells that two pieces of edge cross, which need no looking at; shape (q, n, n).
-    cell, x, y, expected
-        Index of each place's cell in the raveled (q, n, n); the place in its square, in cells; and whether a straight
-        edge would hide it.
+    Returns bent: Cells that two pieces of edge cross, which need no looking at; shape (q, n, n)
+        cell, x, y, expected: Index of each place's cell in the raveled (q, n, n); the place in its square, in cells;
+        and whether a straight edge would hide it
     """
     q, n = stake.shape[0], stake.shape[1]
     bent = np.zeros(stake.shape, np.bool_)
@@ -124,29 +130,22 @@ def add_visible_cells(
     points: Float64,
     normals: Float64,
     views: Float64,
-    panel: PanelNumbers,
-    point: NDArray[np.int32],
-    s: Float64,
-    t: Float64,
-    cell: float,
-    state: State,
-    diffuse_level: float,
-    specular_level: float,
-    inverse_two_sigma_squared: float,
-    panel_nodes: int,
-    nodes: Float64,
-    weights: Float64,
+    light: ConvergedLight,
+    squares: Squares,
+    state: UInt8,
     terms: Float64,
 ) -> Float64:
     """Add the light of the visible cells to `terms`; return the levels of the whole of each crossed one, (q, n, n)."""
+    point, s, t, cell = squares
+    panel, inverse = light.panel, light.inverse_two_sigma_squared
     q, n = len(point), state.shape[1] - 1
     stake = np.zeros((q, n, n))
-    few = math.ceil(2.0 * panel_nodes * cell)
+    few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
-        p, normal, v = points[k], normals[k], views[k]
-        n_dot_v = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2]
-        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse_two_sigma_squared)
+        p, normal, v = vector_at(points, k), vector_at(normals, k), vector_at(views, k)
+        n_dot_v = dot(normal, v)
+        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse)
         for row in range(n):
             t0 = t[i] + row * cell - 0.5
             column = 0
@@ -159,31 +158,17 @@ def add_visible_cells(
                 # visible cells of one row in one go
                 while kind == VISIBLE and end < n and _cell_kind(state, i, row, end) == kind:
                     end += 1
-                s0, s1 = s[i] + column * cell - 0.5, s[i] + end * cell - 0.5
-                order = max(2, math.ceil(panel_nodes * (s1 - s0))) if kind == VISIBLE else few
-                d = rectangle_diffuse(p, normal, v, panel, s0, s1, t0, t0 + cell, order, nodes, weights)
+                area = Rectangle(s[i] + column * cell - 0.5, s[i] + end * cell - 0.5, t0, t0 + cell)
+                order = max(2, math.ceil(light.nodes * (area.s1 - area.s0))) if kind == VISIBLE else few
+                d = rectangle_diffuse(p, normal, panel, area, order)
                 g = 0.0
                 if glossy:
-                    g = rectangle_specular(
-                        p,
-                        normal,
-                        v,
-                        n_dot_v,
-                        panel,
-                        s0,
-                        s1,
-                        t0,
-                        t0 + cell,
-                        inverse_two_sigma_squared,
-                        panel_nodes,
-                        nodes,
-                        weights,
-                    )
+                    g = rectangle_specular(p, normal, v, n_dot_v, panel, area, inverse, light.nodes)
                 if kind == VISIBLE:
                     terms[k, 0] += d
                     terms[k, 1] += g
                 else:
-                    stake[i, row, column] = diffuse_level * d + specular_level * g
+                    stake[i, row, column] = light.diffuse_level * d + light.specular_level * g
                 column = end
     return stake
 
@@ -193,31 +178,26 @@ def add_crossed_cells(
     points: Float64,
     normals: Float64,
     views: Float64,
-    panel: PanelNumbers,
-    point: NDArray[np.int32],
-    s: Float64,
-    t: Float64,
-    cell: float,
-    state: State,
+    light: ConvergedLight,
+    squares: Squares,
+    state: UInt8,
     across: Float64,
     along: Float64,
     stake: Float64,
     left_out: Bool,
-    inverse_two_sigma_squared: float,
-    panel_nodes: int,
-    nodes: Float64,
-    weights: Float64,
     terms: Float64,
 ) -> None:
     """Add the light of the visible part of the crossed cells, except those `left_out`, to `terms`."""
+    point, s, t, cell = squares
+    panel, inverse = light.panel, light.inverse_two_sigma_squared
     q, n = len(point), state.shape[1] - 1
     runs = np.empty((4 * MOST_STRIPS, 4))
-    few = math.ceil(2.0 * panel_nodes * cell)
+    few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
-        p, normal, v = points[k], normals[k], views[k]
-        n_dot_v = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2]
-        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse_two_sigma_squared)
+        p, normal, v = vector_at(points, k), vector_at(normals, k), vector_at(views, k)
+        n_dot_v = dot(normal, v)
+        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse)
         for row in range(n):
             for column in range(n):
                 kind = _cell_kind(state, i, row, column)
@@ -229,27 +209,16 @@ def add_crossed_cells(
                 for j in range(count):
                     s0, s1 = s[i] + runs[j, 0] * cell - 0.5, s[i] + runs[j, 1] * cell - 0.5
                     t0, t1 = t[i] + runs[j, 2] * cell - 0.5, t[i] + runs[j, 3] * cell - 0.5
-                    terms[k, 0] += rectangle_diffuse(p, normal, v, panel, s0, s1, t0, t1, few, nodes, weights)
+                    area = Rectangle(s0, s1, t0, t1)
+                    terms[k, 0] += rectangle_diffuse(p, normal, panel, area, few)
                     if glossy:
                         terms[k, 1] += rectangle_specular(
-                            p,
-                            normal,
-                            v,
-                            n_dot_v,
-                            panel,
-                            s0,
-                            s1,
-                            t0,
-                            t1,
-                            inverse_two_sigma_squared,
-                            panel_nodes,
-                            nodes,
-                            weights,
+                            p, normal, v, n_dot_v, panel, area, inverse, light.nodes
                         )
 
 
 @kernel
-def _cell_kind(state: State, i: int, row: int, column: int) -> int:
+def _cell_kind(state: UInt8, i: int, row: int, column: int) -> int:
     # VISIBLE, BLOCKED, or 0 where the edge of the shadow crosses the cell
     visible = blocked = 0
     for corner in range(4):
@@ -263,7 +232,7 @@ def _cell_kind(state: State, i: int, row: int, column: int) -> int:
 
 @kernel
 def _chord(
-    state: State, across: Float64, along: Float64, i: int, row: int, column: int, first: int
+    state: UInt8, across: Float64, along: Float64, i: int, row: int, column: int, first: int
 ) -> tuple[bool, float, float, float, float, float]:
     # the chord that cuts off the visible stretch of a cell's boundary that begins with corner `first`, if one does: its
     # ends (ax, ay), (bx, by) and the sign with which sign·((bx − ax)·(y − ay) − (by − ay)·(x − ax)) ≥ 0 is visible.
@@ -292,14 +261,7 @@ def _chord(
 
 @kernel
 def _visible_strips(
-    state: State,
-    across: Float64,
-    along: Float64,
-    i: int,
-    row: int,
-    column: int,
-    strips: int,
-    runs: Float64,
+    state: UInt8, across: Float64, along: Float64, i: int, row: int, column: int, strips: int, runs: Float64
 ) -> int:
     # strips [s0, s1] × [t0, t1], in cells, that cover the visible area of a cell; returns their number
     count = 0

@@ -1,6 +1,6 @@
 """``points: auto``: the panel as the continuous surface it is.
 
-Per pixel and light five rays, to the panel's corners and centre, tell lit from shaded. Where they agree among
+Per pixel and light five rays, to the panel's corners and centre, distinguish lit from shaded. Where they agree among
 themselves and with those of the neighbouring pixels, the panel is wholly visible or wholly hidden; the penumbrae that
 remain are worked out by :mod:`lightopt.rendering._penumbra`.
 """
@@ -11,20 +11,19 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.rendering._lobe import gauss_legendre_table, out_of_reach, rectangle_diffuse, rectangle_specular
-from lightopt.rendering._panel import PanelNumbers, panel_numbers
-from lightopt.rendering._penumbra import PenumbraLight, shade_penumbra
+from lightopt.rendering._cells import ConvergedLight
+from lightopt.rendering._lobe import WHOLE_PANEL, out_of_reach, rectangle_diffuse, rectangle_specular
+from lightopt.rendering._panel import Vector, dot, panel_numbers, vector_at
+from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._points import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.scene import PanelLight
-
-Float64 = NDArray[np.float64]
+from lightopt.scene import PanelLight, Scene
 
 DIFFUSE_TOLERANCE = 1e-4
 """Error of the diffuse quadrature per unit of R_d: 0.025 level of 255."""
@@ -43,116 +42,66 @@ _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
 class ConvergedPanel:
     """A panel with the quadrature that it needs for a part.
 
-    Attributes
-    ----------
-    light
-        The panel, part frame.
-    nodes
-        Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do.
-    rules
-        From :func:`gauss_legendre_table`.
+    nodes: Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
     """
 
     light: PanelLight
     nodes: int
-    rules: tuple[Float64, Float64]
 
 
 @dataclass(frozen=True, eq=False)
 class PanelSight:
     """What k surface points see of a panel.
 
-    Attributes
-    ----------
-    verdict
-        By the coarse rays, shape (k,).
-    penumbra
-        Whether the point was shaded as one in a penumbra, shape (k,).
+    verdict: By the coarse rays, shape (k,)
+    penumbra: Whether the point was shaded as one in a penumbra, shape (k,)
     """
 
-    verdict: NDArray[np.uint8]
-    penumbra: NDArray[np.bool_]
+    verdict: UInt8
+    penumbra: Bool
 
 
 def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> ConvergedPanel:
     """Choose the diffuse quadrature of a panel by trying it on surface points all over a part.
 
-    Parameters
-    ----------
-    light
-        Part frame.
-    centre, radius
-        Sphere around the part, part frame [mm].
+    light: Part frame
+    centre, radius: Sphere around the part, part frame [mm]
     """
     panel = panel_numbers(light)
-    nodes, weights = gauss_legendre_table()
     towards = light.centre - centre
     towards = towards / np.linalg.norm(towards)
-    positions = [centre + radius * np.array(d) for d in itertools.product((-0.57, 0.57), repeat=3)]
+    positions = [Vector(*(centre + radius * np.array(d))) for d in itertools.product((-0.57, 0.57), repeat=3)]
     # facing the panel, leaning, and so steep that the panel reaches below the horizon
     leanings = [a * side for side in (light.across, light.along) for a in (1.5, 5.0, -5.0)]
     tilts = [towards, *(towards + leaning for leaning in leanings)]
-    normals = [tilt / np.linalg.norm(tilt) for tilt in tilts]
+    normals = [Vector(*(tilt / np.linalg.norm(tilt))) for tilt in tilts]
+    places = list(itertools.product(positions, normals))
+    exact = [rectangle_diffuse(p, n, panel, WHOLE_PANEL, 24) for p, n in places]
+    count = 0
     for count in (2, 3, 4, 6, 8, 12, 16, 20):
-        error = max(
-            abs(
-                rectangle_diffuse(p, n, n, panel, -0.5, 0.5, -0.5, 0.5, count, nodes, weights)
-                - rectangle_diffuse(p, n, n, panel, -0.5, 0.5, -0.5, 0.5, 24, nodes, weights)
-            )
-            for p in positions
-            for n in normals
-        )
-        if error <= DIFFUSE_TOLERANCE:
+        found = [rectangle_diffuse(p, n, panel, WHOLE_PANEL, count) for p, n in places]
+        if max(abs(a - b) for a, b in zip(found, exact, strict=True)) <= DIFFUSE_TOLERANCE:
             break
-    return ConvergedPanel(light, count, (nodes, weights))
+    return ConvergedPanel(light, count)
 
 
 def shade_converged(
     surface: SurfacePoints,
     converged: ConvergedPanel,
     *,
-    sample: NDArray[np.intp],
+    sample: Index,
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
-) -> tuple[Float64, Float64]:
-    """Diffuse and specular light of a whole panel, per unit of R_d and R_s; two arrays of shape (k,).
-
-    Parameters
-    ----------
-    surface
-        k surface points, part frame.
-    converged
-        The panel and its quadrature.
-    sample
-        Index of each point in the raveled grid of image samples that was traced, shape (k,): shadows are refined where
-        neighbours in this grid disagree.
-    shape
-        Rows and columns of that grid; the grid's own border has no neighbours beyond it.
-    reflectance
-        Its σ shapes the lobe; how finely penumbrae are worked out depends on R_d and R_s, too.
-    caster
-        For shadows; None for none.
-    """
-    diffuse, specular, _ = shade_seeing(
-        surface, converged, sample=sample, shape=shape, reflectance=reflectance, caster=caster
-    )
-    return diffuse, specular
-
-
-def shade_seeing(
-    surface: SurfacePoints,
-    converged: ConvergedPanel,
-    *,
-    sample: NDArray[np.intp],
-    shape: tuple[int, int],
-    reflectance: Reflectance,
-    caster: RayCaster | None,
-    verdict: NDArray[np.uint8] | None = None,
+    verdict: UInt8 | None = None,
 ) -> tuple[Float64, Float64, PanelSight]:
-    """As :func:`shade_converged`, and what the points see of the panel, for :func:`shade_again`.
+    """Diffuse and specular light of a whole panel, per unit of R_d and R_s, shape (k,), and what the points see of it.
 
-    `verdict` is what the coarse rays say, from :func:`verdict_of_probes`, where they have been cast before.
+    sample: Index of each point in the raveled grid of image samples that was traced, shape (k,): shadows are refined
+        where neighbours in this grid disagree
+    shape: Rows and columns of that grid; the grid's own border has no neighbours beyond it
+    reflectance: Its σ shapes the lobe; how finely penumbrae are worked out depends on R_d and R_s, too
+    verdict: Of the coarse rays, from :func:`verdict_of_probes`, where they have been cast before
     """
     if caster is None:
         verdict = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
@@ -161,26 +110,26 @@ def shade_seeing(
         if verdict is None:
             verdict = _coarse_verdict(surface, converged.light, caster)
         uncertain = _disagreeing(verdict, sample, shape)
-    diffuse, specular = _unshadowed(surface, converged, verdict, reflectance)
-    looked_at = np.zeros(len(surface), np.bool_)
+    light = _converged_light(converged, reflectance)
+    diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, verdict, light)
+    shaded = np.zeros(len(surface), np.bool_)
     if caster is not None:
-        light = _penumbra_light(converged, reflectance)
         while uncertain.any():
             penumbra = _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
             # a penumbra goes on until its neighbours, too, see the whole panel or none of it
-            looked_at |= uncertain
-            uncertain = _neighbours(penumbra, sample, shape) & ~looked_at & (verdict != _DARK)
+            shaded |= uncertain
+            uncertain = _neighbours(penumbra, sample, shape) & ~shaded & (verdict != _DARK)
     total = converged.light.total_weight
-    return total * diffuse, total * specular, PanelSight(verdict, looked_at)
+    return total * diffuse, total * specular, PanelSight(verdict, shaded)
 
 
 def shade_again(
     surface: SurfacePoints,
     converged: ConvergedPanel,
     *,
-    index: NDArray[np.intp],
+    index: Index,
     sight: PanelSight,
-    sample: NDArray[np.intp],
+    sample: Index,
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
@@ -190,22 +139,11 @@ def shade_again(
     Where the points as they were are in a penumbra, these are, too; so are those whose own horizon, the turned one,
     makes them differ from their neighbours.
 
-    Parameters
-    ----------
-    surface
-        The j points with their own normals, part frame.
-    converged
-        The panel and its quadrature.
-    index
-        Of each among the k points of the surface, shape (j,).
-    sight
-        What the surface sees, from :func:`shade_seeing`.
-    sample, shape
-        Of the k points, as :func:`shade_converged` takes them.
-    reflectance
-        Of the j points.
-    caster
-        For shadows; None for none.
+    surface: The j points with their own normals, part frame
+    index: Of each among the k points of the surface, shape (j,)
+    sight: What the surface sees, from :func:`shade_converged`
+    sample, shape: Of the k points, as :func:`shade_converged` takes them
+    reflectance: Of the j points
     """
     verdict = sight.verdict.copy()
     if caster is None:
@@ -213,51 +151,34 @@ def shade_again(
     else:
         verdict[index] = _coarse_verdict(surface, converged.light, caster)
     own = verdict[index]
-    diffuse, specular = _unshadowed(surface, converged, own, reflectance)
+    light = _converged_light(converged, reflectance)
+    diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, own, light)
     if caster is not None:
         uncertain = (_disagreeing(verdict, sample, shape) | sight.penumbra)[index] & (own != _DARK)
-        light = _penumbra_light(converged, reflectance)
         _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
     total = converged.light.total_weight
     return total * diffuse, total * specular
 
 
-def _unshadowed(
-    surface: SurfacePoints, converged: ConvergedPanel, verdict: NDArray[np.uint8], reflectance: Reflectance
-) -> tuple[Float64, Float64]:
-    # light of the whole panel, of weight 1, where nothing is in the way
-    return _whole_panel(
-        surface.points,
-        surface.normals,
-        surface.views,
-        verdict,
-        panel_numbers(converged.light),
-        converged.nodes,
-        0.5 / reflectance.sigma**2,
-        *converged.rules,
-    )
-
-
-def _penumbra_light(converged: ConvergedPanel, reflectance: Reflectance) -> PenumbraLight:
+def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> ConvergedLight:
     total = converged.light.total_weight
-    return PenumbraLight(
+    return ConvergedLight(
         panel_numbers(converged.light),
         total * reflectance.R_d,
         total * reflectance.R_s,
         0.5 / reflectance.sigma**2,
         converged.nodes,
-        converged.rules,
     )
 
 
 def _add_penumbrae(
     surface: SurfacePoints,
-    uncertain: NDArray[np.bool_],
-    light: PenumbraLight,
+    uncertain: Bool,
+    light: ConvergedLight,
     caster: RayCaster,
     diffuse: Float64,
     specular: Float64,
-) -> NDArray[np.bool_]:
+) -> Bool:
     # works out the uncertain points into the two arrays; returns which of them see the panel in part
     penumbra = np.zeros(len(surface), np.bool_)
     index = np.flatnonzero(uncertain)
@@ -280,7 +201,7 @@ def probe_targets(light: PanelLight) -> Float64:
     )
 
 
-def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> NDArray[np.bool_]:
+def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> Bool:
     """Which probes each point's face, whatever its normal, faces and sees, shape (k, 5)."""
     point, target = facing_pairs(replace(surface, normals=surface.facets), targets, geometric=False)
     blocked = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=target)
@@ -289,16 +210,14 @@ def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) ->
     return clear
 
 
-def verdict_of_probes(
-    surface: SurfacePoints, targets: Float64, clear: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
+def verdict_of_probes(surface: SurfacePoints, targets: Float64, clear: Bool) -> UInt8:
     """What the coarse rays say of each point with its own normal, from :func:`panel_probes`, shape (k,)."""
     above = np.zeros_like(clear)
     above[facing_pairs(surface, targets, geometric=False)] = True
     return _verdict((clear & above).sum(axis=1), above.sum(axis=1))
 
 
-def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> NDArray[np.uint8]:
+def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> UInt8:
     targets = probe_targets(light)
     point, target = facing_pairs(surface, targets, geometric=True)
     blocked = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=target)
@@ -309,7 +228,7 @@ def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster
     )
 
 
-def _verdict(clear: NDArray[np.intp], all_above: NDArray[np.intp]) -> NDArray[np.uint8]:
+def _verdict(clear: Index, all_above: Index) -> UInt8:
     verdict = np.full(len(clear), _MIXED, np.uint8)
     verdict[clear == 0] = _HIDDEN
     verdict[clear == all_above] = _CLEAR
@@ -317,18 +236,14 @@ def _verdict(clear: NDArray[np.intp], all_above: NDArray[np.intp]) -> NDArray[np
     return verdict
 
 
-def _disagreeing(
-    verdict: NDArray[np.uint8], sample: NDArray[np.intp], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _disagreeing(verdict: UInt8, sample: Index, shape: tuple[int, int]) -> Bool:
     # points whose rays disagree among themselves or with those of a neighbouring sample
     near_clear = _neighbours((verdict == _CLEAR) | (verdict == _MIXED), sample, shape)
     near_hidden = _neighbours((verdict == _HIDDEN) | (verdict == _MIXED), sample, shape)
     return near_clear & near_hidden & (verdict != _DARK)
 
 
-def _neighbours(
-    flags: NDArray[np.bool_], sample: NDArray[np.intp], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _neighbours(flags: Bool, sample: Index, shape: tuple[int, int]) -> Bool:
     # whether any of the 3 × 3 samples around each point is flagged
     grid = np.zeros((shape[0] + 2, shape[1] + 2), np.bool_)
     inner = grid[1:-1, 1:-1]
@@ -341,39 +256,39 @@ def _neighbours(
 
 @kernel
 def _whole_panel(
-    points: Float64,
-    normals: Float64,
-    views: Float64,
-    verdict: NDArray[np.uint8],
-    panel: PanelNumbers,
-    panel_nodes: int,
-    inverse_two_sigma_squared: float,
-    nodes: Float64,
-    weights: Float64,
+    points: Float64, normals: Float64, views: Float64, verdict: UInt8, light: ConvergedLight
 ) -> tuple[Float64, Float64]:
+    # light of the whole panel, of weight 1, where nothing is in the way
+    panel, inverse = light.panel, light.inverse_two_sigma_squared
     diffuse = np.zeros(len(points))
     specular = np.zeros(len(points))
     for i in range(len(points)):
         if verdict[i] != _CLEAR:
             continue
-        p, n, v = points[i], normals[i], views[i]
-        diffuse[i] = rectangle_diffuse(p, n, v, panel, -0.5, 0.5, -0.5, 0.5, panel_nodes, nodes, weights)
-        n_dot_v = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
-        if out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
-            continue
-        specular[i] = rectangle_specular(
-            p,
-            n,
-            v,
-            n_dot_v,
-            panel,
-            -0.5,
-            0.5,
-            -0.5,
-            0.5,
-            inverse_two_sigma_squared,
-            panel_nodes,
-            nodes,
-            weights,
-        )
+        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        diffuse[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, light.nodes)
+        if not out_of_reach(p, n, v, panel, inverse):
+            specular[i] = rectangle_specular(p, n, v, dot(n, v), panel, WHOLE_PANEL, inverse, light.nodes)
     return diffuse, specular
+
+
+def highlight_level(scene: Scene, light: PanelLight) -> float:
+    """Specular level at exposure 1 of a surface at the origin that mirrors a panel's centre [grey level].
+
+    That of the panel as a whole, whatever its number of points: R_s is what a single point of light would reach.
+
+    light: World frame
+    """
+    origin = np.zeros((1, 3))
+    view = scene.camera.position / np.linalg.norm(scene.camera.position)
+    half = view + light.centre / np.linalg.norm(light.centre)
+    if (length := float(np.linalg.norm(half))) < 1e-9:
+        return 0.0  # the light is opposite the camera
+    normal = half[None] / length
+    surface = SurfacePoints(origin, normal, normal, view[None], np.ones(1, np.bool_))
+    whole = replace(light, points="auto")
+    panel = converged_panel(whole, centre=origin[0], radius=1.0)
+    _, specular, _ = shade_converged(
+        surface, panel, sample=np.zeros(1, np.intp), shape=(1, 1), reflectance=scene.reflectance, caster=None
+    )
+    return float(scene.reflectance.R_s * specular[0] * light.total_weight / whole.total_weight)

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Index, Int32
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
@@ -21,27 +21,19 @@ from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
 
-Float64 = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DisturbedSamples:
+class DefectSamples:
     """Samples of one reflectance that lie in defects, j of them.
 
-    Attributes
-    ----------
-    index
-        Of each among the samples of the surface, shape (j,).
-    label
-        Index of the defect, shape (j,).
-    surface
-        The points with the normals of the disturbed surface.
-    reflectance
-        Of all of them.
+    index: Of each among the samples of the surface, shape (j,)
+    label: Index of the defect, shape (j,)
+    surface: The points with the normals of the disturbed surface
+    reflectance: Of all of them
     """
 
-    index: NDArray[np.intp]
-    label: NDArray[np.int32]
+    index: Index
+    label: Int32
     surface: SurfacePoints
     reflectance: Reflectance
 
@@ -50,22 +42,15 @@ class DisturbedSamples:
         panel: PanelLight | ConvergedPanel,
         sight: PanelSight | None,
         *,
-        sample: NDArray[np.intp],
+        sample: Index,
         shape: tuple[int, int],
         caster: RayCaster | None,
     ) -> tuple[Float64, Float64]:
         """Diffuse and specular levels under a panel [grey level], two arrays of shape (j,).
 
-        Parameters
-        ----------
-        panel
-            Part frame.
-        sight
-            What the undisturbed surface sees of a converged panel, from :func:`shade_converged`.
-        sample, shape
-            As :func:`shade_converged` takes them, of all samples of the surface.
-        caster
-            For shadows; None for none.
+        panel: Part frame
+        sight: What the undisturbed surface sees of a converged panel, from :func:`shade_converged`
+        sample, shape: As :func:`shade_converged` takes them, of all samples of the surface
         """
         r = self.reflectance
         if isinstance(panel, ConvergedPanel):
@@ -88,20 +73,10 @@ class DisturbedSamples:
         return r.R_d * diffuse, r.R_s * specular
 
 
-def disturbed_samples(
+def defect_samples(
     defects: Sequence[PlacedDefect], surface: SurfacePoints, reflectance: Reflectance
-) -> tuple[DisturbedSamples, ...]:
-    """The samples of a surface that lie in defects, sorted by what they reflect; none without defects.
-
-    Parameters
-    ----------
-    defects
-        Part frame.
-    surface
-        The undisturbed surface.
-    reflectance
-        Of it.
-    """
+) -> tuple[DefectSamples, ...]:
+    """The samples of a surface that lie in defects, sorted by what they reflect; none without defects."""
     marks = mark_surface(defects, surface.points, surface.normals)
     if marks is None:
         return ()
@@ -109,12 +84,12 @@ def disturbed_samples(
     different, group = np.unique(factors, axis=0, return_inverse=True)
     # the back of a face is black, and has no defects
     front = surface.front[marks.index]
-    groups: list[DisturbedSamples] = []
+    groups: list[DefectSamples] = []
     for number, (R_d_factor, sigma_factor) in enumerate(different.tolist()):
         own = np.flatnonzero((group.ravel() == number) & front)
         index = marks.index[own]
         groups.append(
-            DisturbedSamples(
+            DefectSamples(
                 index=index,
                 label=marks.label[own],
                 surface=replace(surface.take(index), normals=marks.normals[own]),

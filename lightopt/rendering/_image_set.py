@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load_rig, points_problem
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
@@ -20,10 +20,10 @@ from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.optics import expose, image_rng
 from lightopt.rendering._images import Geometry, LightImage, PostureImages, cast_rays_at, render_posture
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
-from lightopt.rendering._scene_checks import refuse_hopeless
+from lightopt.rendering._scene_checks import refuse_unusable_scene
 from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
 
-Report = Callable[[Posture, float, int], None]
+RenderProgress = Callable[[Posture, float, int], None]
 """Called with the posture at work, its share done (0 to 1) and the number of its rays cast so far."""
 
 
@@ -45,28 +45,15 @@ class RenderOptions:
 
     Attributes
     ----------
-    lights
-        Names of the lights to render; all by default.
-    postures
-        Instead of the part's own.
-    points
-        Point lights per panel, instead of the rig's.
-    exposures
-        Exposures of the camera's PNGs; the linear images are at exposure 1.
-    noise
-        Seed of the sensor's noise in the PNGs; None for none.
-    layers
-        Whether the EXRs get the diffuse and the specular component as channels of their own.
-    shadows
-        Whether the part casts shadows on itself.
-    supersample
-        n² rays per pixel.
-    patch_budget
-        About how many patches may be visible.
-    defects
-        Whether the part's defects are shown; the good part otherwise.
-    threads
-        Number of threads; all the machine's by default. The files do not depend on it.
+    lights: Names of the lights to render; all by default
+    points: Point lights per panel, instead of the rig's
+    exposures: Exposures of the camera's PNGs; the linear images are at exposure 1
+    noise: Seed of the sensor's noise in the PNGs; None for none
+    layers: Whether the EXRs get the diffuse and the specular component as channels of their own
+    shadows: Whether the part casts shadows on itself
+    supersample: n² rays per pixel
+    patch_budget: About how many patches may be visible
+    defects: Whether the part's defects are shown; the good part otherwise
     """
 
     lights: tuple[str, ...] | None = None
@@ -86,22 +73,10 @@ class RenderOptions:
 class RenderedSet:
     """What :func:`render_image_set` left on disk.
 
-    Attributes
-    ----------
-    folder
-        Of the image set.
-    images
-        Number of images in the set.
-    resumed
-        Number of those that an earlier run with the same inputs had finished.
-    warnings
-        What was repaired or is partly wrong.
-    rays
-        Number of rays cast for images.
-    patches
-        What the patch refinement reached; None where nothing was left to do.
-    replaced
-        Number of files of another set that were removed (with `force`).
+    resumed: Number of those that an earlier run with the same inputs had finished
+    rays: Number of rays cast for images
+    patches: What the patch refinement reached; None where nothing was left to do
+    replaced: Number of files of another set that were removed (with `force`)
     """
 
     folder: Path
@@ -121,33 +96,17 @@ def render_image_set(
     options: RenderOptions = RenderOptions(),
     force: bool = False,
     warn: Callable[[str], None] | None = None,
-    report: Report | None = None,
+    report: RenderProgress | None = None,
 ) -> RenderedSet:
     """Render a part on a rig into a folder: EXR and PNG per light, geometry, patches, manifest.
 
     Each file is on disk and in the manifest before the next is made; a run that was killed is resumed by running it
     again.
 
-    Parameters
-    ----------
-    rig, part
-        Configurations, or the paths of their YAML files.
-    folder
-        Made where it does not exist.
-    options
-        What to render.
-    force
-        Replace a set made from other inputs; all files of that set are removed.
-    warn
-        Called with each warning as it comes up.
-    report
-        Called as rendering goes on.
-
-    Raises
-    ------
-    InputError
-        Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that hardly a pixel
-        sees. Nothing is written before all inputs are read.
+    rig, part: Configurations, or the paths of their YAML files
+    folder: Made where it does not exist
+    Raises InputError: Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that
+        hardly a pixel sees. Nothing is written before all inputs are read.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
@@ -161,7 +120,7 @@ def render_image_set(
         defects=options.defects,
     )
     caster = cast_rays_at(scene)
-    refuse_hopeless(scene, rig, part, caster)
+    refuse_unusable_scene(scene, rig, part, caster)
     plan = [
         (light.name, posture, exposure)
         for posture in scene.postures
@@ -264,7 +223,7 @@ def _check_options(options: RenderOptions) -> None:
 
 
 def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptions) -> Manifest:
-    asked: dict[str, Any] = {
+    chosen: dict[str, Any] = {
         "postures": [posture.as_dict() for posture in scene.postures],
         "points": options.points,
         "noise": options.noise,
@@ -275,7 +234,7 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
     }
     # sets of parts without defects say nothing about them
     if part.defects and not options.defects:
-        asked["defects"] = False
+        chosen["defects"] = False
     shown = {"defects": defect_facts(scene.defects, scene.placement)} if scene.defects else {}
     return Manifest(
         kind="simulated",
@@ -288,7 +247,7 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
         rig=SourceFile(rig.source.path.name, rig.source.sha256),
         part=SourceFile(part.source.path.name, part.source.sha256),
         # a set that was begun by other code or packages is not continued: meshes, hits and noise depend on them
-        provenance=provenance(input_hashes(rig, part), asked),
+        provenance=provenance(input_hashes(rig, part), chosen),
         extra=shown,
     )
 
@@ -321,16 +280,12 @@ def _add_image(
     rng = None
     if seeds is not None:
         seed, light_index = seeds
-        # an image's noise must not depend on which others are asked for: the bits of angles and exposure are their
+        # an image's noise must not depend on which others are rendered: the bits of angles and exposure are their
         # numbers
         posture = _bits(images.posture.elevation_deg) << 64 | _bits(images.posture.rotation_deg)
         rng = image_rng(seed, light=light_index, posture=posture, exposure=_bits(exposure))
     levels = expose(
-        image.level,
-        sensor=scene.sensor,
-        exposure=exposure,
-        full_scale=scene.reflectance.full_scale,
-        rng=rng,
+        image.level, sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale, rng=rng
     )
     entry = ImageEntry(
         light=light.name,
@@ -339,7 +294,7 @@ def _add_image(
         posture=images.posture,
         exposure=exposure,
     )
-    linear: dict[str, NDArray[np.float32]] = {"Y": image.level}
+    linear: dict[str, Float32] = {"Y": image.level}
     if image.diffuse is not None and image.specular is not None:
         linear |= {"diffuse.Y": image.diffuse, "specular.Y": image.specular}
     # the exposures of an image share its EXR; one that was lost or damaged is not known
@@ -356,7 +311,7 @@ def _degrees(angle: float) -> float:
     return round(float(np.degrees(angle)), 9)
 
 
-def _geometry_channels(geometry: Geometry) -> dict[str, NDArray[np.float32]]:
+def _geometry_channels(geometry: Geometry) -> dict[str, Float32]:
     channels = {f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")}
     channels |= {f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")}
     labels = {} if geometry.defect is None else {"defect": geometry.defect.astype(np.float32)}

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
-from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_seeing
-from lightopt.rendering._defect_shading import DisturbedSamples, disturbed_samples
+from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_converged
+from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 Progress = Callable[[float, int], None]
 """Called with the share of the posture that is done (0 to 1) and the number of rays cast so far."""
 
@@ -33,12 +32,8 @@ class LightImage:
 
     Attributes
     ----------
-    light
-        Name of the light.
-    level
-        Linear, unclipped, noise-free [grey level], shape (height, width).
-    diffuse, specular
-        Its two components [grey level], or None where not asked for.
+    level: Linear, unclipped, noise-free [grey level], shape (height, width)
+    diffuse, specular: Its two components [grey level], or None without `layers`
     """
 
     light: str
@@ -53,27 +48,21 @@ class Geometry:
 
     Attributes
     ----------
-    points
-        [mm], shape (height, width, 3).
-    normals
-        Interpolated unit normals of the surface without its defects, shape (height, width, 3).
-    distance
-        From the pinhole along the ray [mm], shape (height, width).
-    patch
-        Patch seen, −1 where none; all −1 without patches; shape (height, width).
-    hit
-        Whether the ray meets the part, shape (height, width).
-    defect
-        Index among the scene's defects of the one seen, −1 where none, shape (height, width); None for a part without
-        defects.
+    points: [mm], shape (height, width, 3)
+    normals: Interpolated unit normals of the surface without its defects, shape (height, width, 3)
+    distance: From the pinhole along the ray [mm], shape (height, width)
+    patch: Patch seen, −1 where none; all −1 without patches; shape (height, width)
+    hit: Whether the ray meets the part, shape (height, width)
+    defect: Index among the scene's defects of the one seen, −1 where none, shape (height, width); None for a part
+        without defects
     """
 
     points: Float32
     normals: Float32
     distance: Float32
-    patch: NDArray[np.int32]
-    hit: NDArray[np.bool_]
-    defect: NDArray[np.int32] | None = None
+    patch: Int32
+    hit: Bool
+    defect: Int32 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,16 +71,7 @@ class PostureImages:
 
     Attributes
     ----------
-    posture
-        Of the part.
-    lights
-        One image per light, in the scene's order.
-    geometry
-        What the pixels look at.
-    back_faces
-        Number of pixels whose centre sees the back of a face; they are black.
-    rays
-        Number of rays cast.
+    back_faces: Number of pixels whose centre sees the back of a face; they are black
     """
 
     posture: Posture
@@ -107,13 +87,7 @@ def cast_rays_at(scene: Scene) -> RayCaster:
 
 
 def trace_posture(mesh: TriangleMesh, view: PartView, caster: RayCaster) -> Hits:
-    """Where the rays through all pixel centres meet the part; part frame.
-
-    Parameters
-    ----------
-    mesh, view, caster
-        The part, the camera as it sees it, and the part's ray caster.
-    """
+    """Where the rays through all pixel centres meet the part; part frame."""
     left, top, right, bottom = screen_window(view.camera, mesh)
     columns, rows = np.meshgrid(_centres(left, right), _centres(top, bottom))
     return trace_hits(caster, mesh, view.camera, columns.ravel(), rows.ravel())
@@ -130,20 +104,11 @@ def render(
 ) -> Iterator[PostureImages]:
     """Render all postures of a scene under all its lights, one posture after the other; its defects are shown.
 
-    Parameters
-    ----------
-    scene
-        From :func:`lightopt.scene.build_scene`.
-    shadows
-        Whether the part casts shadows on itself.
-    supersample
-        n² rays per pixel on a regular n × n grid, averaged.
-    layers
-        Whether to keep the diffuse and the specular component apart as well.
-    patches
-        Of the scene's mesh, to say which patch each pixel sees.
-    threads
-        Number of threads; all the machine's by default. The images do not depend on it.
+    scene: From :func:`lightopt.scene.build_scene`
+    shadows: Whether the part casts shadows on itself
+    supersample: n² rays per pixel on a regular n × n grid, averaged
+    layers: Whether to keep the diffuse and the specular component apart as well
+    patches: Of the scene's mesh, for the patch that each pixel sees
 
     Examples
     --------
@@ -180,34 +145,20 @@ def render_posture(
 ) -> PostureImages:
     """Render one posture of a scene under all its lights.
 
-    Parameters as in :func:`render`, and
-
-    Parameters
-    ----------
-    posture
-        Any posture, not only one of the scene's.
-    caster
-        From :func:`cast_rays_at`.
-    progress
-        Called from the calling thread as blocks are finished.
+    Parameters as in :func:`render`, and any posture, not only one of the scene's.
     """
-    before = caster.rays_cast
+    before, finished = caster.rays_cast, 0
     job = _Job(scene, posture, caster, shadows, supersample, layers, patches)
-    _run_blocks(job, threads or available_processors(), progress)
-    return job.result(caster.rays_cast - before)
-
-
-def _run_blocks(job: _Job, threads: int, progress: Progress | None) -> None:
     blocks = job.blocks()
-    before, finished = job.caster.rays_cast, 0
 
     def done() -> None:
         nonlocal finished
         finished += 1
         if progress is not None:
-            progress(finished / len(blocks), job.caster.rays_cast - before)
+            progress(finished / len(blocks), caster.rays_cast - before)
 
-    run_all(((job.block, rows) for rows in blocks), threads=threads, done=done)
+    run_all(((job.block, rows) for rows in blocks), threads=threads or available_processors(), done=done)
+    return job.result(caster.rays_cast - before)
 
 
 class _Job:
@@ -236,12 +187,14 @@ class _Job:
         self.layers = [
             (np.zeros(shape, np.float32), np.zeros(shape, np.float32)) for _ in scene.lights if layers
         ]
-        self.points = np.zeros((*shape, 3), np.float32)
-        self.normals = np.zeros((*shape, 3), np.float32)
-        self.distance = np.zeros(shape, np.float32)
-        self.patch = np.full(shape, -1, np.int32)
-        self.hit = np.zeros(shape, np.bool_)
-        self.defect = np.full(shape, -1, np.int32) if scene.defects else None
+        self.geometry = Geometry(
+            points=np.zeros((*shape, 3), np.float32),
+            normals=np.zeros((*shape, 3), np.float32),
+            distance=np.zeros(shape, np.float32),
+            patch=np.full(shape, -1, np.int32),
+            hit=np.zeros(shape, np.bool_),
+            defect=np.full(shape, -1, np.int32) if scene.defects else None,
+        )
         self.back = np.zeros(shape, np.bool_)
         self.panels: list[PanelLight | ConvergedPanel] = [
             converged_panel(light, centre=caster.centre, radius=caster.radius)
@@ -249,7 +202,7 @@ class _Job:
             else light
             for light in self.view.lights
         ]
-        # neighbouring samples tell where penumbrae are, so that blocks then overlap by a row
+        # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
         self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
 
     def blocks(self) -> list[tuple[int, int]]:
@@ -266,23 +219,23 @@ class _Job:
         rows = _centres(top * n - self.halo, bottom * n + self.halo) / n
         columns = _centres(left * n, right * n) / n
         hits, surface = self._trace(columns, rows)
-        disturbed = self._disturbed(surface)
+        marked = self._in_defects(surface)
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
         target = (slice(top, bottom), slice(left, right))
         if n == 1:
-            self._store_geometry(hits, surface, disturbed, grid, own, target)
+            self._store_geometry(hits, surface, marked, grid, own, target)
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             pixels = (bottom - top, right - left)
-            self._store_geometry(centre_hits, centres, self._disturbed(centres), pixels, slice(None), target)
+            self._store_geometry(centre_hits, centres, self._in_defects(centres), pixels, slice(None), target)
         reflectance = self.scene.reflectance
         sample = hits.ray.astype(np.intp)
         caster = self.caster if self.shadows else None
         for index, panel in enumerate(self.panels):
             d, s, sight = self._shade(surface, panel, sample, grid)
             light = reflectance.R_d * d, reflectance.R_s * s
-            for some in disturbed:
+            for some in marked:
                 light[0][some.index], light[1][some.index] = some.light(
                     panel, sight, sample=sample, shape=grid, caster=caster
                 )
@@ -306,14 +259,7 @@ class _Job:
         return PostureImages(
             posture=self.posture,
             lights=tuple(images),
-            geometry=Geometry(
-                points=self.points,
-                normals=self.normals,
-                distance=self.distance,
-                patch=self.patch,
-                hit=self.hit,
-                defect=self.defect,
-            ),
+            geometry=self.geometry,
             back_faces=int(self.back.sum()),
             rays=rays,
         )
@@ -322,20 +268,16 @@ class _Job:
         x, y = np.meshgrid(columns, rows)
         return trace_samples(self.caster, self.scene.mesh, self.view.camera, x.ravel(), y.ravel())
 
-    def _disturbed(self, surface: SurfacePoints) -> tuple[DisturbedSamples, ...]:
-        return disturbed_samples(self.scene.defects, surface, self.scene.reflectance)
+    def _in_defects(self, surface: SurfacePoints) -> tuple[DefectSamples, ...]:
+        return defect_samples(self.scene.defects, surface, self.scene.reflectance)
 
     def _shade(
-        self,
-        surface: SurfacePoints,
-        panel: PanelLight | ConvergedPanel,
-        sample: NDArray[np.intp],
-        grid: tuple[int, int],
+        self, surface: SurfacePoints, panel: PanelLight | ConvergedPanel, sample: Index, grid: tuple[int, int]
     ) -> tuple[Float64, Float64, PanelSight | None]:
         caster = self.caster if self.shadows else None
         reflectance = self.scene.reflectance
         if isinstance(panel, ConvergedPanel):
-            return shade_seeing(
+            return shade_converged(
                 surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster
             )
         assert panel.points != "auto"
@@ -346,7 +288,7 @@ class _Job:
         self,
         hits: Hits,
         surface: SurfacePoints,
-        disturbed: tuple[DisturbedSamples, ...],
+        marked: tuple[DefectSamples, ...],
         grid: tuple[int, int],
         own: slice,
         target: tuple[slice, slice],
@@ -355,21 +297,22 @@ class _Job:
         patch = np.full(len(hits.ray), -1, np.int32)
         if self.patches is not None:
             patch = self.patches.patch_at(hits.face, hits.u, hits.v)
+        g = self.geometry
         images: list[tuple[NDArray[Any], Any]] = [
-            (self.points, surface.points @ rotation.T + translation),
-            (self.normals, surface.normals @ rotation.T),
-            (self.distance, hits.distance),
-            (self.patch, patch),
-            (self.hit, True),
+            (g.points, surface.points @ rotation.T + translation),
+            (g.normals, surface.normals @ rotation.T),
+            (g.distance, hits.distance),
+            (g.patch, patch),
+            (g.hit, True),
             (self.back, ~surface.front),
         ]
-        if self.defect is not None:
+        if g.defect is not None:
             label = np.full(len(surface), -1, np.int32)
-            for some in disturbed:
+            for some in marked:
                 label[some.index] = some.label
-            images.append((self.defect, label))
+            images.append((g.defect, label))
         for image, values in images:
-            nothing = -1 if image is self.patch or image is self.defect else 0
+            nothing = -1 if image is g.patch or image is g.defect else 0
             block = np.full((grid[0] * grid[1], *image.shape[2:]), nothing, image.dtype)
             block[hits.ray] = values
             image[target] = block.reshape(*grid, *image.shape[2:])[own]

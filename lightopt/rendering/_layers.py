@@ -10,24 +10,33 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.geometry import RayCaster
 from lightopt.rendering._converged import converged_panel
 from lightopt.rendering._lobe import (
-    gauss_legendre_table,
+    WHOLE_PANEL,
     mirror_point,
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
 )
-from lightopt.rendering._panel import PanelNumbers, panel_numbers, terms_at
+from lightopt.rendering._panel import (
+    PanelNumbers,
+    divided,
+    dot,
+    length,
+    minus,
+    panel_numbers,
+    panel_point,
+    plus,
+    point_terms,
+    vector_at,
+)
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
-
-Float64 = NDArray[np.float64]
 
 _PIECE = 8192
 
@@ -38,21 +47,12 @@ class LightLayer:
 
     Attributes
     ----------
-    surface
-        The points, part frame.
-    light
-        The panel, part frame.
-    diffuse
-        Per unit of R_d, shape (n,).
-    deflection
-        About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):
-        nothing narrower than this reaches the camera as a highlight.
-    grid
-        The panel's point lights [mm], shape (m, 3); none of them for the converged panel.
-    nodes
-        Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights.
-    rules
-        Gauss–Legendre nodes and weights.
+    surface: The points, part frame
+    diffuse: Per unit of R_d, shape (n,)
+    deflection: About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):
+        nothing narrower than this reaches the camera as a highlight
+    grid: The panel's point lights [mm], shape (m, 3); none of them for the converged panel
+    nodes: Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights
     """
 
     surface: SurfacePoints
@@ -61,9 +61,8 @@ class LightLayer:
     deflection: Float64
     grid: Float64
     nodes: int
-    rules: tuple[Float64, Float64]
 
-    def take(self, index: NDArray[np.intp]) -> LightLayer:
+    def take(self, index: Index) -> LightLayer:
         """The points at `index`, shape (j,)."""
         return replace(
             self,
@@ -76,15 +75,12 @@ class LightLayer:
         """Specular light per unit of R_s for a lobe of width σ [rad], shape (n,) (paper, equations 3 and 4)."""
         inverse = 0.5 / sigma**2
         panel = panel_numbers(self.light)
-        grid, rules = self.grid, self.rules
         s = self.surface
         result = np.zeros(len(s))
 
         def piece(start: int) -> None:
             end = min(start + _PIECE, len(s))
-            _specular(
-                s.points, s.normals, s.views, grid, panel, inverse, self.nodes, *rules, start, end, result
-            )
+            _specular(s.points, s.normals, s.views, self.grid, panel, inverse, self.nodes, start, end, result)
 
         in_threads(piece, range(0, len(s), _PIECE), threads)
         result *= self.light.total_weight
@@ -96,42 +92,29 @@ def light_layer(
 ) -> LightLayer:
     """The diffuse layer of a panel, and what its specular layers need.
 
-    Parameters
-    ----------
-    surface
-        Points that see the whole panel, part frame.
-    light
-        Part frame; with its own number of points.
-    caster
-        Of the part, whose bounding sphere the diffuse quadrature is chosen for.
-    threads
-        Number of threads; the result does not depend on it.
+    surface: Points that see the whole panel, part frame
+    light: Part frame; with its own number of points
+    caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     """
     panel = panel_numbers(light)
     if light.points == "auto":
         converged = converged_panel(light, centre=caster.centre, radius=caster.radius)
-        grid, nodes, rules = np.zeros((0, 3)), converged.nodes, converged.rules
+        grid, nodes = np.zeros((0, 3)), converged.nodes
     else:
-        grid, nodes, rules = panel_grid(light, light.points), 0, gauss_legendre_table()
+        grid, nodes = panel_grid(light, light.points), 0
     diffuse = np.zeros(len(surface))
     deflection = np.zeros(len(surface))
 
     def piece(start: int) -> None:
         end = min(start + _PIECE, len(surface))
         s = surface
-        _diffuse(s.points, s.normals, s.views, grid, panel, nodes, *rules, start, end, diffuse)
+        _diffuse(s.points, s.normals, grid, panel, nodes, start, end, diffuse)
         _deflection(s.points, s.normals, s.views, panel, start, end, deflection)
 
     in_threads(piece, range(0, len(surface), _PIECE), threads)
     diffuse *= light.total_weight
     return LightLayer(
-        surface=surface,
-        light=light,
-        diffuse=diffuse,
-        deflection=deflection,
-        grid=grid,
-        nodes=nodes,
-        rules=rules,
+        surface=surface, light=light, diffuse=diffuse, deflection=deflection, grid=grid, nodes=nodes
     )
 
 
@@ -144,39 +127,23 @@ def _specular(
     panel: PanelNumbers,
     inverse_two_sigma_squared: float,
     panel_nodes: int,
-    nodes: Float64,
-    weights: Float64,
     start: int,
     end: int,
     result: Float64,
 ) -> None:
     for i in range(start, end):
-        p, n, v = points[i], normals[i], views[i]
+        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
         if out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
             continue
-        n_dot_v = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+        n_dot_v = dot(n, v)
         if len(grid) == 0:
             result[i] = rectangle_specular(
-                p,
-                n,
-                v,
-                n_dot_v,
-                panel,
-                -0.5,
-                0.5,
-                -0.5,
-                0.5,
-                inverse_two_sigma_squared,
-                panel_nodes,
-                nodes,
-                weights,
+                p, n, v, n_dot_v, panel, WHOLE_PANEL, inverse_two_sigma_squared, panel_nodes
             )
             continue
         total = 0.0
         for k in range(len(grid)):
-            _, s = terms_at(
-                p, n, v, n_dot_v, grid[k, 0], grid[k, 1], grid[k, 2], panel, inverse_two_sigma_squared
-            )
+            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, inverse_two_sigma_squared)
             total += s
         result[i] = total / len(grid)
 
@@ -185,25 +152,22 @@ def _specular(
 def _diffuse(
     points: Float64,
     normals: Float64,
-    views: Float64,
     grid: Float64,
     panel: PanelNumbers,
-    count: int,
-    nodes: Float64,
-    weights: Float64,
+    panel_nodes: int,
     start: int,
     end: int,
     result: Float64,
 ) -> None:
     for i in range(start, end):
-        p, n, v = points[i], normals[i], views[i]
+        p, n = vector_at(points, i), vector_at(normals, i)
         if len(grid) == 0:
-            result[i] = rectangle_diffuse(p, n, v, panel, -0.5, 0.5, -0.5, 0.5, count, nodes, weights)
+            result[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, panel_nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            # a view from below (n_dot_v = 0) leaves out the specular term
-            d, _ = terms_at(p, n, v, 0.0, grid[k, 0], grid[k, 1], grid[k, 2], panel, 0.0)
+            # no specular term: any view will do
+            d, _ = point_terms(p, n, n, 0.0, vector_at(grid, k), panel, 0.0)
             total += d
         result[i] = total / len(grid)
 
@@ -219,16 +183,11 @@ def _deflection(
     result: Float64,
 ) -> None:
     for i in range(start, end):
-        p, n, v = points[i], normals[i], views[i]
-        n_dot_v = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
         # the place of the panel nearest to it
-        s, t = mirror_point(p, n, v, n_dot_v, panel)
+        s, t = mirror_point(p, n, v, dot(n, v), panel)
         s, t = min(max(s, -0.5), 0.5), min(max(t, -0.5), 0.5)
-        lx = panel.centre_x + s * panel.across_x + t * panel.along_x - p[0]
-        ly = panel.centre_y + s * panel.across_y + t * panel.along_y - p[1]
-        lz = panel.centre_z + s * panel.across_z + t * panel.along_z - p[2]
-        r = math.sqrt(lx * lx + ly * ly + lz * lz)
-        hx, hy, hz = lx / r + v[0], ly / r + v[1], lz / r + v[2]
-        length = math.sqrt(hx * hx + hy * hy + hz * hz)
-        dx, dy, dz = n[0] - hx / length, n[1] - hy / length, n[2] - hz / length
-        result[i] = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(dx * dx + dy * dy + dz * dz)))
+        light = minus(panel_point(panel, s, t), p)
+        half = plus(divided(light, length(light)), v)
+        chord = length(minus(n, divided(half, length(half))))
+        result[i] = 2.0 * math.asin(min(1.0, 0.5 * chord))

@@ -4,20 +4,33 @@ The lobe's exponent δ²/(2σ²) is nearly a quadratic form over the panel. Its 
 there give a window outside which the lobe is negligible; a tensor Gauss–Legendre rule with just enough nodes for how
 much the exponent varies integrates the exact expression inside the window. A narrow lobe has a small window, a wide one
 varies little: neither needs many nodes.
+
+Surface points p [mm], unit normals n and unit view directions v are vectors in the part's frame.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
-from lightopt.rendering._panel import PanelNumbers, point_terms, terms_at
-
-Float64 = NDArray[np.float64]
+from lightopt.rendering._panel import (
+    PanelNumbers,
+    Vector,
+    cross,
+    divided,
+    dot,
+    half_diagonal,
+    length,
+    minus,
+    panel_point,
+    plus,
+    point_terms,
+    scaled,
+)
 
 MAX_NODES = 48
 """Most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many."""
@@ -36,12 +49,7 @@ _LINEARISATIONS = 3
 _BOX_STEPS = 12
 
 
-@cache
-def gauss_legendre_table() -> tuple[Float64, Float64]:
-    """Nodes and weights on [0, 1] of the Gauss–Legendre rules; row n has the rule of n nodes.
-
-    Two arrays of shape (MAX_NODES + 1, MAX_NODES), worked out once.
-    """
+def _gauss_legendre() -> tuple[Float64, Float64]:
     nodes = np.zeros((MAX_NODES + 1, MAX_NODES))
     weights = np.zeros((MAX_NODES + 1, MAX_NODES))
     for n in range(1, MAX_NODES + 1):
@@ -53,129 +61,111 @@ def gauss_legendre_table() -> tuple[Float64, Float64]:
     return nodes, weights
 
 
-@kernel
-def rectangle_diffuse(
-    p: Float64,
-    n: Float64,
-    v: Float64,
-    panel: PanelNumbers,
-    s0: float,
-    s1: float,
-    t0: float,
-    t1: float,
-    count: int,
-    nodes: Float64,
-    weights: Float64,
-) -> float:
-    """Diffuse light, per unit of R_d, of the rectangle [s0, s1] × [t0, t1] of a panel of total weight 1.
+NODES, WEIGHTS = _gauss_legendre()
+"""Of the Gauss–Legendre rules on [0, 1]; row n has the rule of n nodes, shape (MAX_NODES + 1, MAX_NODES)."""
 
-    Parameters
-    ----------
-    p, n, v
-        Surface point [mm], unit normal, unit view direction, shape (3,).
-    panel
-        The panel; s and t run over [−½, ½].
-    count
-        Gauss–Legendre nodes along each side.
-    nodes, weights
-        From :func:`gauss_legendre_table`.
-    """
-    level, rise_s, rise_t, lowest = _height_above_horizon(p, n, panel, s0, s1, t0, t1)
-    first, last = _broken_rows(level, rise_s, rise_t, lowest, s0, s1, t0, t1)
+
+class Rectangle(NamedTuple):
+    """A part [s0, s1] × [t0, t1] of a panel; s and t run over [−½, ½]."""
+
+    s0: float
+    s1: float
+    t0: float
+    t1: float
+
+
+WHOLE_PANEL = Rectangle(-0.5, 0.5, -0.5, 0.5)
+
+
+class _Horizon(NamedTuple):
+    """Height of the panel above the surface's tangent plane, level + rise_s·s + rise_t·t, and the least on an area."""
+
+    level: float
+    rise_s: float
+    rise_t: float
+    lowest: float
+
+
+@kernel
+def rectangle_diffuse(p: Vector, n: Vector, panel: PanelNumbers, area: Rectangle, count: int) -> float:
+    """Diffuse light, per unit of R_d, of a rectangle of a panel of total weight 1, by `count` nodes along each side."""
+    horizon = _horizon(p, n, panel, area)
+    first, last = _broken_rows(horizon, area)
     total = 0.0
-    for low, high in ((t0, first), (first, last), (last, t1)):
+    for low, high in ((area.t0, first), (first, last), (last, area.t1)):
         if low >= high:
             continue
         part = 0.0
         for i in range(count):
-            t = low + (high - low) * nodes[count, i]
-            r0, r1 = _row_above_horizon(level + rise_t * t, rise_s, lowest, s0, s1)
+            t = low + (high - low) * NODES[count, i]
+            r0, r1 = _row_above_horizon(horizon, t, area)
             if r0 >= r1:
                 continue
             row = 0.0
             for j in range(count):
-                s = r0 + (r1 - r0) * nodes[count, j]
-                # a view from below (n_dot_v = 0) leaves out the specular term
-                d, _ = terms_at(
-                    p,
-                    n,
-                    v,
-                    0.0,
-                    panel.centre_x + s * panel.across_x + t * panel.along_x,
-                    panel.centre_y + s * panel.across_y + t * panel.along_y,
-                    panel.centre_z + s * panel.across_z + t * panel.along_z,
-                    panel,
-                    0.0,
-                )
-                row += weights[count, j] * d
-            part += weights[count, i] * (r1 - r0) * row
+                s = r0 + (r1 - r0) * NODES[count, j]
+                # no specular term: any view will do
+                d, _ = point_terms(p, n, n, 0.0, panel_point(panel, s, t), panel, 0.0)
+                row += WEIGHTS[count, j] * d
+            part += WEIGHTS[count, i] * (r1 - r0) * row
         total += part * (high - low)
     return total
 
 
 @kernel
-def _height_above_horizon(
-    p: Float64, n: Float64, panel: PanelNumbers, s0: float, s1: float, t0: float, t1: float
-) -> tuple[float, float, float, float]:
-    # height of the panel above the surface's tangent plane: level + rise_s·s + rise_t·t; and the least on a rectangle
-    level = n[0] * (panel.centre_x - p[0]) + n[1] * (panel.centre_y - p[1]) + n[2] * (panel.centre_z - p[2])
-    rise_s = n[0] * panel.across_x + n[1] * panel.across_y + n[2] * panel.across_z
-    rise_t = n[0] * panel.along_x + n[1] * panel.along_y + n[2] * panel.along_z
-    lowest = level + min(rise_s * s0, rise_s * s1) + min(rise_t * t0, rise_t * t1)
-    return level, rise_s, rise_t, lowest
+def _horizon(p: Vector, n: Vector, panel: PanelNumbers, area: Rectangle) -> _Horizon:
+    level = dot(n, minus(panel.centre, p))
+    rise_s, rise_t = dot(n, panel.across), dot(n, panel.along)
+    lowest = level + min(rise_s * area.s0, rise_s * area.s1) + min(rise_t * area.t0, rise_t * area.t1)
+    return _Horizon(level, rise_s, rise_t, lowest)
 
 
 @kernel
-def _broken_rows(
-    level: float, rise_s: float, rise_t: float, lowest: float, s0: float, s1: float, t0: float, t1: float
-) -> tuple[float, float]:
+def _broken_rows(horizon: _Horizon, area: Rectangle) -> tuple[float, float]:
     # N·L > 0 is a half-plane of (s, t) with a break of the integrand along its border: rows of nodes end there, and are
     # taken apart where it meets the rectangle's sides, between these two t
-    if lowest > 0.0 or rise_t == 0.0:
-        return t1, t1
-    at_start, at_end = -(level + rise_s * s0) / rise_t, -(level + rise_s * s1) / rise_t
-    return min(max(min(at_start, at_end), t0), t1), min(max(max(at_start, at_end), t0), t1)
+    if horizon.lowest > 0.0 or horizon.rise_t == 0.0:
+        return area.t1, area.t1
+    at_start = -(horizon.level + horizon.rise_s * area.s0) / horizon.rise_t
+    at_end = -(horizon.level + horizon.rise_s * area.s1) / horizon.rise_t
+    first = min(max(min(at_start, at_end), area.t0), area.t1)
+    return first, min(max(max(at_start, at_end), area.t0), area.t1)
 
 
 @kernel
-def _row_above_horizon(
-    height: float, rise_s: float, lowest: float, s0: float, s1: float
-) -> tuple[float, float]:
+def _row_above_horizon(horizon: _Horizon, t: float, area: Rectangle) -> tuple[float, float]:
     # the part of a row of the rectangle that is above the horizon; empty where none is
-    if lowest > 0.0:
-        return s0, s1
-    if rise_s > 0.0:
-        return max(s0, -height / rise_s), s1
-    if rise_s < 0.0:
-        return s0, min(s1, -height / rise_s)
-    return (s0, s1) if height > 0.0 else (s0, s0)
+    if horizon.lowest > 0.0:
+        return area.s0, area.s1
+    height = horizon.level + horizon.rise_t * t
+    if horizon.rise_s > 0.0:
+        return max(area.s0, -height / horizon.rise_s), area.s1
+    if horizon.rise_s < 0.0:
+        return area.s0, min(area.s1, -height / horizon.rise_s)
+    return (area.s0, area.s1) if height > 0.0 else (area.s0, area.s0)
 
 
 @kernel
 def rectangle_specular(
-    p: Float64,
-    n: Float64,
-    v: Float64,
+    p: Vector,
+    n: Vector,
+    v: Vector,
     n_dot_v: float,
     panel: PanelNumbers,
-    s0: float,
-    s1: float,
-    t0: float,
-    t1: float,
+    area: Rectangle,
     inverse_two_sigma_squared: float,
     panel_nodes: int,
-    nodes: Float64,
-    weights: Float64,
 ) -> float:
-    """Specular light, per unit of R_s, of the rectangle [s0, s1] × [t0, t1] of a panel of total weight 1.
+    """Specular light, per unit of R_s, of a rectangle of a panel of total weight 1.
 
-    Parameters as in :func:`rectangle_diffuse`; `n_dot_v` is cosθ_o, `inverse_two_sigma_squared` 1/(2σ²) [rad⁻²], and
-    `panel_nodes` the nodes a side that the whole panel needs for its fall-off and emission.
+    n_dot_v: cosθ_o
+    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
+    panel_nodes: Nodes a side that the whole panel needs for its fall-off and emission
     """
     if n_dot_v <= 0.0:
         return 0.0
     s, t = mirror_point(p, n, v, n_dot_v, panel)
-    s, t = min(max(s, s0), s1), min(max(t, t0), t1)
+    s, t = min(max(s, area.s0), area.s1), min(max(t, area.t0), area.t1)
     hx = hy = jxs = jxt = jys = jyt = 0.0
     a = b = c = 0.0
     least = 0.0
@@ -190,257 +180,150 @@ def rectangle_specular(
         least = k * (hx * hx + hy * hy)
         if round_ == _LINEARISATIONS - 1 or least > 50.0 * NEGLIGIBLE_EXPONENT:
             break
-        ns, nt = _least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, s0, s1, t0, t1)
+        ns, nt = _least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
         if abs(ns - s) < 1e-6 and abs(nt - t) < 1e-6:
             break
         s, t = ns, nt
     if least > NEGLIGIBLE_EXPONENT:
         return 0.0
+    gs = inverse_two_sigma_squared * (jxs * hx + jys * hy)
+    gt = inverse_two_sigma_squared * (jxt * hx + jyt * hy)
+    window = area
     determinant = a * c - b * b
-    if determinant <= 1e-12 * a * c or a <= 0.0 or c <= 0.0:
-        ws0, ws1, wt0, wt1 = s0, s1, t0, t1
-    else:
-        gs, gt = (
-            inverse_two_sigma_squared * (jxs * hx + jys * hy),
-            inverse_two_sigma_squared * (jxt * hx + jyt * hy),
-        )
+    if not (determinant <= 1e-12 * a * c or a <= 0.0 or c <= 0.0):
         centre_s = s - (c * gs - b * gt) / determinant
         centre_t = t - (a * gt - b * gs) / determinant
         reach = WINDOW_MARGIN * WINDOW_MARGIN * (least + WINDOW_EXPONENT) / determinant
         half_s, half_t = math.sqrt(reach * c), math.sqrt(reach * a)
-        ws0, ws1 = max(s0, centre_s - half_s), min(s1, centre_s + half_s)
-        wt0, wt1 = max(t0, centre_t - half_t), min(t1, centre_t + half_t)
-        if ws0 >= ws1 or wt0 >= wt1:
+        window = Rectangle(
+            max(area.s0, centre_s - half_s),
+            min(area.s1, centre_s + half_s),
+            max(area.t0, centre_t - half_t),
+            min(area.t1, centre_t + half_t),
+        )
+        if window.s0 >= window.s1 or window.t0 >= window.t1:
             return 0.0
-    gs = inverse_two_sigma_squared * (jxs * hx + jys * hy)
-    gt = inverse_two_sigma_squared * (jxt * hx + jyt * hy)
-    count_s = max(_node_count(a, gs, ws0 - s, ws1 - s), math.ceil(panel_nodes * (ws1 - ws0)) + 1)
-    count_t = max(_node_count(c, gt, wt0 - t, wt1 - t), math.ceil(panel_nodes * (wt1 - wt0)) + 1)
-    level, rise_s, rise_t, lowest = _height_above_horizon(p, n, panel, ws0, ws1, wt0, wt1)
-    first, last = _broken_rows(level, rise_s, rise_t, lowest, ws0, ws1, wt0, wt1)
+    least_s = math.ceil(panel_nodes * (window.s1 - window.s0)) + 1
+    least_t = math.ceil(panel_nodes * (window.t1 - window.t0)) + 1
+    count_s = max(_node_count(a, gs, window.s0 - s, window.s1 - s), least_s)
+    count_t = max(_node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
+    horizon = _horizon(p, n, panel, window)
+    first, last = _broken_rows(horizon, window)
     total = 0.0
-    for low, high in ((wt0, first), (first, last), (last, wt1)):
+    for low, high in ((window.t0, first), (first, last), (last, window.t1)):
         if low >= high:
             continue
         part = 0.0
         for i in range(count_t):
-            t = low + (high - low) * nodes[count_t, i]
-            r0, r1 = _row_above_horizon(level + rise_t * t, rise_s, lowest, ws0, ws1)
+            t = low + (high - low) * NODES[count_t, i]
+            r0, r1 = _row_above_horizon(horizon, t, window)
             if r0 >= r1:
                 continue
-            part += (
-                weights[count_t, i]
-                * (r1 - r0)
-                * _specular_row(
-                    p, n, v, n_dot_v, panel, r0, r1, t, count_s, inverse_two_sigma_squared, nodes, weights
-                )
-            )
+            row = 0.0
+            for j in range(count_s):
+                s = r0 + (r1 - r0) * NODES[count_s, j]
+                q = panel_point(panel, s, t)
+                _, value = point_terms(p, n, v, n_dot_v, q, panel, inverse_two_sigma_squared)
+                row += WEIGHTS[count_s, j] * value
+            part += WEIGHTS[count_t, i] * (r1 - r0) * row
         total += part * (high - low)
     return total
 
 
 @kernel
-def _specular_row(
-    p: Float64,
-    n: Float64,
-    v: Float64,
-    n_dot_v: float,
-    panel: PanelNumbers,
-    s0: float,
-    s1: float,
-    t: float,
-    count: int,
-    inverse_two_sigma_squared: float,
-    nodes: Float64,
-    weights: Float64,
-) -> float:
-    # mean of the specular light along a row of the panel
-    px, py, pz = p[0], p[1], p[2]
-    nx, ny, nz = n[0], n[1], n[2]
-    vx, vy, vz = v[0], v[1], v[2]
-    row = 0.0
-    for j in range(count):
-        s = s0 + (s1 - s0) * nodes[count, j]
-        _, value = point_terms(
-            px,
-            py,
-            pz,
-            nx,
-            ny,
-            nz,
-            vx,
-            vy,
-            vz,
-            n_dot_v,
-            panel.centre_x + s * panel.across_x + t * panel.along_x,
-            panel.centre_y + s * panel.across_y + t * panel.along_y,
-            panel.centre_z + s * panel.across_z + t * panel.along_z,
-            panel,
-            inverse_two_sigma_squared,
-        )
-        row += weights[count, j] * value
-    return row
-
-
-@kernel
 def out_of_reach(
-    p: Float64, n: Float64, v: Float64, panel: PanelNumbers, inverse_two_sigma_squared: float
+    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float
 ) -> bool:
     """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone.
 
     While L turns by α, H turns by no more than α / (2·cos(half the angle between L and V)).
     """
-    lx, ly, lz = panel.centre_x - p[0], panel.centre_y - p[1], panel.centre_z - p[2]
-    r = math.sqrt(lx * lx + ly * ly + lz * lz)
-    lx, ly, lz = lx / r, ly / r, lz / r
-    hx, hy, hz = lx + v[0], ly + v[1], lz + v[2]
-    length = math.sqrt(hx * hx + hy * hy + hz * hz)
-    half_diagonal = 0.5 * math.sqrt(
-        panel.across_x**2
-        + panel.across_y**2
-        + panel.across_z**2
-        + panel.along_x**2
-        + panel.along_y**2
-        + panel.along_z**2
-    )
-    if half_diagonal >= 0.9 * r or length < 1e-3:
+    light = minus(panel.centre, p)
+    r = length(light)
+    half = plus(divided(light, r), v)
+    size = length(half)
+    reach = half_diagonal(panel)
+    if reach >= 0.9 * r or size < 1e-3:
         return False
-    turn = math.asin(half_diagonal / r)
-    half_angle = math.acos(min(1.0, 0.5 * length)) + 0.5 * turn
+    turn = math.asin(reach / r)
+    half_angle = math.acos(min(1.0, 0.5 * size)) + 0.5 * turn
     cosine = math.cos(half_angle)
     if cosine < 0.1:
         return False
-    dx, dy, dz = n[0] - hx / length, n[1] - hy / length, n[2] - hz / length
     # the chord is never more than the angle
-    nearest = math.sqrt(dx * dx + dy * dy + dz * dz) - turn / (2.0 * cosine)
+    nearest = length(minus(n, divided(half, size))) - turn / (2.0 * cosine)
     return nearest > 0.0 and nearest * nearest * inverse_two_sigma_squared > NEGLIGIBLE_EXPONENT
 
 
 @kernel
-def mirror_point(
-    p: Float64, n: Float64, v: Float64, n_dot_v: float, panel: PanelNumbers
-) -> tuple[float, float]:
+def mirror_point(p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers) -> tuple[float, float]:
     """Where the mirrored view meets the panel's plane, (s, t) in the panel's sides; its centre where it never does."""
-    mx, my, mz = (
-        2.0 * n_dot_v * n[0] - v[0],
-        2.0 * n_dot_v * n[1] - v[1],
-        2.0 * n_dot_v * n[2] - v[2],
-    )
-    cx, cy, cz = panel.centre_x - p[0], panel.centre_y - p[1], panel.centre_z - p[2]
-    towards = mx * panel.outward_x + my * panel.outward_y + mz * panel.outward_z
-    ahead = cx * panel.outward_x + cy * panel.outward_y + cz * panel.outward_z
+    mirrored = minus(scaled(n, 2.0 * n_dot_v), v)
+    centre = minus(panel.centre, p)
+    towards, ahead = dot(mirrored, panel.outward), dot(centre, panel.outward)
     if abs(towards) < _GRAZING or ahead / towards <= 0.0:
         return 0.0, 0.0
-    reach = ahead / towards
-    x, y, z = reach * mx - cx, reach * my - cy, reach * mz - cz
-    ux, uy, uz = panel.across_x, panel.across_y, panel.across_z
-    wx, wy, wz = panel.along_x, panel.along_y, panel.along_z
+    place = minus(scaled(mirrored, ahead / towards), centre)
     return (
-        (x * ux + y * uy + z * uz) / (ux * ux + uy * uy + uz * uz),
-        (x * wx + y * wy + z * wz) / (wx * wx + wy * wy + wz * wz),
+        dot(place, panel.across) / dot(panel.across, panel.across),
+        dot(place, panel.along) / dot(panel.along, panel.along),
     )
 
 
 @kernel
 def _half_vector_map(
-    p: Float64, n: Float64, v: Float64, panel: PanelNumbers, s: float, t: float
+    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, s: float, t: float
 ) -> tuple[float, float, float, float, float, float]:
     # components of H in the tangent plane of N at panel coordinates (s, t), and their derivatives along s and t,
     # scaled so that |h| is the angle δ and not its sine
-    lx = panel.centre_x + s * panel.across_x + t * panel.along_x - p[0]
-    ly = panel.centre_y + s * panel.across_y + t * panel.along_y - p[1]
-    lz = panel.centre_z + s * panel.across_z + t * panel.along_z - p[2]
-    r = math.sqrt(lx * lx + ly * ly + lz * lz)
-    lx, ly, lz = lx / r, ly / r, lz / r
-    hx, hy, hz = lx + v[0], ly + v[1], lz + v[2]
-    length = math.sqrt(hx * hx + hy * hy + hz * hz)
-    hx, hy, hz = hx / length, hy / length, hz / length
+    light = minus(panel_point(panel, s, t), p)
+    r = length(light)
+    light = divided(light, r)
+    half = plus(light, v)
+    size = length(half)
+    half = divided(half, size)
     # any two unit vectors perpendicular to N and to each other
-    if abs(n[2]) < 0.9:
-        size = math.sqrt(n[0] * n[0] + n[1] * n[1])
-        ax, ay, az = -n[1] / size, n[0] / size, 0.0
+    if abs(n.z) < 0.9:
+        root = math.sqrt(n.x * n.x + n.y * n.y)
+        a = Vector(-n.y / root, n.x / root, 0.0)
     else:
-        size = math.sqrt(n[1] * n[1] + n[2] * n[2])
-        ax, ay, az = 0.0, -n[2] / size, n[1] / size
-    bx, by, bz = n[1] * az - n[2] * ay, n[2] * ax - n[0] * az, n[0] * ay - n[1] * ax
-    ha, hb = hx * ax + hy * ay + hz * az, hx * bx + hy * by + hz * bz
+        root = math.sqrt(n.y * n.y + n.z * n.z)
+        a = Vector(0.0, -n.z / root, n.y / root)
+    b = cross(n, a)
+    ha, hb = dot(half, a), dot(half, b)
     sine = math.sqrt(ha * ha + hb * hb)
     scale = 1.0
     if sine > 1e-6:
-        scale = math.atan2(sine, hx * n[0] + hy * n[1] + hz * n[2]) / sine
-    jas, jbs = _tangent_step(
-        panel.across_x,
-        panel.across_y,
-        panel.across_z,
-        r,
-        lx,
-        ly,
-        lz,
-        length,
-        hx,
-        hy,
-        hz,
-        ax,
-        ay,
-        az,
-        bx,
-        by,
-        bz,
+        scale = math.atan2(sine, dot(half, n)) / sine
+    across = _half_vector_step(panel.across, r, light, size, half)
+    along = _half_vector_step(panel.along, r, light, size, half)
+    return (
+        scale * ha,
+        scale * hb,
+        scale * dot(across, a),
+        scale * dot(along, a),
+        scale * dot(across, b),
+        scale * dot(along, b),
     )
-    jat, jbt = _tangent_step(
-        panel.along_x, panel.along_y, panel.along_z, r, lx, ly, lz, length, hx, hy, hz, ax, ay, az, bx, by, bz
-    )
-    return scale * ha, scale * hb, scale * jas, scale * jat, scale * jbs, scale * jbt
 
 
 @kernel
-def _tangent_step(
-    sx: float,
-    sy: float,
-    sz: float,
-    r: float,
-    lx: float,
-    ly: float,
-    lz: float,
-    length: float,
-    hx: float,
-    hy: float,
-    hz: float,
-    ax: float,
-    ay: float,
-    az: float,
-    bx: float,
-    by: float,
-    bz: float,
-) -> tuple[float, float]:
+def _half_vector_step(side: Vector, r: float, light: Vector, size: float, half: Vector) -> Vector:
     # derivative of the unit half vector when the light moves along one side of the panel
-    along = sx * lx + sy * ly + sz * lz
-    dx, dy, dz = (sx - along * lx) / r, (sy - along * ly) / r, (sz - along * lz) / r
-    along = dx * hx + dy * hy + dz * hz
-    dx, dy, dz = (dx - along * hx) / length, (dy - along * hy) / length, (dz - along * hz) / length
-    return dx * ax + dy * ay + dz * az, dx * bx + dy * by + dz * bz
+    step = divided(minus(side, scaled(light, dot(side, light))), r)
+    return divided(minus(step, scaled(half, dot(step, half))), size)
 
 
 @kernel
 def _least_in_box(
-    a: float,
-    b: float,
-    c: float,
-    gs: float,
-    gt: float,
-    s: float,
-    t: float,
-    s0: float,
-    s1: float,
-    t0: float,
-    t1: float,
+    a: float, b: float, c: float, gs: float, gt: float, s: float, t: float, area: Rectangle
 ) -> tuple[float, float]:
     # least value of ½(a·s² + 2b·s·t + c·t²) + gs·s + gt·t on a box, one coordinate after the other: it is convex
     if a <= 0.0 or c <= 0.0:
         return s, t
     for _ in range(_BOX_STEPS):
-        s = min(max(-(gs + b * t) / a, s0), s1)
-        t = min(max(-(gt + b * s) / c, t0), t1)
+        s = min(max(-(gs + b * t) / a, area.s0), area.s1)
+        t = min(max(-(gt + b * s) / c, area.t0), area.t1)
     return s, t
 
 

@@ -8,26 +8,67 @@ taken in 4 × 4 cells, each seen or hidden as its centre is.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
 from lightopt.optics import MIN_COS_VIEW
-from lightopt.rendering._converged import ConvergedPanel
-from lightopt.rendering._lobe import rectangle_diffuse, rectangle_specular
-from lightopt.rendering._panel import PanelNumbers, panel_numbers
-from lightopt.rendering._points import facing_pairs
+from lightopt.rendering._converged import ConvergedPanel, panel_probes
+from lightopt.rendering._lobe import (
+    NODES,
+    WEIGHTS,
+    WHOLE_PANEL,
+    Rectangle,
+    rectangle_diffuse,
+    rectangle_specular,
+)
+from lightopt.rendering._panel import (
+    PanelNumbers,
+    Vector,
+    cross,
+    divided,
+    dot,
+    half_diagonal,
+    length,
+    minus,
+    panel_numbers,
+    panel_point,
+    plus,
+    vector_at,
+)
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import panel_grid
 
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
-
 CELLS = 4
 """Cells along a side of a panel of which a part hides some."""
+
+
+class VariantNumbers(NamedTuple):
+    """The variants of a surface as the kernels want them.
+
+    lean: Normals in the points' frames, shape (t, 3)
+    R_d, R_s: Of each, shape (t,)
+    inverse: 1/(2σ²) [rad⁻²], shape (t,)
+    most: Exponent from which the lobe is negligible for the view that it is brightest in, shape (t,)
+    """
+
+    lean: Float64
+    R_d: Float64
+    R_s: Float64
+    inverse: Float64
+    most: Float64
+
+
+@kernel
+def leaning(lean: Float64, t: int, n: Vector, r: Vector, a: Vector) -> Vector:
+    """Normal of variant t in the frame of the vectors n (the point's normal), r (its reference) and a = n × r."""
+    c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
+    return Vector(
+        c0 * n.x + c1 * r.x + c2 * a.x, c0 * n.y + c1 * r.y + c2 * a.y, c0 * n.z + c1 * r.z + c2 * a.z
+    )
 
 
 def panel_variants(
@@ -36,37 +77,23 @@ def panel_variants(
     converged: ConvergedPanel,
     clear: Bool,
     caster: RayCaster | None,
-    *,
-    lean: Float64,
-    R_d: Float64,
-    R_s: Float64,
-    inverse: Float64,
-    most: Float64,
+    variants: VariantNumbers,
 ) -> Float64:
     """Levels of variants of a surface under a converged panel, shape (k, t).
 
-    Parameters
-    ----------
-    surface, references
-        As :func:`lightopt.rendering.shade_variants` takes them.
-    converged
-        The panel.
-    clear
-        Which of its probes each point's facet faces and sees, shape (k, 5).
-    caster
-        For the cells of panels that are seen in part; None for no shadows.
-    lean, R_d, R_s, inverse, most
-        Of the variants: normals in the points' frames, shape (t, 3); coefficients times the panel's weight, 1/(2σ²),
-        and the exponent from which their lobe is negligible for a view along the normal, each of shape (t,).
+    surface, references: As :func:`lightopt.rendering.shade_variants` takes them
+    clear: Which of its probes each point's facet faces and sees, shape (k, 5)
+    caster: For the cells of panels that are seen in part; None for no shadows
+    variants: With coefficients times the panel's weight
     """
-    panel = panel_numbers(converged.light)
-    levels = np.zeros((len(surface), len(lean)))
+    levels = np.zeros((len(surface), len(variants.lean)))
     number = clear.sum(axis=1)
     mixed = np.flatnonzero((number > 0) & (number < clear.shape[1]))
     cells = np.ones((len(surface), CELLS * CELLS), np.bool_)
     if caster is not None and len(mixed):
-        cells[mixed] = _clear_cells(surface.take(mixed), converged, caster)
-    _kernel(
+        # along the panel's second side first, as panel_grid has them
+        cells[mixed] = panel_probes(surface.take(mixed), panel_grid(converged.light, CELLS * CELLS), caster)
+    _levels(
         surface.points,
         surface.normals,
         references,
@@ -74,125 +101,85 @@ def panel_variants(
         number,
         clear.shape[1],
         cells,
-        panel,
+        panel_numbers(converged.light),
         converged.nodes,
-        *converged.rules,
-        lean,
-        R_d,
-        R_s,
-        inverse,
-        most,
+        variants,
         levels,
     )
     return levels
 
 
-def _clear_cells(surface: SurfacePoints, converged: ConvergedPanel, caster: RayCaster) -> Bool:
-    # along the panel's second side first, as panel_grid has them
-    centres = panel_grid(converged.light, CELLS * CELLS)
-    point, target = facing_pairs(replace(surface, normals=surface.facets), centres, geometric=False)
-    blocked = caster.occluded(surface.points, surface.facets, centres, point_index=point, target_index=target)
-    seen = np.zeros((len(surface), len(centres)), np.bool_)
-    seen[point[~blocked], target[~blocked]] = True
-    return seen
-
-
 @kernel
-def _kernel(
+def _levels(
     points: Float64,
     normals: Float64,
     references: Float64,
     views: Float64,
-    number: NDArray[np.int64],
-    whole: int,
+    number: Int64,
+    all_probes: int,
     cells: Bool,
     panel: PanelNumbers,
     panel_nodes: int,
-    nodes: Float64,
-    weights: Float64,
-    lean: Float64,
-    R_d: Float64,
-    R_s: Float64,
-    inverse: Float64,
-    most: Float64,
+    variants: VariantNumbers,
     levels: Float64,
 ) -> None:
-    towards = np.empty(3)
-    turned = np.empty(3)
-    half = 0.5 * math.sqrt(
-        panel.across_x**2
-        + panel.across_y**2
-        + panel.across_z**2
-        + panel.along_x**2
-        + panel.along_y**2
-        + panel.along_z**2
-    )
+    lean, R_d, R_s, inverse, most = variants
+    half_panel = half_diagonal(panel)
     for i in range(len(points)):
         if number[i] == 0:
             continue
-        p, n, v, r = points[i], normals[i], views[i], references[i]
-        a0, a1, a2 = n[1] * r[2] - n[2] * r[1], n[2] * r[0] - n[0] * r[2], n[0] * r[1] - n[1] * r[0]
-        _light_vector(p, panel, panel_nodes, nodes, weights, cells[i], number[i] == whole, towards)
+        whole = number[i] == all_probes
+        p, n, v, r = (
+            vector_at(points, i),
+            vector_at(normals, i),
+            vector_at(views, i),
+            vector_at(references, i),
+        )
+        a = cross(n, r)
+        towards = _light_vector(p, panel, panel_nodes, cells[i], whole)
         # how far the half vectors of the panel's points are from that of its centre, at most
-        lx, ly, lz = panel.centre_x - p[0], panel.centre_y - p[1], panel.centre_z - p[2]
-        distance = math.sqrt(lx * lx + ly * ly + lz * lz)
-        hx, hy, hz = lx / distance + v[0], ly / distance + v[1], lz / distance + v[2]
-        length = math.sqrt(hx * hx + hy * hy + hz * hz)
+        light = minus(panel.centre, p)
+        distance = length(light)
+        half = plus(divided(light, distance), v)
+        size = length(half)
         spread = math.pi
-        if half < 0.9 * distance and length > 1e-3:
-            hx, hy, hz = hx / length, hy / length, hz / length
-            turn = math.asin(half / distance)
-            cosine = math.cos(math.acos(min(1.0, 0.5 * length)) + 0.5 * turn)
+        if half_panel < 0.9 * distance and size > 1e-3:
+            half = divided(half, size)
+            turn = math.asin(half_panel / distance)
+            cosine = math.cos(math.acos(min(1.0, 0.5 * size)) + 0.5 * turn)
             if cosine > 0.1:
                 spread = turn / (2.0 * cosine)
         for t in range(len(lean)):
-            c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
-            t0 = c0 * n[0] + c1 * r[0] + c2 * a0
-            t1 = c0 * n[1] + c1 * r[1] + c2 * a1
-            t2 = c0 * n[2] + c1 * r[2] + c2 * a2
-            turned[0], turned[1], turned[2] = t0, t1, t2
-            lowest = t0 * lx + t1 * ly + t2 * lz
-            lowest -= 0.5 * abs(t0 * panel.across_x + t1 * panel.across_y + t2 * panel.across_z)
-            lowest -= 0.5 * abs(t0 * panel.along_x + t1 * panel.along_y + t2 * panel.along_z)
+            turned = leaning(lean, t, n, r, a)
+            lowest = dot(turned, light)
+            lowest -= 0.5 * abs(dot(turned, panel.across))
+            lowest -= 0.5 * abs(dot(turned, panel.along))
             if lowest >= 0.0:
-                d = t0 * towards[0] + t1 * towards[1] + t2 * towards[2]
-            elif number[i] == whole:
-                d = rectangle_diffuse(
-                    p, turned, v, panel, -0.5, 0.5, -0.5, 0.5, panel_nodes, nodes, weights
-                )  # fmt: skip
+                d = dot(turned, towards)
+            elif whole:
+                d = rectangle_diffuse(p, turned, panel, WHOLE_PANEL, panel_nodes)
             else:
-                d = _cells_diffuse(p, turned, v, panel, panel_nodes, nodes, weights, cells[i])
+                d = _cells_diffuse(p, turned, panel, panel_nodes, cells[i])
             s = 0.0
-            n_dot_v = t0 * v[0] + t1 * v[1] + t2 * v[2]
+            n_dot_v = dot(turned, v)
             if n_dot_v > 0.0:
                 furthest = most[t] - math.log(max(n_dot_v, MIN_COS_VIEW))
                 reach = spread + math.sqrt(max(0.0, furthest) / inverse[t])
-                if reach >= math.pi or t0 * hx + t1 * hy + t2 * hz > math.cos(reach):
-                    if number[i] == whole:
+                if reach >= math.pi or dot(turned, half) > math.cos(reach):
+                    if whole:
                         s = rectangle_specular(
-                            p, turned, v, n_dot_v, panel, -0.5, 0.5, -0.5, 0.5, inverse[t], panel_nodes, nodes, weights
-                        )  # fmt: skip
-                    else:
-                        s = _cells_specular(
-                            p, turned, v, n_dot_v, panel, inverse[t], panel_nodes, nodes, weights, cells[i]
+                            p, turned, v, n_dot_v, panel, WHOLE_PANEL, inverse[t], panel_nodes
                         )
+                    else:
+                        s = _cells_specular(p, turned, v, n_dot_v, panel, inverse[t], panel_nodes, cells[i])
             levels[i, t] = R_d[t] * d + R_s[t] * s
 
 
 @kernel
-def _light_vector(
-    p: Float64,
-    panel: PanelNumbers,
-    count: int,
-    nodes: Float64,
-    weights: Float64,
-    cells: Bool,
-    whole: bool,
-    towards: Float64,
-) -> None:
+def _light_vector(p: Vector, panel: PanelNumbers, count: int, cells: Bool, whole: bool) -> Vector:
     # Σ weight · L over the panel, or over its visible cells: diffuse light is its product with a normal that has all of
     # the panel above its horizon
-    towards[:] = 0.0
+    x = y = z = 0.0
     parts = 1 if whole else CELLS
     few = count if whole else math.ceil(2.0 * count / CELLS)
     for row in range(parts):
@@ -200,36 +187,25 @@ def _light_vector(
             if not whole and not cells[row * CELLS + column]:
                 continue
             for i in range(few):
-                t = (row + nodes[few, i]) / parts - 0.5
+                t = (row + NODES[few, i]) / parts - 0.5
                 for j in range(few):
-                    s = (column + nodes[few, j]) / parts - 0.5
-                    lx = panel.centre_x + s * panel.across_x + t * panel.along_x - p[0]
-                    ly = panel.centre_y + s * panel.across_y + t * panel.along_y - p[1]
-                    lz = panel.centre_z + s * panel.across_z + t * panel.along_z - p[2]
-                    r2 = lx * lx + ly * ly + lz * lz
+                    s = (column + NODES[few, j]) / parts - 0.5
+                    light = minus(panel_point(panel, s, t), p)
+                    r2 = dot(light, light)
                     r = 1.0 / math.sqrt(r2)
-                    w = weights[few, i] * weights[few, j] / (parts * parts)
+                    w = WEIGHTS[few, i] * WEIGHTS[few, j] / (parts * parts)
                     if panel.inverse_square:
                         w *= panel.distance * panel.distance / r2
                     if panel.emission_exponent > 0.0:
-                        cosine = (panel.outward_x * lx + panel.outward_y * ly + panel.outward_z * lz) * r
-                        w *= max(0.0, cosine) ** panel.emission_exponent
-                    towards[0] += w * r * lx
-                    towards[1] += w * r * ly
-                    towards[2] += w * r * lz
+                        w *= max(0.0, dot(panel.outward, light) * r) ** panel.emission_exponent
+                    x += w * r * light.x
+                    y += w * r * light.y
+                    z += w * r * light.z
+    return Vector(x, y, z)
 
 
 @kernel
-def _cells_diffuse(
-    p: Float64,
-    n: Float64,
-    v: Float64,
-    panel: PanelNumbers,
-    count: int,
-    nodes: Float64,
-    weights: Float64,
-    cells: Bool,
-) -> float:
+def _cells_diffuse(p: Vector, n: Vector, panel: PanelNumbers, count: int, cells: Bool) -> float:
     few = math.ceil(2.0 * count / CELLS)
     total = 0.0
     for row in range(CELLS):
@@ -237,23 +213,20 @@ def _cells_diffuse(
         for column in range(CELLS):
             if cells[row * CELLS + column]:
                 s0 = column / CELLS - 0.5
-                total += rectangle_diffuse(
-                    p, n, v, panel, s0, s0 + 1.0 / CELLS, t0, t0 + 1.0 / CELLS, few, nodes, weights
-                )
+                area = Rectangle(s0, s0 + 1.0 / CELLS, t0, t0 + 1.0 / CELLS)
+                total += rectangle_diffuse(p, n, panel, area, few)
     return total
 
 
 @kernel
 def _cells_specular(
-    p: Float64,
-    n: Float64,
-    v: Float64,
+    p: Vector,
+    n: Vector,
+    v: Vector,
     n_dot_v: float,
     panel: PanelNumbers,
     inverse: float,
     panel_nodes: int,
-    nodes: Float64,
-    weights: Float64,
     cells: Bool,
 ) -> float:
     total = 0.0
@@ -266,9 +239,7 @@ def _cells_specular(
                 # visible cells of one row in one go
                 while end < CELLS and cells[row * CELLS + end]:
                     end += 1
-                s0, s1 = column / CELLS - 0.5, end / CELLS - 0.5
-                total += rectangle_specular(
-                    p, n, v, n_dot_v, panel, s0, s1, t0, t0 + 1.0 / CELLS, inverse, panel_nodes, nodes, weights
-                )  # fmt: skip
+                area = Rectangle(column / CELLS - 0.5, end / CELLS - 0.5, t0, t0 + 1.0 / CELLS)
+                total += rectangle_specular(p, n, v, n_dot_v, panel, area, inverse, panel_nodes)
             column = end
     return total

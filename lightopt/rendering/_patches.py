@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Patches, RayCaster, TriangleMesh, estimate_patch_count, face_normals, refine
-from lightopt.rendering._grazing import GRAZING_COSINE
 from lightopt.rendering._images import trace_posture
+from lightopt.rendering._surface import GRAZING_COSINE
 from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
-
-Float64 = NDArray[np.float64]
 
 DEFAULT_PATCH_BUDGET = 200_000
 """Patches visible in at least one posture, unless asked otherwise."""
@@ -31,48 +30,39 @@ class PatchTable:
 
     Attributes
     ----------
-    patches
-        Of the scene's mesh.
-    postures
-        The postures that were looked at.
-    visible
-        Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p).
-    grazing
-        Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p): such
-        patches count in no score and no share of that posture.
-    max_edge
-        Longest edge of a patch that the camera may see, unless the mesh was finer already [mm].
-    footprint
-        Side of a pixel's footprint on the part, where it is smallest [mm].
-    seen_faces
-        Faces of the mesh that the camera sees, where they are as many as patches were asked for, or more; 0 otherwise,
-        and of a table from arrays.
-    exceeded
-        Patches that were asked for, where more are visible although the faces that the camera sees are fewer: half as
-        many are for cutting; 0 otherwise, and of a table from arrays.
+    postures: The postures that were looked at
+    visible: Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
+    grazing: Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p):
+        such patches count in no score and no share of that posture
+    max_edge: Longest edge of a patch that the camera may see, unless the mesh was finer already [mm]
+    footprint: Side of a pixel's footprint on the part, where it is smallest [mm]
+    seen_faces: Faces of the mesh that the camera sees, where they are as many as patches were asked for, or more; 0
+        otherwise, and of a table from arrays
+    exceeded: Patches that were asked for, where more are visible although the faces that the camera sees are fewer:
+        half as many are for cutting; 0 otherwise, and of a table from arrays
     """
 
     patches: Patches
     postures: tuple[Posture, ...]
-    visible: NDArray[np.bool_]
-    grazing: NDArray[np.bool_]
+    visible: Bool
+    grazing: Bool
     max_edge: float
     footprint: float
     seen_faces: int = 0
     exceeded: int = 0
 
-    def inspectable(self, posture: Posture) -> NDArray[np.intp]:
+    def inspectable(self, posture: Posture) -> Index:
         """Indices of the patches that the camera sees in a posture, not at a grazing angle, ascending."""
         row = self.postures.index(posture)
         return np.flatnonzero(self.visible[row] & ~self.grazing[row])
 
-    def left_out(self, posture: Posture) -> NDArray[np.intp]:
+    def left_out(self, posture: Posture) -> Index:
         """Indices of the patches that the camera sees in a posture at a grazing angle, ascending."""
         row = self.postures.index(posture)
         return np.flatnonzero(self.visible[row] & self.grazing[row])
 
     @property
-    def inspectable_anywhere(self) -> NDArray[np.bool_]:
+    def inspectable_anywhere(self) -> Bool:
         """Whether a patch is inspectable in one posture or more, shape (p,)."""
         return np.any(
             [seen & ~grazing for seen, grazing in zip(self.visible, self.grazing, strict=True)], axis=0
@@ -104,17 +94,8 @@ class PatchTable:
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """The table as named arrays for ``patches.npz``."""
-        p = self.patches
         return {
-            "vertices": p.vertices,
-            "triangles": p.triangles,
-            "centroids": p.centroids,
-            "normals": p.normals,
-            "areas": p.areas,
-            "face": p.face,
-            "roots": p.roots,
-            "children": p.children,
-            "cut_edge": p.cut_edge,
+            **{field.name: getattr(self.patches, field.name) for field in fields(Patches)},
             "visible": self.visible,
             "grazing": self.grazing,
             "postures_deg": np.array([[q.elevation_deg, q.rotation_deg] for q in self.postures]),
@@ -125,19 +106,8 @@ class PatchTable:
     @staticmethod
     def from_arrays(arrays: Mapping[str, NDArray[Any]]) -> PatchTable:
         """The table that :meth:`arrays` described."""
-        names = (
-            "vertices",
-            "triangles",
-            "centroids",
-            "normals",
-            "areas",
-            "face",
-            "roots",
-            "children",
-            "cut_edge",
-        )
         return PatchTable(
-            patches=Patches(**{name: arrays[name] for name in names}),
+            patches=Patches(**{field.name: arrays[field.name] for field in fields(Patches)}),
             postures=tuple(Posture(float(e), float(r)) for e, r in arrays["postures_deg"]),
             visible=arrays["visible"],
             grazing=arrays["grazing"],
@@ -150,18 +120,14 @@ class PatchTable:
 class PatchPixels:
     """Which pixels show each patch.
 
-    Attributes
-    ----------
-    start
-        The pixels of patch i are ``pixels[start[i]:start[i + 1]]``; shape (p + 1,).
-    pixels
-        Raveled pixel indices, ascending within a patch.
+    start: The pixels of patch i are ``pixels[start[i]:start[i + 1]]``; shape (p + 1,)
+    pixels: Raveled pixel indices, ascending within a patch
     """
 
-    start: NDArray[np.int64]
-    pixels: NDArray[np.int64]
+    start: Int64
+    pixels: Int64
 
-    def of(self, patch: int) -> NDArray[np.int64]:
+    def of(self, patch: int) -> Int64:
         """Raveled indices of the pixels whose centre shows a patch; empty for a patch smaller than a pixel."""
         return self.pixels[self.start[patch] : self.start[patch + 1]]
 
@@ -169,15 +135,9 @@ class PatchPixels:
 def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATCH_BUDGET) -> PatchTable:
     """Cut the faces that the camera sees towards the pixel's footprint, within a budget (paper, section 3.3).
 
-    Parameters
-    ----------
-    scene
-        With the postures to look from.
-    caster
-        Of the scene's part.
-    budget
-        About how many patches may be visible. A mesh that has more faces to begin with is not coarsened; half of the
-        budget is for cutting long faces, however many others there are: where the camera sees more faces than the
+    scene: With the postures to look from
+    budget: About how many patches may be visible. A mesh that has more faces to begin with is not coarsened; half of
+        the budget is for cutting long faces, however many others there are: where the camera sees more faces than the
         other half, the budget may be exceeded by up to a half, and the table says so.
     """
     mesh = scene.mesh
@@ -234,15 +194,11 @@ def _most_cuts(budget: int, shown: int) -> int:
     return max(budget - shown, budget // 2)
 
 
-def patch_pixels(patch: NDArray[np.int32], count: int) -> PatchPixels:
+def patch_pixels(patch: Int32, count: int) -> PatchPixels:
     """Turn a geometry image's patch channel round: from which patch a pixel shows to which pixels show a patch.
 
-    Parameters
-    ----------
-    patch
-        Patch index of each pixel, −1 where none, shape (height, width).
-    count
-        Number of patches.
+    patch: Patch index of each pixel, −1 where none, shape (height, width)
+    count: Number of patches
     """
     flat = patch.ravel()
     pixels = np.flatnonzero(flat >= 0)
@@ -261,7 +217,7 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
     return columns, rows
 
 
-def _longest_edge(mesh: TriangleMesh, faces: NDArray[np.bool_]) -> float:
+def _longest_edge(mesh: TriangleMesh, faces: Bool) -> float:
     corners = mesh.vertices[mesh.faces[faces]]
     return float(np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(initial=0.0)))
 
@@ -276,32 +232,20 @@ def grain_of(areas: Float64) -> float:
 
     The standard deviation if the middle of each patch were a place by chance, and half of the places counted:
     √(Σ a²) / (2 Σ a). Patches that are wholly within or wholly without what is counted are not off at all.
-
-    Parameters
-    ----------
-    areas
-        Of the patches, shape (p,).
     """
     return 0.5 * math.sqrt(float((areas**2).sum())) / max(float(areas.sum()), 1e-300)
 
 
 def sight_of(
     points: Float64, normals: Float64, facets: Float64, view: PartView, caster: RayCaster
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[Bool, Bool]:
     """Which points of the surface the camera sees, and which of these at a grazing angle.
 
-    Parameters
-    ----------
-    points, normals, facets
-        Points [mm], normals of the surface there, and those of the facets that they lie on, part frame, shape (p, 3).
-    view, caster
-        The camera as the part sees it, and the part's ray caster.
-
-    Returns
-    -------
-    visible, grazing
-        Boolean, shape (p,): in the image, from the front, with nothing in between; and of these, at more than
-        :data:`lightopt.rendering.GRAZING_DEG` to the normal.
+    points, normals, facets: Points [mm], normals of the surface there, and those of the facets that they lie on, part
+        frame, shape (p, 3)
+    view, caster: The camera as the part sees it, and the part's ray caster
+    Returns visible, grazing: Boolean, shape (p,): in the image, from the front, with nothing in between; and of these,
+        at more than :data:`lightopt.rendering.GRAZING_DEG` to the normal
     """
     visible = visible_points(points, facets, view, caster)
     grazing = np.zeros_like(visible)
@@ -311,20 +255,11 @@ def sight_of(
     return visible, grazing
 
 
-def visible_points(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> NDArray[np.bool_]:
+def visible_points(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> Bool:
     """Whether the camera sees points of the surface: in the image, from the front, with nothing in between.
 
-    Parameters
-    ----------
-    points, normals
-        Points [mm] and normals of the facets that they lie on, part frame, shape (p, 3).
-    view, caster
-        The camera as the part sees it, and the part's ray caster.
-
-    Returns
-    -------
-    numpy.ndarray
-        Boolean, shape (p,).
+    points, normals: Points [mm] and normals of the facets that they lie on, part frame, shape (p, 3)
+    view, caster: The camera as the part sees it, and the part's ray caster
     """
     camera = view.camera
     columns, rows, depth = project(camera, points)

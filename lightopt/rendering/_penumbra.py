@@ -3,17 +3,19 @@
 Rays to the corners of a grid of cells tell visible cells from hidden ones; where the edge of the shadow crosses the
 side of a cell is found by bisection, and between two such crossings the edge is taken as straight. Rays beside the
 middle of that chord tell whether it is; a cell where it is not is divided into a finer grid. How far all this goes
-depends on the light that is at stake in a cell: a cell worth a tenth of a level is not looked at twice.
+depends on the light that is at stake in a cell: a cell of a tenth of a level is not refined.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
 from lightopt.rendering._cells import (
@@ -22,16 +24,14 @@ from lightopt.rendering._cells import (
     MOST_BISECTIONS,
     SIDE_SHARE,
     VISIBLE,
+    ConvergedLight,
+    Squares,
     add_crossed_cells,
     add_visible_cells,
     places_beside_chords,
 )
-from lightopt.rendering._panel import PanelNumbers
+from lightopt.rendering._panel import PanelNumbers, panel_point
 from lightopt.rendering._surface import SurfacePoints
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
-State = NDArray[np.uint8]
 
 GRIDS = (8, 4, 4)
 """Cells along each side of the panel; of a cell whose piece of edge is bent; and of such a cell of that finer grid."""
@@ -47,109 +47,36 @@ LEAST_BISECTIONS = 2
 
 
 @dataclass(frozen=True)
-class PenumbraLight:
-    """A panel, and what its light is worth.
-
-    Attributes
-    ----------
-    panel
-        Part frame.
-    diffuse_level, specular_level
-        Grey levels per unit of the two terms: R_d and R_s times the panel's total weight.
-    inverse_two_sigma_squared
-        1/(2σ²) [rad⁻²].
-    nodes
-        Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission.
-    rules
-        Gauss–Legendre nodes and weights.
-    """
-
-    panel: PanelNumbers
-    diffuse_level: float
-    specular_level: float
-    inverse_two_sigma_squared: float
-    nodes: int
-    rules: tuple[Float64, Float64]
-
-
-@dataclass(frozen=True)
-class _Squares:
-    """Pieces of the panel that a grid is laid over; several of them may belong to one surface point.
-
-    Lower corners `s`, `t` and `cell`, the side of a cell of the grid, in units of the panel's sides, from 0 to 1.
-    """
-
-    point: NDArray[np.int32]
-    s: Float64
-    t: Float64
-    cell: float
-
-    def cells(self, which: Bool, *, divisions: int) -> _Squares:
-        """The chosen cells, (q, n, n), each as a square of its own."""
-        square, row, column = np.nonzero(which)
-        return _Squares(
-            self.point[square],
-            self.s[square] + column * self.cell,
-            self.t[square] + row * self.cell,
-            self.cell / divisions,
-        )
-
-    def split(self) -> list[_Squares]:
-        """Lots that are worked on at once."""
-        starts = range(0, len(self.point), SQUARES_AT_ONCE)
-        return [
-            _Squares(self.point[part], self.s[part], self.t[part], self.cell)
-            for part in (slice(start, start + SQUARES_AT_ONCE) for start in starts)
-        ]
-
-
-@dataclass(frozen=True)
 class _Work:
     """What is shaded, and the sums so far: the two terms (k, 2) and the levels of error allowed (k,)."""
 
     surface: SurfacePoints
-    light: PenumbraLight
+    light: ConvergedLight
     caster: RayCaster
     terms: Float64
     tolerance: Float64
 
 
 def shade_penumbra(
-    surface: SurfacePoints, light: PenumbraLight, caster: RayCaster
+    surface: SurfacePoints, light: ConvergedLight, caster: RayCaster
 ) -> tuple[Float64, Float64, Bool]:
     """Diffuse and specular light of the visible area of a panel of weight 1, per unit of R_d and R_s.
 
-    Parameters
-    ----------
-    surface
-        k surface points, part frame.
-    light
-        The panel.
-    caster
-        Of the part.
-
-    Returns
-    -------
-    diffuse, specular, crossed
-        Each of shape (k,); `crossed` is whether the edge of a shadow crosses the panel.
+    Returns diffuse, specular, crossed: Each of shape (k,); `crossed` is whether the edge of a shadow crosses the panel
     """
     k = len(surface)
     work = _Work(surface, light, caster, terms=np.zeros((k, 2)), tolerance=np.zeros(k))
-    whole = _Squares(np.arange(k, dtype=np.int32), np.zeros(k), np.zeros(k), 1.0 / GRIDS[0])
+    whole = Squares(np.arange(k, dtype=np.int32), np.zeros(k), np.zeros(k), 1.0 / GRIDS[0])
     crossed = _shade_squares(work, whole, depth=0)
     return work.terms[:, 0], work.terms[:, 1], crossed
 
 
-def _shade_squares(work: _Work, squares: _Squares, *, depth: int) -> Bool:
+def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     # adds the light of the visible area of squares; returns which of them the edge of a shadow crosses
     surface, light = work.surface, work.light
-    geometry = surface.points, surface.normals, surface.views, light.panel
-    place = squares.point, squares.s, squares.t, squares.cell
-    lobe = light.inverse_two_sigma_squared, light.nodes, *light.rules
-    state = _look_at_corners(work, squares, GRIDS[depth])
-    stake = add_visible_cells(
-        *geometry, *place, state, light.diffuse_level, light.specular_level, *lobe, work.terms
-    )
+    given = surface.points, surface.normals, surface.views, light, squares
+    state = _states_at_corners(work, squares, GRIDS[depth])
+    stake = add_visible_cells(*given, state, work.terms)
     if depth == 0:
         level = work.terms @ (light.diffuse_level, light.specular_level) + 0.5 * stake.sum(axis=(1, 2))
         work.tolerance[:] = LEVEL_TOLERANCE + RELATIVE_TOLERANCE * level
@@ -160,34 +87,42 @@ def _shade_squares(work: _Work, squares: _Squares, *, depth: int) -> Bool:
     bent = (
         np.zeros(stake.shape, np.bool_) if last else _bent_edges(work, squares, state, stake, across, along)
     )
-    add_crossed_cells(*geometry, *place, state, across, along, stake, bent, *lobe, work.terms)
+    add_crossed_cells(*given, state, across, along, stake, bent, work.terms)
     if bent.any():
-        for finer in squares.cells(bent, divisions=GRIDS[depth + 1]).split():
+        for finer in _finer_squares(squares, bent, divisions=GRIDS[depth + 1]):
             _shade_squares(work, finer, depth=depth + 1)
     return (state == VISIBLE).any(axis=(1, 2)) & (state == BLOCKED).any(axis=(1, 2))
 
 
-def _look_at_corners(work: _Work, squares: _Squares, n: int) -> State:
+def _finer_squares(squares: Squares, chosen: Bool, *, divisions: int) -> Iterator[Squares]:
+    # the chosen cells, (q, n, n), each as a square of its own; as many at once as memory allows
+    square, row, column = np.nonzero(chosen)
+    point, cell = squares.point[square], squares.cell
+    s, t = squares.s[square] + column * cell, squares.t[square] + row * cell
+    for start in range(0, len(point), SQUARES_AT_ONCE):
+        some = slice(start, start + SQUARES_AT_ONCE)
+        yield Squares(point[some], s[some], t[some], cell / divisions)
+
+
+def _states_at_corners(work: _Work, squares: Squares, n: int) -> UInt8:
     # what is seen at the corners of the cells, (q, n + 1, n + 1)
     square, row, column = (
         a.ravel()
         for a in np.meshgrid(np.arange(len(squares.point)), np.arange(n + 1), np.arange(n + 1), indexing="ij")
     )
-    state = _look(work, squares, square, column, row)
+    state = _states(work, squares, square, column, row)
     return state.reshape(len(squares.point), n + 1, n + 1)
 
 
-def _look(
-    work: _Work, squares: _Squares, square: NDArray[np.intp], x: NDArray[Any], y: NDArray[Any]
-) -> State:
+def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
     # what is seen at places (x, y) of squares, counted in cells of their grid
     surface, point = work.surface, squares.point[square]
     s, t = squares.s[square] + x * squares.cell, squares.t[square] + y * squares.cell
-    state, asked, targets = _horizon_state(
+    state, undecided, targets = _horizon_state(
         surface.points, surface.normals, surface.facets, work.light.panel, point, s, t
     )
-    blocked = work.caster.occluded_from(surface.points, surface.facets, targets, point_index=point[asked])
-    state[asked] = np.where(blocked, BLOCKED, VISIBLE)
+    blocked = work.caster.occluded_from(surface.points, surface.facets, targets, point_index=point[undecided])
+    state[undecided] = np.where(blocked, BLOCKED, VISIBLE)
     return state
 
 
@@ -197,22 +132,20 @@ def _horizon_state(
     normals: Float64,
     facets: Float64,
     panel: PanelNumbers,
-    point: NDArray[np.int32],
+    point: Int32,
     s: Float64,
     t: Float64,
-) -> tuple[State, NDArray[np.int32], Float64]:
+) -> tuple[UInt8, Int32, Float64]:
     # what the horizon decides: below the interpolated one there is no light, below the face's own plane the face is in
     # the way; the rest needs a ray
     state = np.empty(len(point), np.uint8)
-    asked = np.empty(len(point), np.int32)
+    undecided = np.empty(len(point), np.int32)
     targets = np.empty((len(point), 3))
     m = 0
     for j in range(len(point)):
         i = point[j]
         a, b = s[j] - 0.5, t[j] - 0.5
-        targets[m, 0] = panel.centre_x + a * panel.across_x + b * panel.along_x
-        targets[m, 1] = panel.centre_y + a * panel.across_y + b * panel.along_y
-        targets[m, 2] = panel.centre_z + a * panel.across_z + b * panel.along_z
+        targets[m, 0], targets[m, 1], targets[m, 2] = panel_point(panel, a, b)
         height = plane = 0.0
         for axis in range(3):
             height += normals[i, axis] * (targets[m, axis] - points[i, axis])
@@ -222,13 +155,13 @@ def _horizon_state(
         elif plane <= 0.0:
             state[j] = BLOCKED
         else:
-            asked[m] = j
+            undecided[m] = j
             m += 1
-    return state, asked[:m].copy(), targets[:m].copy()
+    return state, undecided[:m].copy(), targets[:m].copy()
 
 
 def _edge_crossings(
-    work: _Work, squares: _Squares, state: State, stake: Float64, *, vertical: bool
+    work: _Work, squares: Squares, state: UInt8, stake: Float64, *, vertical: bool
 ) -> Float64:
     # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the
     # side from its first corner; ½ where it does not cross
@@ -253,7 +186,7 @@ def _edge_crossings(
         j = np.flatnonzero(steps > step)
         middle = 0.5 * (low[j] + high[j])
         x, y = (column[j], row[j] + middle) if vertical else (column[j] + middle, row[j])
-        seen = _look(work, squares, square[j], x, y)
+        seen = _states(work, squares, square[j], x, y)
         as_first = (seen == BLOCKED) == from_blocked[j]
         low[j] = np.where(as_first, middle, low[j])
         high[j] = np.where(as_first, high[j], middle)
@@ -262,11 +195,11 @@ def _edge_crossings(
 
 
 def _bent_edges(
-    work: _Work, squares: _Squares, state: State, stake: Float64, across: Float64, along: Float64
+    work: _Work, squares: Squares, state: UInt8, stake: Float64, across: Float64, along: Float64
 ) -> Bool:
     # cells where the edge of the shadow is not the chord between its crossings, as far as that matters
     bent, cell, x, y, expected = places_beside_chords(state, stake, across, along)
     n = stake.shape[1]
-    seen = _look(work, squares, cell // (n * n), x, y)
+    seen = _states(work, squares, cell // (n * n), x, y)
     bent.ravel()[cell[(seen == BLOCKED) != expected]] = True
     return bent

@@ -6,18 +6,15 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.rendering._grazing import GRAZING_COSINE
+from lightopt.rendering._converged import probe_targets
 from lightopt.rendering._points import facing_pairs
-from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
 """What a pixel sees of a panel: nothing, all of it, or (penumbrae) something that is not predicted here."""
@@ -33,7 +30,6 @@ MARGIN_PX = 2
 
 _BLOCK_ROWS = 64
 _PIECE = 32_768
-_INSET = 0.98
 
 T = TypeVar("T")
 
@@ -44,22 +40,17 @@ class PosturePixels:
 
     Attributes
     ----------
-    posture, view
-        Of the part; camera and lights in the part's frame.
-    row, column
-        Of each pixel, shape (k,).
-    surface
-        Where the rays meet the part, part frame.
-    clean
-        Off silhouettes, creases, back faces and grazing views, shape (k,).
-    shape
-        Rows and columns of the image.
+    posture, view: Of the part; camera and lights in the part's frame
+    row, column: Of each pixel, shape (k,)
+    surface: Where the rays meet the part, part frame
+    clean: Off silhouettes, creases, back faces and grazing views, shape (k,)
+    shape: Rows and columns of the image
     """
 
     posture: Posture
     view: PartView
-    row: NDArray[np.int32]
-    column: NDArray[np.int32]
+    row: Int32
+    column: Int32
     surface: SurfacePoints
     clean: Bool
     shape: tuple[int, int]
@@ -68,20 +59,12 @@ class PosturePixels:
 def trace_pixels(
     scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None
 ) -> PosturePixels:
-    """Cast a ray through every pixel centre that can show the part.
-
-    Parameters
-    ----------
-    scene, posture, caster
-        The part, how it stands, and its ray caster.
-    threads
-        Number of threads; all the machine's by default. The result does not depend on it.
-    """
+    """Cast a ray through every pixel centre that can show the part."""
     view = view_from_part(scene, posture)
     left, top, right, bottom = screen_window(view.camera, scene.mesh)
     columns = np.arange(left, right, dtype=np.int32)
 
-    def block(first: int) -> tuple[NDArray[np.int32], NDArray[np.int32], SurfacePoints]:
+    def block(first: int) -> tuple[Int32, Int32, SurfacePoints]:
         rows = np.arange(first, min(first + _BLOCK_ROWS, bottom), dtype=np.int32)
         column, row = (a.ravel() for a in np.meshgrid(columns, rows))
         x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
@@ -110,38 +93,30 @@ def trace_pixels(
 
 def panel_verdict(
     pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, threads: int | None = None
-) -> NDArray[np.uint8]:
+) -> UInt8:
     """What each pixel sees of a panel: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (k,).
 
-    Parameters
-    ----------
-    pixels
-        From :func:`trace_pixels`.
-    light
-        Part frame.
-    caster
-        Of the part.
-    threads
-        Number of threads; the result does not depend on it.
+    light: Part frame
     """
     surface = pixels.surface
-    targets = _probes(light)
-    asked = np.flatnonzero(surface.front)
+    # the points that shine; for the converged panel its centre and its corners
+    targets = probe_targets(light) if light.points == "auto" else panel_grid(light, light.points)
+    front = np.flatnonzero(surface.front)
 
-    def piece(start: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        some = surface.take(asked[start : start + _PIECE])
+    def piece(start: int) -> tuple[Index, Index, Index]:
+        some = surface.take(front[start : start + _PIECE])
         point, target = facing_pairs(some, targets, geometric=True)
         blocked = caster.occluded(some.points, some.facets, targets, point_index=point, target_index=target)
         above, _ = facing_pairs(some, targets, geometric=False)
         return (
             np.bincount(point[~blocked], minlength=len(some)),
             np.bincount(above, minlength=len(some)),
-            asked[start : start + _PIECE],
+            front[start : start + _PIECE],
         )
 
     clear = np.zeros(len(surface), np.intp)
     above = np.zeros(len(surface), np.intp)
-    for seen, facing, where in in_threads(piece, range(0, len(asked), _PIECE), threads):
+    for seen, facing, where in in_threads(piece, range(0, len(front), _PIECE), threads):
         clear[where], above[where] = seen, facing
     # below the horizon of the interpolated normal there is no light, whatever is in the way
     # the terminator, where that horizon runs across the panel, moves with the least error of a normal
@@ -156,22 +131,7 @@ def panel_verdict(
     return verdict
 
 
-def _probes(light: PanelLight) -> Float64:
-    # the points that shine; for the converged panel its centre and its corners
-    if light.points != "auto":
-        return panel_grid(light, light.points)
-    half = 0.5 * _INSET
-    return np.array(
-        [
-            light.centre + s * light.size[0] * light.across + t * light.size[1] * light.along
-            for s, t in ((0.0, 0.0), (-half, -half), (-half, half), (half, -half), (half, half))
-        ]
-    )
-
-
-def _edges(
-    surface: SurfacePoints, row: NDArray[np.int32], column: NDArray[np.int32], shape: tuple[int, int]
-) -> Bool:
+def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, int]) -> Bool:
     # pixels that differ from the next one to the right or below by a step, by a crease, or by seeing no part at all
     index = np.full((shape[0] + 1, shape[1] + 1), -1, np.int32)
     index[row, column] = np.arange(len(row), dtype=np.int32)
@@ -192,7 +152,7 @@ def _edges(
     return edge
 
 
-def _spread(flags: Bool, row: NDArray[np.int32], column: NDArray[np.int32]) -> Bool:
+def _spread(flags: Bool, row: Int32, column: Int32) -> Bool:
     # pixels with a flagged one within MARGIN_PX rows and columns
     if not len(row):
         return flags.copy()

@@ -3,44 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
-from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
+from lightopt.rendering._panel import PanelNumbers, dot, minus, panel_numbers, point_terms, vector_at
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
-
-Float64 = NDArray[np.float64]
-
 
 PAIRS_AT_ONCE = 1 << 20
 """Pairs of surface point and point light that are worked on at once: some 60 MiB, and 0.2 s, for Ctrl-C to be heard."""
 
 
 def shade_points(
-    surface: SurfacePoints,
-    light: PanelLight,
-    *,
-    points: int,
-    sigma: float,
-    caster: RayCaster | None,
+    surface: SurfacePoints, light: PanelLight, *, points: int, sigma: float, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of a panel of m points, per unit of R_d and R_s; two arrays of shape (k,).
 
-    Parameters
-    ----------
-    surface
-        k surface points, part frame.
-    light
-        Part frame.
-    points
-        m = k².
-    sigma
-        Of the specular lobe [rad].
-    caster
-        For shadows; None for none.
+    light: Part frame
+    points: m = k²
+    sigma: Of the specular lobe [rad]
     """
     # points are independent of each other: pieces bound the memory whatever m is
     step = max(1, PAIRS_AT_ONCE // points)
@@ -80,47 +63,32 @@ def _shade_piece(
     )
 
 
-def facing_pairs(
-    surface: SurfacePoints, targets: Float64, *, geometric: bool
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def facing_pairs(surface: SurfacePoints, targets: Float64, *, geometric: bool) -> tuple[Int32, Int32]:
     """Pairs (surface point, target) for which light can arrive at all, as two index arrays of the same length.
 
-    Parameters
-    ----------
-    surface
-        k surface points.
-    targets
-        Point lights [mm], shape (m, 3).
-    geometric
-        Whether the face's own plane, too, must face the light: below it, the face itself is in the way.
+    surface: k surface points
+    targets: Point lights [mm], shape (m, 3)
+    geometric: Whether the face's own plane, too, must face the light: below it, the face itself is in the way
     """
     return _facing(surface.points, surface.normals, surface.facets, surface.front, targets, geometric)
 
 
 @kernel
 def _facing(
-    points: Float64,
-    normals: Float64,
-    facets: Float64,
-    front: NDArray[np.bool_],
-    targets: Float64,
-    geometric: bool,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    points: Float64, normals: Float64, facets: Float64, front: Bool, targets: Float64, geometric: bool
+) -> tuple[Int32, Int32]:
     point = np.empty(len(points) * len(targets), np.int32)
     target = np.empty(len(points) * len(targets), np.int32)
     count = 0
     for i in range(len(points)):
         if not front[i]:
             continue
+        p, n = vector_at(points, i), vector_at(normals, i)
         for k in range(len(targets)):
-            lx, ly, lz = (
-                targets[k, 0] - points[i, 0],
-                targets[k, 1] - points[i, 1],
-                targets[k, 2] - points[i, 2],
-            )
-            if normals[i, 0] * lx + normals[i, 1] * ly + normals[i, 2] * lz <= 0.0:
+            light = minus(vector_at(targets, k), p)
+            if dot(n, light) <= 0.0:
                 continue
-            if geometric and facets[i, 0] * lx + facets[i, 1] * ly + facets[i, 2] * lz <= 0.0:
+            if geometric and dot(vector_at(facets, i), light) <= 0.0:
                 continue
             point[count] = i
             target[count] = k
@@ -134,9 +102,9 @@ def _accumulate(
     normals: Float64,
     views: Float64,
     targets: Float64,
-    point: NDArray[np.int32],
-    target: NDArray[np.int32],
-    clear: NDArray[np.bool_],
+    point: Int32,
+    target: Int32,
+    clear: Bool,
     panel: PanelNumbers,
     weight: float,
     inverse_two_sigma_squared: float,
@@ -147,26 +115,9 @@ def _accumulate(
         if not clear[j]:
             continue
         i, k = point[j], target[j]
-        # scalars, since slices of arrays cost more than the arithmetic
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
-        d, s = point_terms(
-            points[i, 0],
-            points[i, 1],
-            points[i, 2],
-            nx,
-            ny,
-            nz,
-            vx,
-            vy,
-            vz,
-            nx * vx + ny * vy + nz * vz,
-            targets[k, 0],
-            targets[k, 1],
-            targets[k, 2],
-            panel,
-            inverse_two_sigma_squared,
-        )
+        n, v = vector_at(normals, i), vector_at(views, i)
+        q = vector_at(targets, k)
+        d, s = point_terms(vector_at(points, i), n, v, dot(n, v), q, panel, inverse_two_sigma_squared)
         diffuse[i] += weight * d
         specular[i] += weight * s
     return diffuse, specular

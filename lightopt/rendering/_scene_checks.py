@@ -34,16 +34,7 @@ BLOCK_RAYS = 65_536
 class PanelInPart:
     """A panel that is inside the part, wholly or in places.
 
-    Attributes
-    ----------
-    light
-        Name of the light.
-    posture
-        Of the part.
-    share
-        Of the panel that is inside.
-    text
-        For people.
+    share: Of the panel that is inside
     """
 
     light: str
@@ -56,12 +47,7 @@ class PanelInPart:
 class TooFewPixels:
     """A part that hardly a pixel sees, in whichever posture.
 
-    Attributes
-    ----------
-    pixels
-        That see it in the posture that shows it best.
-    text
-        For people.
+    pixels: That see it in the posture that shows it best
     """
 
     pixels: int
@@ -86,13 +72,7 @@ def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
 
 
 def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
-    """Whether next to no pixel sees the part in any posture; None where enough do.
-
-    Parameters
-    ----------
-    scene, caster
-        The scene, and its part's ray caster.
-    """
+    """Whether next to no pixel sees the part in any posture; None where enough do."""
     most = 0
     for posture in scene.postures:
         most = max(most, _pixels(scene, view_from_part(scene, posture), caster))
@@ -110,13 +90,10 @@ def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
     return TooFewPixels(pixels=most, text=text)
 
 
-def refuse_hopeless(scene: Scene, rig: RigConfig, part: PartConfig, caster: RayCaster) -> None:
+def refuse_unusable_scene(scene: Scene, rig: RigConfig, part: PartConfig, caster: RayCaster) -> None:
     """Refuse to render what :func:`panels_in_part` or :func:`too_few_pixels` finds.
 
-    Raises
-    ------
-    InputError
-        With one message for each thing found, and where it comes from.
+    Raises InputError: With one message for each thing found, and where it comes from
     """
     index = {light.name: i for i, light in enumerate(rig.lights)}
     problems = [

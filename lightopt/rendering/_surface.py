@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.geometry import Hits, RayCaster, TriangleMesh, resolve_hits
+from lightopt.rendering._panel import Vector, cross, divided, dot, length, minus, vector_at
 from lightopt.scene import PinholeCamera, pixel_directions
 
-Float64 = NDArray[np.float64]
+GRAZING_DEG = 80.0
+"""Surface that is seen at more than this angle to its normal is left out of every score and share [°].
+
+A pixel's footprint there is six times as long as where the surface faces the camera, and more: it mixes with its
+neighbours', and an error of the placement by a pixel shows another place of the part. A nearly vertical wall can make
+up a quarter of the area that is seen and a pixel or two of the image; whether its patches are seen at all changes with
+the mesh. It is left out of pixels whose light is predicted, of patches that are scored, and of the surface that an
+inspection covers."""
+
+GRAZING_COSINE = math.cos(math.radians(GRAZING_DEG))
+"""Cosine of :data:`GRAZING_DEG`: a place with a smaller cosine between normal and view is seen at a grazing angle."""
 
 
 @dataclass(frozen=True)
@@ -20,28 +32,23 @@ class SurfacePoints:
 
     Attributes
     ----------
-    points
-        [mm], shape (k, 3).
-    normals
-        Interpolated unit normals N that shading uses, shape (k, 3).
-    facets
-        Unit geometric normals of the faces, shape (k, 3).
-    views
-        Unit vectors V towards the camera, shape (k, 3).
-    front
-        False where the camera sees the back of a face, which is black; shape (k,).
+    points: [mm], shape (k, 3)
+    normals: Interpolated unit normals N that shading uses, shape (k, 3)
+    facets: Unit geometric normals of the faces, shape (k, 3)
+    views: Unit vectors V towards the camera, shape (k, 3)
+    front: False where the camera sees the back of a face, which is black; shape (k,)
     """
 
     points: Float64
     normals: Float64
     facets: Float64
     views: Float64
-    front: NDArray[np.bool_]
+    front: Bool
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def take(self, index: NDArray[np.intp]) -> SurfacePoints:
+    def take(self, index: Index) -> SurfacePoints:
         """The points at `index`, shape (j,)."""
         return SurfacePoints(
             self.points[index], self.normals[index], self.facets[index], self.views[index], self.front[index]
@@ -49,20 +56,14 @@ class SurfacePoints:
 
 
 def interpolate_surface(
-    mesh: TriangleMesh, face: NDArray[np.int32], u: Float64, v: Float64, points: Float64, eye: Float64
+    mesh: TriangleMesh, face: Int32, u: Float64, v: Float64, points: Float64, eye: Float64
 ) -> SurfacePoints:
     """Normals and view directions at points of a mesh.
 
-    Parameters
-    ----------
-    mesh
-        Part frame [mm].
-    face, u, v
-        Face index and barycentric coordinates of each point, shape (k,).
-    points
-        [mm], shape (k, 3).
-    eye
-        Pinhole of the camera, part frame [mm], shape (3,).
+    mesh: Part frame [mm]
+    face, u, v: Face index and barycentric coordinates of each point, shape (k,)
+    points: [mm], shape (k, 3)
+    eye: Pinhole of the camera, part frame [mm], shape (3,)
     """
     smooth = mesh.normals is not None
     vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
@@ -74,13 +75,7 @@ def interpolate_surface(
 def trace_hits(
     caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
 ) -> Hits:
-    """Where camera rays through image points meet the part, without what the surface is like there.
-
-    Parameters
-    ----------
-    caster, mesh, camera, columns, rows
-        As for :func:`trace_samples`.
-    """
+    """Where camera rays through image points meet the part, without what the surface is like there."""
     directions = pixel_directions(camera, columns, rows)
     return resolve_hits(
         caster.first_hit(camera.position, directions), camera.position, directions, mesh.vertices, mesh.faces
@@ -92,14 +87,9 @@ def trace_samples(
 ) -> tuple[Hits, SurfacePoints]:
     """Cast camera rays through image points and describe the surface where they meet the part.
 
-    Parameters
-    ----------
-    caster, mesh
-        The part, in its own frame.
-    camera
-        Part frame.
-    columns, rows
-        Image points [px], shape (n,).
+    caster, mesh: The part, in its own frame
+    camera: Part frame
+    columns, rows: Image points [px], shape (n,)
     """
     hits = trace_hits(caster, mesh, camera, columns, rows)
     return hits, interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)
@@ -108,15 +98,15 @@ def trace_samples(
 @kernel
 def _interpolate(
     vertices: Float64,
-    faces: NDArray[np.int32],
+    faces: Int32,
     vertex_normals: Float64,
     smooth: bool,
-    face: NDArray[np.int32],
+    face: Int32,
     u: Float64,
     v: Float64,
     points: Float64,
     eye: Float64,
-) -> tuple[Float64, Float64, Float64, NDArray[np.bool_]]:
+) -> tuple[Float64, Float64, Float64, Bool]:
     k = len(face)
     normals = np.empty((k, 3))
     facets = np.empty((k, 3))
@@ -124,35 +114,29 @@ def _interpolate(
     front = np.empty(k, np.bool_)
     for i in range(k):
         a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
-        e1x, e1y, e1z = (
-            vertices[b, 0] - vertices[a, 0],
-            vertices[b, 1] - vertices[a, 1],
-            vertices[b, 2] - vertices[a, 2],
-        )
-        e2x, e2y, e2z = (
-            vertices[c, 0] - vertices[a, 0],
-            vertices[c, 1] - vertices[a, 1],
-            vertices[c, 2] - vertices[a, 2],
-        )
-        gx, gy, gz = e1y * e2z - e1z * e2y, e1z * e2x - e1x * e2z, e1x * e2y - e1y * e2x
-        length = np.sqrt(gx * gx + gy * gy + gz * gz)
-        gx, gy, gz = gx / length, gy / length, gz / length
-        vx, vy, vz = eye[0] - points[i, 0], eye[1] - points[i, 1], eye[2] - points[i, 2]
-        length = np.sqrt(vx * vx + vy * vy + vz * vz)
-        vx, vy, vz = vx / length, vy / length, vz / length
-        nx, ny, nz = gx, gy, gz
+        corner = vector_at(vertices, a)
+        facet = cross(minus(vector_at(vertices, b), corner), minus(vector_at(vertices, c), corner))
+        facet = divided(facet, length(facet))
+        view = minus(Vector(eye[0], eye[1], eye[2]), vector_at(points, i))
+        view = divided(view, length(view))
+        normal = facet
         if smooth:
             w = 1.0 - u[i] - v[i]
-            nx = w * vertex_normals[a, 0] + u[i] * vertex_normals[b, 0] + v[i] * vertex_normals[c, 0]
-            ny = w * vertex_normals[a, 1] + u[i] * vertex_normals[b, 1] + v[i] * vertex_normals[c, 1]
-            nz = w * vertex_normals[a, 2] + u[i] * vertex_normals[b, 2] + v[i] * vertex_normals[c, 2]
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if length > 1e-12:
-                nx, ny, nz = nx / length, ny / length, nz / length
-            else:
-                nx, ny, nz = gx, gy, gz
-        normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
-        facets[i, 0], facets[i, 1], facets[i, 2] = gx, gy, gz
-        views[i, 0], views[i, 1], views[i, 2] = vx, vy, vz
-        front[i] = gx * vx + gy * vy + gz * vz > 0.0
+            na, nb, nc = (
+                vector_at(vertex_normals, a),
+                vector_at(vertex_normals, b),
+                vector_at(vertex_normals, c),
+            )
+            mean = Vector(
+                w * na.x + u[i] * nb.x + v[i] * nc.x,
+                w * na.y + u[i] * nb.y + v[i] * nc.y,
+                w * na.z + u[i] * nb.z + v[i] * nc.z,
+            )
+            size = length(mean)
+            if size > 1e-12:
+                normal = divided(mean, size)
+        normals[i, 0], normals[i, 1], normals[i, 2] = normal
+        facets[i, 0], facets[i, 1], facets[i, 2] = facet
+        views[i, 0], views[i, 1], views[i, 2] = view
+        front[i] = dot(facet, view) > 0.0
     return normals, facets, views, front

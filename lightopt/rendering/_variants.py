@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32, Float64, Int32, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
@@ -22,16 +22,24 @@ from lightopt.rendering._converged import (
     ConvergedPanel,
     panel_probes,
     probe_targets,
-    shade_seeing,
+    shade_converged,
     verdict_of_probes,
 )
-from lightopt.rendering._panel import PanelNumbers, panel_numbers, point_terms
-from lightopt.rendering._panel_variants import panel_variants
+from lightopt.rendering._panel import (
+    PanelNumbers,
+    cross,
+    dot,
+    minus,
+    panel_numbers,
+    plus,
+    point_terms,
+    scaled,
+    vector_at,
+)
+from lightopt.rendering._panel_variants import VariantNumbers, panel_variants
 from lightopt.rendering._points import PAIRS_AT_ONCE, facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
-
-Float64 = NDArray[np.float64]
 
 CONVERGED_AT_ONCE = 1 << 13
 """Surface points under a converged panel that are worked on at once: some 0.1 s, so that Ctrl-C is heard."""
@@ -44,13 +52,9 @@ NEGLIGIBLE_LEVEL = 1e-3
 class SurfaceVariants:
     """What each point of a surface is tried as, t ways.
 
-    Attributes
-    ----------
-    lean
-        Components of each variant's normal along the point's normal, its reference direction and the direction across,
-        which with the first two makes a right-handed frame; shape (t, 3).
-    R_d, R_s, sigma
-        Of each, shape (t,).
+    lean: Components of each variant's normal along the point's normal, its reference direction and the direction
+        across, which with the first two makes a right-handed frame; shape (t, 3)
+    R_d, R_s, sigma: Of each, shape (t,)
     """
 
     lean: Float64
@@ -63,18 +67,13 @@ class SurfaceVariants:
 class VariantLevels:
     """Light of a panel from k surface points [grey level].
 
-    Attributes
-    ----------
-    plain
-        Of the surface as it is, as :func:`lightopt.rendering.shade_points` or ``shade_converged`` has it, float32,
-        shape (k,).
-    good
-        The same for comparison with the variants, in penumbrae from the same cells of the panel; shape (k,).
-    varied
-        Of the variants, shape (k, t).
+    plain: Of the surface as it is, as :func:`lightopt.rendering.shade_points` or ``shade_converged`` has it, float32,
+        shape (k,)
+    good: The same for comparison with the variants, in penumbrae from the same cells of the panel; shape (k,)
+    varied: Of the variants, shape (k, t)
     """
 
-    plain: NDArray[np.float32]
+    plain: Float32
     good: Float64
     varied: Float64
 
@@ -112,20 +111,9 @@ def shade_variants(
 ) -> VariantLevels:
     """The light of a panel on a surface and on its variants.
 
-    Parameters
-    ----------
-    surface
-        k points that the camera sees from the front, none of them another's neighbour; part frame.
-    references
-        Unit vectors in the tangent planes that directions count from, shape (k, 3).
-    panel
-        Part frame: as point lights, or converged.
-    variants
-        What is tried.
-    reflectance
-        Of the surface as it is.
-    caster
-        For shadows; None for none.
+    surface: k points that the camera sees from the front, none of them another's neighbour; part frame
+    references: Unit vectors in the tangent planes that directions count from, shape (k, 3)
+    panel: Part frame: as point lights, or converged
     """
 
     def shade(start: int, end: int) -> VariantLevels:
@@ -148,7 +136,7 @@ def shade_variants(
     )
 
 
-def _float32(reflectance: Reflectance, diffuse: Float64, specular: Float64) -> NDArray[np.float32]:
+def _float32(reflectance: Reflectance, diffuse: Float64, specular: Float64) -> Float32:
     return (reflectance.R_d * diffuse + reflectance.R_s * specular).astype(np.float32)
 
 
@@ -185,11 +173,13 @@ def _point_variants(
         panel_numbers(light),
         light.total_weight / light.points,
         0.5 / reflectance.sigma**2,
-        variants.lean,
-        variants.R_d,
-        variants.R_s,
-        0.5 / variants.sigma**2,
-        _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
+        VariantNumbers(
+            variants.lean,
+            variants.R_d,
+            variants.R_s,
+            0.5 / variants.sigma**2,
+            _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
+        ),
     )
     good = reflectance.R_d * diffuse + reflectance.R_s * specular
     return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
@@ -215,7 +205,7 @@ def _converged_variants(
     else:
         clear = panel_probes(surface, targets, caster)
         verdict = verdict_of_probes(surface, targets, clear)
-    diffuse, specular, _ = shade_seeing(
+    diffuse, specular, _ = shade_converged(
         surface,
         converged,
         # every second place of a row: no point is another's neighbour
@@ -228,18 +218,14 @@ def _converged_variants(
     total = converged.light.total_weight
     # the surface as it is comes first
     R_s = total * np.concatenate([[reflectance.R_s], variants.R_s])
-    levels = panel_variants(
-        surface,
-        references,
-        converged,
-        clear,
-        caster,
+    numbers = VariantNumbers(
         lean=np.concatenate([[[1.0, 0.0, 0.0]], variants.lean]),
         R_d=total * np.concatenate([[reflectance.R_d], variants.R_d]),
         R_s=R_s,
         inverse=0.5 / np.concatenate([[reflectance.sigma], variants.sigma]) ** 2,
         most=_most_exponents(R_s, 1.0, 1.0),
     )
+    levels = panel_variants(surface, references, converged, clear, caster, numbers)
     good, varied = levels[:, 0], levels[:, 1:]
     return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
 
@@ -251,17 +237,14 @@ def _point_kernel(
     references: Float64,
     views: Float64,
     grid: Float64,
-    first: NDArray[np.int64],
-    target: NDArray[np.int32],
+    first: Int64,
+    target: Int32,
     panel: PanelNumbers,
     weight: float,
     inverse_good: float,
-    lean: Float64,
-    R_d: Float64,
-    R_s: Float64,
-    inverse: Float64,
-    most: Float64,
+    variants: VariantNumbers,
 ) -> tuple[Float64, Float64, Float64]:
+    lean, R_d, R_s, inverse, most = variants
     count, tries = len(points), len(lean)
     diffuse, specular = np.zeros(count), np.zeros(count)
     varied = np.zeros((count, tries))
@@ -271,39 +254,32 @@ def _point_kernel(
         start, end = first[i], first[i + 1]
         if start == end:
             continue
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        rx, ry, rz = references[i, 0], references[i, 1], references[i, 2]
-        ax, ay, az = ny * rz - nz * ry, nz * rx - nx * rz, nx * ry - ny * rx
-        vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
-        v0, v1, v2 = nx * vx + ny * vy + nz * vz, rx * vx + ry * vy + rz * vz, ax * vx + ay * vy + az * vz
+        p, n, r, v = (
+            vector_at(points, i),
+            vector_at(normals, i),
+            vector_at(references, i),
+            vector_at(views, i),
+        )
+        a = cross(n, r)
+        v0, v1, v2 = dot(n, v), dot(r, v), dot(a, v)
         d_sum = s_sum = 0.0
         for j in range(end - start):
-            k = target[start + j]
-            qx, qy, qz = grid[k, 0], grid[k, 1], grid[k, 2]
-            d, s = point_terms(
-                px, py, pz, nx, ny, nz, vx, vy, vz, v0, qx, qy, qz, panel, inverse_good
-            )  # fmt: skip
+            q = vector_at(grid, target[start + j])
+            d, s = point_terms(p, n, v, v0, q, panel, inverse_good)
             d_sum += weight * d
             s_sum += weight * s
-            lx, ly, lz = qx - px, qy - py, qz - pz
-            r2 = lx * lx + ly * ly + lz * lz
-            r = 1.0 / math.sqrt(r2)
-            lx, ly, lz = lx * r, ly * r, lz * r
+            light = minus(q, p)
+            r2 = dot(light, light)
+            light = scaled(light, 1.0 / math.sqrt(r2))
             own = weight
             if panel.inverse_square:
                 own *= panel.distance * panel.distance / r2
             if panel.emission_exponent > 0.0:
-                cosine = panel.outward_x * lx + panel.outward_y * ly + panel.outward_z * lz
-                own *= max(0.0, cosine) ** panel.emission_exponent
-            hx, hy, hz = lx + vx, ly + vy, lz + vz
-            h = 1.0 / math.sqrt(hx * hx + hy * hy + hz * hz)
-            seen[j, 0] = nx * lx + ny * ly + nz * lz
-            seen[j, 1] = rx * lx + ry * ly + rz * lz
-            seen[j, 2] = ax * lx + ay * ly + az * lz
-            seen[j, 3] = (nx * hx + ny * hy + nz * hz) * h
-            seen[j, 4] = (rx * hx + ry * hy + rz * hz) * h
-            seen[j, 5] = (ax * hx + ay * hy + az * hz) * h
+                own *= max(0.0, dot(panel.outward, light)) ** panel.emission_exponent
+            half = plus(light, v)
+            h = 1.0 / math.sqrt(dot(half, half))
+            seen[j, 0], seen[j, 1], seen[j, 2] = dot(n, light), dot(r, light), dot(a, light)
+            seen[j, 3], seen[j, 4], seen[j, 5] = dot(n, half) * h, dot(r, half) * h, dot(a, half) * h
             seen[j, 6] = own
         diffuse[i], specular[i] = d_sum, s_sum
         for t in range(tries):

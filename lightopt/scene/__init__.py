@@ -12,9 +12,17 @@ from lightopt.scene._build import (
     part_postures,
     unit_hint,
 )
-from lightopt.scene._camera import PinholeCamera, pixel_directions, pixel_footprint, place_camera, project
+from lightopt.scene._camera import (
+    Framing,
+    PinholeCamera,
+    frame_part,
+    pixel_directions,
+    pixel_footprint,
+    place_camera,
+    project,
+    screen_window,
+)
 from lightopt.scene._defects import build_catalogue, defect_facts, place_defects
-from lightopt.scene._framing import Framing, frame_part, screen_window
 from lightopt.scene._light import PanelLight, panel_grid, place_light
 from lightopt.scene._part_size import guess_unit, is_absurd, view_size
 from lightopt.scene._rectangles import image_area, panel_corners, rectangles_meet, segments_blocked

@@ -24,9 +24,15 @@ from lightopt.core.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
 from lightopt.optics import Reflectance, Sensor
-from lightopt.scene._camera import Distortion, PinholeCamera, pixel_directions, pixel_footprint, place_camera
+from lightopt.scene._camera import (
+    Distortion,
+    PinholeCamera,
+    frame_part,
+    pixel_directions,
+    pixel_footprint,
+    place_camera,
+)
 from lightopt.scene._defects import outside_stage_range, place_defects
-from lightopt.scene._framing import frame_part
 from lightopt.scene._light import PanelLight, place_light
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
@@ -50,25 +56,13 @@ def build_scene(
 ) -> Scene:
     """Place a rig's camera and lights and a part in the world frame.
 
-    Parameters
-    ----------
-    rig, part
-        Configurations, or the paths of their YAML files.
-    postures
-        Instead of the part's own.
-    lights
-        Names of the lights to keep, instead of all.
-    points
-        Point lights per panel, instead of the rig's.
-    defects
-        Whether the part has the defects that its file names, or is a good one.
-
-    Raises
-    ------
-    InputError
-        A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part wholly outside the
-        view or a camera inside the part (with what another unit of the mesh file would make of it, where that explains
-        it), a lens that folds the image over, a defect that is not on the part.
+    rig, part: Configurations, or the paths of their YAML files
+    lights: Names of the lights to keep, instead of all
+    points: Point lights per panel, instead of the rig's
+    defects: Whether the part has the defects that its file names, or is a good one
+    Raises InputError: A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part
+        wholly outside the view or a camera inside the part (with what another unit of the mesh file would make of it,
+        where that explains it), a lens that folds the image over, a defect that is not on the part
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
@@ -99,10 +93,7 @@ def build_scene(
 def build_camera(rig: RigConfig) -> PinholeCamera:
     """The rig's camera, world frame.
 
-    Raises
-    ------
-    InputError
-        The lens model folds the image over.
+    Raises InputError: The lens model folds the image over
     """
     c = rig.camera
     if c.image_distance_mm is not None:
@@ -151,11 +142,11 @@ def part_postures(part: PartConfig) -> tuple[Posture, ...]:
     return tuple(Posture(elevation_deg=p.elevation_deg, rotation_deg=p.rotation_deg) for p in part.postures)
 
 
-def _postures(rig: RigConfig, part: PartConfig, asked: Sequence[Posture] | None) -> tuple[Posture, ...]:
-    if asked is None:
+def _postures(rig: RigConfig, part: PartConfig, chosen: Sequence[Posture] | None) -> tuple[Posture, ...]:
+    if chosen is None:
         named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     else:
-        named = [(posture, "posture") for posture in asked]
+        named = [(posture, "posture") for posture in chosen]
     problems = [
         problem for posture, where in named for problem in outside_stage_range(rig, posture, where=where)
     ]
@@ -169,19 +160,9 @@ def build_lights(
 ) -> tuple[PanelLight, ...]:
     """The rig's panels, world frame.
 
-    Parameters
-    ----------
-    rig
-        The rig.
-    names
-        Of the lights to keep; all by default.
-    points
-        Point lights per panel, instead of the rig's.
-
-    Raises
-    ------
-    InputError
-        A name that the rig does not have.
+    names: Of the lights to keep; all by default
+    points: Point lights per panel, instead of the rig's
+    Raises InputError: A name that the rig does not have
     """
     known = [light.name for light in rig.lights]
     unknown = [name for name in names or () if name not in known]
@@ -235,12 +216,7 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
 def chord_tolerance(part: PartConfig, footprint: float) -> float:
     """How far triangles may be from the CAD surface of a STEP file [mm].
 
-    Parameters
-    ----------
-    part
-        The part.
-    footprint
-        Side of a pixel's footprint at the origin [mm].
+    footprint: Side of a pixel's footprint at the origin [mm]
     """
     if part.mesh.chord_tolerance_mm is not None:
         return part.mesh.chord_tolerance_mm
@@ -267,15 +243,7 @@ def _place(mesh: TriangleMesh, placement: PlacementConfig) -> tuple[TriangleMesh
 
 
 def unit_hint(part: PartConfig, scene: Scene) -> tuple[str, ...]:
-    """A message that proposes other units for the part's file, where it carries none itself and they explain its size.
-
-    Parameters
-    ----------
-    part
-        The part.
-    scene
-        That it is in.
-    """
+    """A message that proposes other units for a file that carries none, where they explain the part's size."""
     size = view_size(scene.camera)
     if size is None or Path(part.mesh.file).suffix.lower() not in UNITLESS_SUFFIXES:
         return ()

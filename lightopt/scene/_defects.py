@@ -9,17 +9,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import DefectConfig, PartConfig, PixelPlaceConfig, RigConfig
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, PlacedDefect, tangent_direction
 from lightopt.geometry import RayCaster, SurfaceFinder, SurfacePlace, resolve_hits, surface_place
 from lightopt.scene._camera import pixel_directions
 from lightopt.scene._scene import Placement, Scene, view_from_part
-
-Float64 = NDArray[np.float64]
 
 SNAP_MM = 0.5
 """A position in mm is moved to the nearest place of the surface, by at most this much."""
@@ -36,10 +34,8 @@ _DIGITS = 6
 def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[PlacedDefect, ...]:
     """The part's defects on the scene's mesh.
 
-    Raises
-    ------
-    InputError
-        For each defect that is not on the part, that no pixel sees where it should, or whose σ no lobe can have.
+    Raises InputError: For each defect that is not on the part, that no pixel sees where it should, or whose σ no lobe
+        can have
     """
     placed: list[PlacedDefect] = []
     problems: list[str] = []
@@ -60,11 +56,7 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
         )
         placed.append(
             PlacedDefect(
-                name=defect.name,
-                shape=defect.shape,
-                position=place.point,
-                normal=place.normal,
-                along=along,
+                name=defect.name, shape=defect.shape, position=place.point, normal=place.normal, along=along
             )
         )
     if problems:
@@ -75,10 +67,7 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
 def build_catalogue(part: PartConfig) -> tuple[CatalogueEntry, ...]:
     """The kinds of defect that a part's inspection is planned for: its own list, or the built-in one.
 
-    Raises
-    ------
-    InputError
-        For each haze whose σ no lobe can have.
+    Raises InputError: For each haze whose σ no lobe can have
     """
     if part.defect_catalogue is None:
         catalogue = BUILT_IN_CATALOGUE
@@ -99,12 +88,7 @@ def build_catalogue(part: PartConfig) -> tuple[CatalogueEntry, ...]:
 def defect_facts(defects: Sequence[PlacedDefect], placement: Placement) -> list[dict[str, Any]]:
     """What is known of defects, wherever the part lies: JSON form, in the mesh file's coordinates, mm and degrees.
 
-    Parameters
-    ----------
-    defects
-        Part frame.
-    placement
-        Of the mesh file in the part frame.
+    placement: Of the mesh file in the part frame
     """
     return [
         {

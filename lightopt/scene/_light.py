@@ -5,11 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,30 +16,16 @@ class PanelLight:
 
     Attributes
     ----------
-    name
-        As in the rig.
-    elevation, azimuth
-        Where it stands, world frame [rad].
-    distance
-        Panel centre to origin [mm].
-    centre
-        [mm], shape (3,).
-    across, along
-        Unit vectors of its sides, e_φ and e_θ, shape (3,).
-    outward
-        Unit vector from the origin to the panel, d, shape (3,); the panel shines along −d.
-    size
-        Sides along `across` and `along` [mm].
-    points
-        Number of point lights k², or ``"auto"`` for the converged panel.
-    total_weight
-        Sum of the points' weights: gain, times m where the normalisation is ``sum``.
-    gain
-        Of the light.
-    inverse_square
-        Whether light falls off with (distance of the panel centre / r)².
-    emission_exponent
-        n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light.
+    elevation, azimuth: Where it stands, world frame [rad]
+    distance: Panel centre to origin [mm]
+    centre: [mm], shape (3,)
+    across, along: Unit vectors of its sides, e_φ and e_θ, shape (3,)
+    outward: Unit vector from the origin to the panel, d, shape (3,); the panel shines along −d
+    size: Sides along `across` and `along` [mm]
+    points: Number of point lights k², or ``"auto"`` for the converged panel
+    total_weight: Sum of the points' weights: gain, times m where the normalisation is ``sum``
+    inverse_square: Whether light falls off with (distance of the panel centre / r)²
+    emission_exponent: n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light
     """
 
     name: str
@@ -113,10 +97,7 @@ def place_light(
 def panel_grid(light: PanelLight, points: int) -> Float64:
     """The m point lights of a panel at the centres of a k×k grid of cells (paper, figure 7), shape (m, 3) [mm].
 
-    Parameters
-    ----------
-    points
-        m = k².
+    points: m = k²
     """
     k = math.isqrt(points)
     offsets = (np.arange(k) + 0.5) / k - 0.5

@@ -14,21 +14,14 @@ ABSURD = (1.0 / 15.0, 2.5)
 """A part whose longest side is not between these shares of the view's shorter side is suspected of a wrong unit."""
 
 SENSIBLE = (0.15, 1.3)
-"""A unit is worth proposing where it brings the part's longest side between these shares."""
+"""A unit is proposed where it brings the part's longest side between these shares."""
 
 
 @dataclass(frozen=True)
 class UnitGuess:
     """What other units would make of a part that does not fit the view at all.
 
-    Attributes
-    ----------
-    unit
-        That the part's file is read in.
-    likely
-        Those that would make sense of it.
-    text
-        For people, with what they would make of the part's longest side.
+    likely: Those that would make sense of it
     """
 
     unit: str
@@ -57,14 +50,8 @@ def is_absurd(longest: float, view: float) -> bool:
 def likely_units(longest: float, view: float, unit: str) -> tuple[str, ...]:
     """Units that would make sense of a part that does not fit the view at all; none where it does.
 
-    Parameters
-    ----------
-    longest
-        The part's longest side as it is read now [mm].
-    view
-        The view's shorter side [mm].
-    unit
-        The unit that it is read in.
+    longest: The part's longest side as it is read now [mm]
+    view: The view's shorter side [mm]
     """
     if not is_absurd(longest, view):
         return ()
@@ -75,26 +62,20 @@ def likely_units(longest: float, view: float, unit: str) -> tuple[str, ...]:
 def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | None:
     """Units that the part's file is more probably in; None where the part fits the view, or no unit explains it.
 
-    Parameters
-    ----------
-    part
-        The part; its file is named by `mesh`.
-    longest
-        Its longest side as it is read now [mm].
-    view
-        The view's shorter side [mm].
+    longest: Its longest side as it is read now [mm]
+    view: The view's shorter side [mm]
     """
     unit = _unit(part)
     likely = likely_units(longest, view, unit)
     if not likely:
         return None
-    told = " or ".join(
+    likely_text = " or ".join(
         f"{name} ({longest * MM_PER_UNIT[name] / MM_PER_UNIT[unit]:.4g} mm, a factor of "
         f"{_factor(MM_PER_UNIT[name] / MM_PER_UNIT[unit])})"
         for name in likely
     )
     read = f"Read as {unit}, the part's longest side is {longest:.4g} mm"
-    text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {told}"
+    text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {likely_text}"
     return UnitGuess(unit, likely, text)
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.scene._camera import PinholeCamera, pixel_directions, project
 from lightopt.scene._light import PanelLight
-
-Float64 = NDArray[np.float64]
 
 _NEAR_MM = 1e-3
 
@@ -31,10 +29,7 @@ def panel_corners(light: PanelLight) -> Float64:
 def image_area(camera: PinholeCamera, polygon: Float64) -> float:
     """How much of the image a flat convex polygon covers [px²].
 
-    Parameters
-    ----------
-    polygon
-        Corners in order [mm], shape (k, 3), frame of the camera's vectors.
+    polygon: Corners in order [mm], shape (k, 3), frame of the camera's vectors
     """
     offset = polygon - camera.position
     # right, down, forward; the viewing pyramid then is |x| ≤ w·z, |y| ≤ h·z
@@ -97,25 +92,21 @@ def _clip(polygon: Float64, plane: Float64, least: float) -> Float64:
     # the part of a polygon where plane·x ≥ least (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); parts of one
     # that is not convex stay joined along the plane, which does not change the area
     height = polygon @ plane - least
-    kept: list[Float64] = []
+    clipped: list[Float64] = []
     for i in range(len(polygon)):
         j = (i + 1) % len(polygon)
         if height[i] >= 0.0:
-            kept.append(polygon[i])
+            clipped.append(polygon[i])
         if (height[i] >= 0.0) != (height[j] >= 0.0):
-            kept.append(polygon[i] + height[i] / (height[i] - height[j]) * (polygon[j] - polygon[i]))
-    return np.array(kept).reshape(-1, 3)
+            clipped.append(polygon[i] + height[i] / (height[i] - height[j]) * (polygon[j] - polygon[i]))
+    return np.array(clipped).reshape(-1, 3)
 
 
-def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> NDArray[np.bool_]:
+def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> Bool:
     """Whether the way from one point to others passes through a panel; shape (k,).
 
-    Parameters
-    ----------
-    start
-        [mm], shape (3,), frame of the panel's vectors.
-    ends
-        [mm], shape (k, 3).
+    start: [mm], shape (3,), frame of the panel's vectors
+    ends: [mm], shape (k, 3)
     """
     height = (ends - light.centre) @ light.outward
     from_height = float((start - light.centre) @ light.outward)

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.config import MOST_POINTS
+from lightopt.core.arrays import Float64
 from lightopt.scene._light import PanelLight
-
-Float64 = NDArray[np.float64]
 
 COARSE_SHARE = 0.1
 """A saturated area that is off by more than this share is worth a warning."""
@@ -19,9 +18,6 @@ COARSE_SHARE = 0.1
 SATURATION_SHARE = 0.02
 """The area is compared where the highlight is saturated, from this share of its brightest level: the paper's knob is
 overexposed about 50 times at its highlight's peak. Anything from 0.005 to 0.2 gives nearly the same errors."""
-
-MOST_POINTS = 65_536
-"""More points than this a rig file may not ask for."""
 
 _STEPS_PER_SIGMA = 16
 _LARGEST_GAP = 60.0
@@ -32,18 +28,11 @@ _REACH = 8.0
 class PointSpacing:
     """How a panel's grid of point lights looks to a specular lobe.
 
-    Attributes
-    ----------
-    points
-        m = k² point lights.
-    spacing
-        Largest distance between neighbouring points [mm]; the panel's longer side for m = 1.
-    lobe
-        2·distance·σ: how wide a part of the panel the lobe takes in, one standard deviation [mm].
-    area_error
-        Saturated area of a highlight relative to that of the continuous panel, minus 1.
-    enough
-        The m with which the area is within about 1 %: spacing no more than half the lobe's width.
+    points: m = k² point lights
+    spacing: Largest distance between neighbouring points [mm]; the panel's longer side for m = 1
+    lobe: 2·distance·σ: how wide a part of the panel the lobe takes in, one standard deviation [mm]
+    area_error: Saturated area of a highlight relative to that of the continuous panel, minus 1
+    enough: The m with which the area is within about 1 %: spacing no more than half the lobe's width
     """
 
     points: int
@@ -67,12 +56,7 @@ def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
     saturated area is computed from both. This leaves out that an oblique view narrows the lobe across the plane of
     incidence, by the cosine of the angle of incidence.
 
-    Parameters
-    ----------
-    light
-        The panel.
-    sigma
-        Width of the lobe [rad].
+    sigma: Width of the lobe [rad]
     """
     if light.points == "auto":
         return None
@@ -115,7 +99,7 @@ def like_panels(lights: Sequence[PanelLight]) -> tuple[tuple[int, ...], ...]:
 
 
 def coarse_warnings(lights: Sequence[PanelLight], sigma: float) -> tuple[str, ...]:
-    """:func:`coarse_points` of several panels, those alike told together."""
+    """:func:`coarse_points` of several panels, those alike in one message."""
     grouped = (
         replace(lights[indices[0]], name=", ".join(lights[i].name for i in indices))
         for indices in like_panels(lights)

@@ -3,24 +3,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
 from lightopt.geometry import TriangleMesh, transformed
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import PinholeCamera
 from lightopt.scene._light import PanelLight
-
-Float64 = NDArray[np.float64]
-
-
-def _identity() -> Float64:
-    return np.eye(3)
-
-
-def _origin() -> Float64:
-    return np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,14 +19,11 @@ class Placement:
 
     Attributes
     ----------
-    rotation
-        Shape (3, 3).
-    translation
-        [mm], shape (3,).
+    translation: [mm], shape (3,)
     """
 
-    rotation: Float64 = field(default_factory=_identity)
-    translation: Float64 = field(default_factory=_origin)
+    rotation: Float64 = field(default_factory=lambda: np.eye(3))
+    translation: Float64 = field(default_factory=lambda: np.zeros(3))
 
     def to_part(self, point: Float64) -> Float64:
         """A point of the file [mm], shape (3,), in the part frame."""
@@ -53,24 +40,11 @@ class Scene:
 
     Attributes
     ----------
-    camera, lights
-        World frame.
-    mesh
-        The part at posture (0, 0), world frame [mm].
-    reflectance
-        Of its surface.
-    sensor
-        Of the camera.
-    pivot
-        Point that postures turn about, world frame [mm], shape (3,).
-    postures
-        The postures to look at.
-    warnings
-        What was repaired or is partly wrong, for the person at the machine.
-    placement
-        From the mesh file's coordinates, in mm, to those of the mesh.
-    defects
-        On the part, frame of the mesh; images show them, the mesh does not.
+    camera, lights: World frame
+    mesh: The part at posture (0, 0), world frame [mm]
+    pivot: Point that postures turn about, world frame [mm], shape (3,)
+    placement: From the mesh file's coordinates, in mm, to those of the mesh
+    defects: On the part, frame of the mesh; images show them, the mesh does not
     """
 
     camera: PinholeCamera
@@ -88,12 +62,7 @@ class Scene:
 def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:
     """The scene with its part elsewhere, and what is on it with it: p' = R·p + t at posture (0, 0).
 
-    Parameters
-    ----------
-    scene
-        Of the part.
-    rotation, translation
-        World frame, shapes (3, 3) and (3,) [mm].
+    rotation, translation: World frame, shapes (3, 3) and (3,) [mm]
     """
     place = scene.placement
     return replace(
@@ -120,10 +89,9 @@ class PartView:
 
     Attributes
     ----------
-    camera, lights
-        Part frame: the world frame at posture (0, 0).
-    rotation, translation
-        Part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,) [mm].
+    camera, lights: Part frame: the world frame at posture (0, 0)
+    rotation, translation: Part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,)
+        [mm]
     """
 
     camera: PinholeCamera

@@ -19,14 +19,8 @@ Time = Callable[[Posture, Posture], float]
 def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> tuple[Posture, ...]:
     """Postures in an order that takes the stage little time: the least for up to 7, else a good one.
 
-    Parameters
-    ----------
-    postures
-        In the order that counts where times are equal.
-    start
-        Where the stage stands.
-    time
-        Of the move between two postures [s].
+    postures: In the order that counts where times are equal
+    time: Of the move between two postures [s]
     """
     if len(postures) <= _EXACT_UP_TO:
         # ties go to the first permutation, the one nearest to the order given; rounding must not break them
@@ -37,12 +31,7 @@ def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> 
 def travel_s(stage: StageDeviceConfig | None, start: Posture, end: Posture) -> float:
     """Seconds that a stage takes from one posture to another, both axes at a time.
 
-    Parameters
-    ----------
-    stage
-        The device; None for the virtual bench's.
-    start, end
-        The postures.
+    stage: The device; None for the virtual bench's
     """
     tilt, turn = end.elevation_deg - start.elevation_deg, end.rotation_deg - start.rotation_deg
     if stage is None:
@@ -61,10 +50,10 @@ def pace_text(rig: RigConfig) -> str:
     axes = (("tilt", stage.elevation), ("rotation", stage.rotation))
     speeds = {name: axis.speed_deg_per_s for name, axis in axes if axis is not None}
     if len(set(speeds.values())) == 1:
-        said = f"{next(iter(speeds.values())):g}°/s"
+        speed_text = f"{next(iter(speeds.values())):g}°/s"
     else:
-        said = ", ".join(f"{speed:g}°/s in {name}" for name, speed in speeds.items())
-    return f"at {said}, the speed_deg_per_s of the rig's hardware.stage"
+        speed_text = ", ".join(f"{speed:g}°/s in {name}" for name, speed in speeds.items())
+    return f"at {speed_text}, the speed_deg_per_s of the rig's hardware.stage"
 
 
 def _total(order: Sequence[Posture], start: Posture, time: Time) -> float:

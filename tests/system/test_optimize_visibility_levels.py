@@ -206,7 +206,7 @@ def test_converged_panels_on_leaning_patches(tmp_path):
         for t, trial in enumerate(few):
             changed = scene.reflectance.changed(R_d_factor=trial.R_d_factor, sigma_factor=trial.sigma_factor)
             turned = replace(surface, normals=leaning(surface.normals, axes, trial.slope, trial.direction))
-            diffuse, specular = shade_converged(
+            diffuse, specular, _ = shade_converged(
                 turned,
                 panel,
                 sample=2 * np.arange(len(surface)),

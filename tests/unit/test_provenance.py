@@ -71,7 +71,7 @@ def test_the_hash_changes_with_any_code_that_computes(copied):
     before = taken()
     assert re.fullmatch("[0-9a-f]{64}", before)
     assert taken() == before
-    path = package / "optics" / "_exposure.py"
+    path = package / "optics" / "_sensor.py"
     text = path.read_text(encoding="utf-8")
     path.write_text(text + "\nGAIN = 2\n", encoding="utf-8")
     edited = taken()

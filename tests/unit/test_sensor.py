@@ -10,7 +10,7 @@ from scipy import stats
 
 from lightopt.core.errors import InputError
 from lightopt.optics import Sensor, expose, image_rng, saturated
-from lightopt.optics._exposure import _poisson
+from lightopt.optics._sensor import _poisson
 
 EIGHT_BIT = Sensor(bit_depth=8)
 

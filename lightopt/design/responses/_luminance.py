@@ -240,7 +240,7 @@ def _levels(
 ) -> NDArray[np.float32]:
     reflectance = scene.reflectance
     if panel.points == "auto":
-        diffuse, specular = shade_converged(
+        diffuse, specular, _ = shade_converged(
             surface,
             converged_panel(panel, centre=caster.centre, radius=caster.radius),
             # every second place of a row: no patch is another's neighbour

@@ -22,7 +22,7 @@ from lightopt.design.responses._luminance_matrix import LuminanceMatrix
 from lightopt.design.responses._matrix_cache import keep_matrix, matrix_key, read_matrix
 from lightopt.geometry import RayCaster
 from lightopt.images import make_folder, posture_folder
-from lightopt.rendering import PatchTable, Report, build_patches, patches_for_edge
+from lightopt.rendering import PatchTable, RenderProgress, build_patches, patches_for_edge
 from lightopt.scene import PanelLight, Scene, chord_tolerance, pixel_footprint
 
 COARSE_SHARE = 0.15
@@ -142,7 +142,7 @@ class Matrices:
             self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
         return self.table
 
-    def matrix(self, posture: Posture, report: Report | None, *, held: int) -> LuminanceMatrix:
+    def matrix(self, posture: Posture, report: RenderProgress | None, *, held: int) -> LuminanceMatrix:
         """The luminance matrix of a posture, one of so many that are held together."""
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
         path = self.folder / posture_folder(posture) / MATRIX_NAME
@@ -166,7 +166,9 @@ class Matrices:
         patches = sum(len(table.inspectable(posture)) for posture in table.postures)
         return positions * patches * dtype <= MOST_BYTES
 
-    def levels(self, posture: Posture, candidates: Candidates, report: Report | None) -> LuminanceMatrix:
+    def levels(
+        self, posture: Posture, candidates: Candidates, report: RenderProgress | None
+    ) -> LuminanceMatrix:
         """The levels of a posture under other candidates, of whom :meth:`holds` says that there is room."""
         return self._made(posture, candidates.panels, None, report, 1)
 
@@ -179,7 +181,7 @@ class Matrices:
         posture: Posture,
         panels: Sequence[Sequence[PanelLight]],
         inspection: Inspection | None,
-        report: Report | None,
+        report: RenderProgress | None,
         held: int,
     ) -> LuminanceMatrix:
         return luminance_matrix(

@@ -15,14 +15,14 @@ from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
 from lightopt.design.responses._posture_matrices import Matrices
 from lightopt.design.search._answer import answer_set, answers_beside
-from lightopt.rendering import Report
+from lightopt.rendering import RenderProgress
 
 
 def searched(
     makers: Matrices,
     objectives: tuple[Objective, ...],
     thresholds: Thresholds,
-    report: Report | None,
+    report: RenderProgress | None,
     searching: Callable[[str, float], None] | None,
     say: Callable[[str], None],
 ) -> tuple[tuple[SetResult, ...], list[Looked]]:
@@ -88,7 +88,7 @@ def searched_beside(
     results: tuple[SetResult, ...],
     objectives: tuple[Objective, ...],
     thresholds: Thresholds,
-    report: Report | None,
+    report: RenderProgress | None,
     searching: Callable[[str, float], None] | None,
     say: Callable[[str], None],
 ) -> tuple[SetResult, ...]:
