@@ -14,10 +14,10 @@ from fault_cases import make_rig
 from lightopt.cli._main import run
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import CameraSettings, cameras_here, check_camera_driver, open_camera
-from lightopt.rig.devices._cameras import camera_drivers
-from lightopt.rig.devices._genicam import GenicamSdk
-from lightopt.rig.devices._pixels import PIXEL_FORMATS, levels_of
-from lightopt.rig.simulated._gige_formats import FORMATS, packed
+from lightopt.rig.devices._camera_genicam import GenicamSdk
+from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, levels_of
+from lightopt.rig.devices._drivers import camera_drivers
+from lightopt.rig.simulated._gige import FORMATS, packed
 
 SETTINGS = {"where": "rig.yaml:3: camera", "resolution_px": (160, 120), "bit_depth": 8}
 
@@ -84,7 +84,7 @@ def test_software_that_is_not_there_is_named_with_how_to_install_it(
             raise ImportError(f"No module named '{name}'")
         return import_module(name)
 
-    monkeypatch.setattr(f"lightopt.rig.devices._{driver}.import_module", lacking)
+    monkeypatch.setattr(f"lightopt.rig.devices._camera_{driver}.import_module", lacking)
     with pytest.raises(InputError) as raised:
         check_camera_driver(driver, None)
     assert f"pip install 'lightopt[{driver}]'" in str(raised.value)

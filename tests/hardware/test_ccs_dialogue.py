@@ -12,9 +12,9 @@ from scripted import scripted_link
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
-from lightopt.rig.devices._ccs import CcsController
 from lightopt.rig.devices._errors import RefusedError, ReplyError
-from lightopt.rig.simulated._ccs import CcsFirmware
+from lightopt.rig.devices._light_ccs import CcsController
+from lightopt.rig.simulated._light_ccs import CcsFirmware
 
 GOLDEN = {
     "intensity 255 of channel 1": b"@00F25582",

@@ -13,10 +13,9 @@ import pytest
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import CameraHere, CameraSettings, Event, frame_limit_s
-from lightopt.rig.devices._camera_settings import choose_camera
+from lightopt.rig.devices._camera import FrameOrder, MachineCamera
+from lightopt.rig.devices._camera_sdk import RawFrame, choose_camera
 from lightopt.rig.devices._errors import LinkLostError
-from lightopt.rig.devices._frame_order import FrameOrder, RawFrame
-from lightopt.rig.devices._machine_camera import MachineCamera
 
 SETTINGS = CameraSettings(where="rig.yaml:7: camera", resolution_px=(4, 2), bit_depth=8)
 
@@ -132,7 +131,7 @@ class InjectedTime:
 @pytest.fixture(autouse=True)
 def injected_time(monkeypatch: pytest.MonkeyPatch) -> None:
     passes = InjectedTime()
-    monkeypatch.setattr("lightopt.rig.devices._machine_camera.time", passes)
+    monkeypatch.setattr("lightopt.rig.devices._camera.time", passes)
     monkeypatch.setitem(globals(), "time", passes)
 
 

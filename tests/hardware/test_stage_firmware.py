@@ -8,12 +8,11 @@ from typing import Any
 import pytest
 from grbl_recordings import ALARMS, BANNER, LOCKED, MOTION
 
-from lightopt.rig.simulated._catalogue import build
-from lightopt.rig.simulated._grbl import GrblFirmware
-from lightopt.rig.simulated._gsc import GscFirmware
-from lightopt.rig.simulated._shot import ShotFirmware
-from lightopt.rig.simulated._travel import Travel
-from lightopt.rig.simulated._zaber import ZaberFirmware
+from lightopt.rig.simulated._axes import Travel
+from lightopt.rig.simulated._firmware import build
+from lightopt.rig.simulated._stage_grbl import GrblFirmware
+from lightopt.rig.simulated._stage_sigmakoki import GscFirmware, ShotFirmware
+from lightopt.rig.simulated._stage_zaber import ZaberFirmware
 
 
 def masked(report: bytes) -> bytes:

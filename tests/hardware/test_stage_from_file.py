@@ -157,7 +157,7 @@ def test_a_capture_is_refused_before_anything_is_lit(wired, home):
 
 
 def test_one_that_says_that_it_is_not_homed_is_not_vouched_for(wired):
-    from lightopt.rig.devices._zaber_messages import frame
+    from lightopt.rig.devices._stage_zaber import frame
 
     said = b"@01 1 %02d OK IDLE WR 0\r\n"
     turn = 'rotation: {axis: "1", steps_per_deg: 20}\n    assume_referenced: true'

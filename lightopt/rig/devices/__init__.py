@@ -3,17 +3,22 @@
 The one home of pyserial, of Aravis and of harvesters; the latter two are loaded where a camera is looked for.
 """
 
-from lightopt.rig.devices._axes import Axis
-from lightopt.rig.devices._camera_settings import CameraHere, CameraSettings
-from lightopt.rig.devices._cameras import cameras_here, check_camera_driver, open_camera
-from lightopt.rig.devices._drivers import light_drivers
+from lightopt.rig.devices._camera_sdk import CameraHere, CameraSettings
+from lightopt.rig.devices._drivers import (
+    cameras_here,
+    check_camera_driver,
+    check_stage,
+    light_drivers,
+    open_camera,
+    open_stage,
+)
 from lightopt.rig.devices._lights import LightSettings, LightsStillOnError, all_off
 from lightopt.rig.devices._log import Event, SerialLog
 from lightopt.rig.devices._parallel import side_by_side
 from lightopt.rig.devices._ports import port_problem, serial_ports
 from lightopt.rig.devices._retry import frame_limit_s
 from lightopt.rig.devices._roles import Camera, Frame, Identity, LightController, Stage, StageState
-from lightopt.rig.devices._stages import check_stage, open_stage
+from lightopt.rig.devices._stage_dialogue import Axis
 
 __all__ = [
     "Axis",

@@ -1,10 +1,182 @@
-"""What the machine-vision camera needs of the software of a camera: features by their standard names, and frames."""
+"""What the driver of a camera implements (:class:`CameraSdk`): features by their standard names, and frames."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
-from lightopt.rig.devices._frame_order import RawFrame
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSettings:
+    """What is asked of a camera.
+
+    Attributes
+    ----------
+    where
+        What messages call it, with file and line.
+    resolution_px, bit_depth
+        Width and height [pixels], and bits of a level, of the rig.
+    port
+        Serial number, address or identifier; None: the only one that there is.
+    producer
+        genicam: GenTL producer of the maker (a .cti file).
+    pixel_format
+        Name; None: the camera's that has the bit depth.
+    offset_px
+        Corner of the image on the sensor, from the left and from the top; None: centred.
+    gain
+        In the camera's units (mostly dB); None: as the camera has it.
+    trigger
+        ``software``, ``none``, or ``auto``: software where the camera has it.
+    fixed_exposure_us
+        Exposure time [µs] of a camera that cannot be told one; None: it is told.
+    packet_size, packet_delay_ns
+        GigE: size of packets [bytes] and pause between them [ns]; None: as the camera has it.
+    """
+
+    where: str
+    resolution_px: tuple[int, int]
+    bit_depth: int
+    port: str | None = None
+    producer: str | None = None
+    pixel_format: str | None = None
+    offset_px: tuple[int, int] | None = None
+    gain: float | None = None
+    trigger: str = "auto"
+    fixed_exposure_us: float | None = None
+    packet_size: int | None = None
+    packet_delay_ns: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraHere:
+    """A camera that answered when all were asked who is there.
+
+    Attributes
+    ----------
+    driver
+        That would open it.
+    identifier, serial, address
+        What a rig file may call it; empty where it has none.
+    model
+        Maker and model.
+    """
+
+    driver: str
+    identifier: str
+    serial: str = ""
+    address: str = ""
+    model: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it may be called."""
+        return tuple(name for name in (self.serial, self.address, self.identifier) if name)
+
+    def __str__(self) -> str:
+        return f"{self.model or self.identifier} ({', '.join(dict.fromkeys(self.names))})"
+
+
+def choose_camera(here: list[CameraHere], settings: CameraSettings) -> CameraHere:
+    """The camera that is meant.
+
+    Raises
+    ------
+    InputError
+        When it is not there, or not said which of several.
+    """
+    there = "; there is " + (", ".join(map(str, here)) or "none") + " (lightopt bench devices lists them)"
+    if settings.port is None:
+        if len(here) == 1:
+            return here[0]
+        many = "which of the cameras is meant is not said: write its serial number as `port`"
+        raise InputError(f"{settings.where}: {many if here else 'no camera answers'}{there}")
+    found = [camera for camera in here if settings.port in camera.names]
+    if len(found) != 1:
+        raise InputError(f"{settings.where}: no camera {settings.port}{there}")
+    return found[0]
+
+
+def offset_of(
+    settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px: tuple[int, int]
+) -> tuple[int, int]:
+    """Corner of the rig's image on the sensor [pixels], from the left and from the top.
+
+    Parameters
+    ----------
+    settings
+        What the rig wants.
+    sensor_px
+        Width and height of the sensor.
+    steps_px
+        Steps that the corner can be moved by.
+
+    Raises
+    ------
+    InputError
+        When the image does not fit on the sensor, or the corner lies between steps.
+    """
+    size, where = settings.resolution_px, settings.where
+    if size[0] > sensor_px[0] or size[1] > sensor_px[1]:
+        raise InputError(
+            f"{where}: the rig's image of {size[0]} × {size[1]} pixels is larger than the camera's sensor of "
+            f"{sensor_px[0]} × {sensor_px[1]}; change camera.resolution_px"
+        )
+    if settings.offset_px is None:
+        x, y = ((sensor_px[i] - size[i]) // 2 // steps_px[i] * steps_px[i] for i in (0, 1))
+        return x, y
+    for name, offset, length, whole, step in zip(
+        ("left", "top"), settings.offset_px, size, sensor_px, steps_px, strict=True
+    ):
+        if offset + length > whole:
+            raise InputError(
+                f"{where}: {offset} pixels from the {name} and {length} of the image are more than the sensor's {whole}"
+            )
+        if offset % step:
+            raise InputError(
+                f"{where}: the image begins {offset} pixels from the {name}, and this camera can do multiples "
+                f"of {step} only"
+            )
+    return settings.offset_px
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawFrame:
+    """A frame as it came over the cable.
+
+    Attributes
+    ----------
+    data
+        Its bytes, shape (n,).
+    width, height
+        As it says of itself [pixels].
+    code
+        Its pixel format as a number of the naming convention; None where it does not say.
+    number
+        The camera's own; None where it has none.
+    timestamp_ns
+        The camera's own time [ns]; None where it has none.
+    problem
+        What is wrong with it in words; None: it is whole.
+    """
+
+    data: NDArray[np.uint8]
+    width: int
+    height: int
+    number: int | None
+    code: int | None = None
+    timestamp_ns: int | None = None
+    problem: str | None = None
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return "a frame without a number" if self.number is None else f"frame {self.number}"
 
 
 class CameraSdk(Protocol):

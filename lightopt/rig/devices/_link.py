@@ -1,7 +1,7 @@
 """The serial link that drivers have: frames out, replies in, each within a total deadline.
 
 The one home of pyserial. A reply is read byte by byte against one deadline for all of it, because a time limit per byte
-lets a device that dribbles hold up the caller for ever.
+would let a device that sends slowly hold up the caller for ever.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ from __future__ import annotations
 import os
 import re
 import select
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import TypeVar
 
 import serial
@@ -19,7 +21,47 @@ from lightopt.core.errors import HardwareError
 from lightopt.rig.devices._errors import LinkLostError, OvertakenError, ReplyError, printable
 from lightopt.rig.devices._log import Event, LogEntry, SerialLog, now
 from lightopt.rig.devices._ports import cannot_open
-from lightopt.rig.devices._priority_lock import Turns
+
+
+class Turns:
+    """A lock that its holder may take again, and that gives way to what cannot wait.
+
+    Used as a context manager it waits for its turn. Whoever comes by :meth:`first` is seen by the holder as
+    :attr:`overtaken`, who then breaks off what it waits for. Of several that cannot wait, none overtakes another.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._pressing: set[object] = set()
+        self._held_first = 0
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self._lock.release()
+
+    @contextmanager
+    def first(self) -> Generator[None]:
+        """Take the next turn, for what cannot wait, such as darkening a light."""
+        mark = object()
+        self._pressing.add(mark)
+        try:
+            with self._lock:
+                self._pressing.discard(mark)
+                self._held_first += 1
+                try:
+                    yield
+                finally:
+                    self._held_first -= 1
+        finally:
+            self._pressing.discard(mark)
+
+    @property
+    def overtaken(self) -> bool:
+        """Whether the holder, who asks this, should break off because something that cannot wait does."""
+        return bool(self._pressing) and not self._held_first
+
 
 try:
     from termios import error as _termios_error  # not an OSError

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._axes import Axis
-from lightopt.rig.devices._dialogue import Dialogue, Reading
 from lightopt.rig.devices._errors import ReplyError
 from lightopt.rig.devices._log import Event
 from lightopt.rig.devices._roles import Identity, StageState
+from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.rig.simulated._control import Answer, Handler
 from lightopt.rig.simulated._deviations import BenchTruth
-from lightopt.rig.simulated._requests import Answer, Handler
 
 if TYPE_CHECKING:
     from lightopt.rig.simulated._optics import BenchOptics, Levels

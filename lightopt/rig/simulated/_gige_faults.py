@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._faults import Trigger, trigger
 
 Image = NDArray[np.integer[Any]]
 

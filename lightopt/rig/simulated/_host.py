@@ -14,9 +14,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from lightopt.rig.simulated._camera import BenchCamera, CameraSetup
-from lightopt.rig.simulated._control import ControlServer
+from lightopt.rig.simulated._control import Answer, ControlServer, Handler, handlers
 from lightopt.rig.simulated._gige import GigeCamera
-from lightopt.rig.simulated._requests import Answer, Handler, handlers
 from lightopt.rig.simulated._wires import have_ptys
 from lightopt.rig.simulated._world import World
 

@@ -9,9 +9,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
-from lightopt.rig.simulated._catalogue import build
-from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware
-from lightopt.rig.simulated._line_faults import LINE_FAULTS, Line, Sent
+from lightopt.rig.simulated._faults import LINE_FAULTS, Line, Sent
+from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware, build
 from lightopt.rig.simulated._wires import PtyWire, TcpWire, Wire, have_ptys
 
 _TRACE = 100_000

@@ -10,9 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_settings import CameraHere, CameraSettings, choose_camera
+from lightopt.rig.devices._camera_sdk import CameraHere, CameraSettings, RawFrame, choose_camera
 from lightopt.rig.devices._errors import LinkLostError
-from lightopt.rig.devices._frame_order import RawFrame
 
 _BUFFERS = 4
 _SLICE_S = 0.1  # signals are heard between two waits

@@ -10,8 +10,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
-from lightopt.rig.simulated._travel import Axes
+from lightopt.rig.simulated._axes import Axes
+from lightopt.rig.simulated._faults import Trigger, trigger
 
 _SPEED_UNIT = 1.6384
 _LONGEST = 256

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._faults import Trigger, trigger
 
 AXIS_FAULTS = ("stall", "limit", "lost_step")
 

@@ -1,4 +1,4 @@
-"""A camera of an inspection machine: set as the rig wants it, triggered, and asked again when a frame is not sound."""
+"""A machine-vision camera on any SDK: configured for measurement, triggered, frames checked and taken again."""
 
 from __future__ import annotations
 
@@ -7,16 +7,79 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from lightopt.core.errors import HardwareError, LightoptError
-from lightopt.rig.devices._camera_features import set_gain, set_image, set_trigger, switch_off_corrections
-from lightopt.rig.devices._camera_sdk import CameraSdk
-from lightopt.rig.devices._camera_settings import CameraSettings
+from lightopt.rig.devices._camera_features import (
+    ExposureTime,
+    set_gain,
+    set_image,
+    set_trigger,
+    switch_off_corrections,
+)
+from lightopt.rig.devices._camera_pixels import levels_of
+from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._errors import ReplyError
-from lightopt.rig.devices._exposure_time import ExposureTime
-from lightopt.rig.devices._frame_order import FrameOrder, RawFrame
 from lightopt.rig.devices._log import Event, now
-from lightopt.rig.devices._pixels import levels_of
 from lightopt.rig.devices._retry import ATTEMPTS, Persistence
 from lightopt.rig.devices._roles import Frame, Identity
+
+_LAST_ID = 0xFFFF
+_NEAR = 0x1000  # numbers so near to the end and the beginning of the count are a wrap, not a step back
+
+
+class FrameOrder:
+    """Remembers the last frame of an acquisition and judges the next by it.
+
+    Attributes
+    ----------
+    lost
+        Frames that the camera counted and that never came, since the beginning.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._last: RawFrame | None = None
+
+    def begin(self) -> None:
+        """A new acquisition: cameras may count from the beginning again."""
+        self._last = None
+
+    def passed(self, frame: RawFrame) -> None:
+        """A frame that nobody asked for went by."""
+        self._last = frame
+
+    def check(self, frame: RawFrame) -> None:
+        """Refuse a frame that cannot be the one that was asked for.
+
+        Raises
+        ------
+        ReplyError
+            When it is incomplete, came before, or is older than the one before.
+        """
+        if frame.problem is not None:
+            raise ReplyError(f"{frame.name} is incomplete: {frame.problem}")
+        last = self._last
+        if last is not None:
+            step = _step(last.number, frame.number)
+            if step == 0:
+                raise ReplyError(f"{frame.name} came a second time")
+            if step < 0:
+                raise ReplyError(f"{frame.name} came after {last.name}")
+            if frame.timestamp_ns and last.timestamp_ns and frame.timestamp_ns <= last.timestamp_ns:
+                raise ReplyError(
+                    f"{frame.name} is stale: it was taken {(last.timestamp_ns - frame.timestamp_ns) / 1e6:.3g} "
+                    f"ms before {last.name}"
+                )
+            self.lost += step - 1
+        self._last = frame
+
+
+def _step(last: int | None, number: int | None) -> int:
+    """Frames from one to the next as they are numbered; 1 where they are not."""
+    if last is None or number is None or last == number == 0:  # a count that stays at its beginning is none
+        return 1
+    step = number - last
+    if step < 0 and last > _LAST_ID - _NEAR and number < _NEAR:
+        return 1  # the count of GigE Vision 1 ends at 65535
+    return step
 
 
 class MachineCamera:

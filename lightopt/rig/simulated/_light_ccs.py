@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._faults import Trigger, trigger
 from lightopt.rig.simulated._lamps import Lamps
 
 _COMMAND, _CHECKSUM, _VALUE = 1, 2, 3

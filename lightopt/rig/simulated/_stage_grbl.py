@@ -13,10 +13,9 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
-from lightopt.rig.simulated._gcode import GcodeError, Modes, Move, parse_line
-from lightopt.rig.simulated._grbl_settings import Settings
-from lightopt.rig.simulated._travel import Axes
+from lightopt.rig.simulated._axes import Axes
+from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._stage_grbl_gcode import GcodeError, Modes, Move, Settings, parse_line
 
 _NAMES = ("X", "Y", "Z")
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"

@@ -20,18 +20,17 @@ import time
 from collections.abc import Mapping, Sequence
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._axes import Axis, describe_range
-from lightopt.rig.devices._dialogue import Reading
 from lightopt.rig.devices._errors import LinkLostError, ReplyError
-from lightopt.rig.devices._grbl_messages import (
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._retry import Persistence
+from lightopt.rig.devices._stage_dialogue import Axis, Reading, describe_range
+from lightopt.rig.devices._stage_grbl_messages import (
     CRITICAL_ALARMS,
     alarm_words,
     error_words,
     parse_report,
     parse_setting,
 )
-from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._retry import Persistence
 
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
@@ -57,7 +56,7 @@ def check_grbl(axes: Sequence[Axis]) -> None:
 
 
 class GrblDialogue:
-    """The language of Grbl 1.1; see :class:`~lightopt.rig.devices._dialogue.Dialogue`.
+    """The language of Grbl 1.1; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
     Parameters
     ----------

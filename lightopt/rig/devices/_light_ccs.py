@@ -11,8 +11,7 @@ import re
 from collections.abc import Mapping
 
 from lightopt.rig.devices._errors import RefusedError, ReplyError, printable
-from lightopt.rig.devices._light_driver import LightDriver, open_driver
-from lightopt.rig.devices._lights import LightSettings
+from lightopt.rig.devices._lights import LightDriver, LightSettings, open_driver
 from lightopt.rig.devices._link import SerialLink
 from lightopt.rig.devices._log import SerialLog
 

@@ -11,8 +11,7 @@ from collections.abc import Mapping
 
 from lightopt.core.errors import InputError
 from lightopt.rig.devices._errors import ReplyError
-from lightopt.rig.devices._light_driver import LightDriver, open_driver
-from lightopt.rig.devices._lights import LightSettings
+from lightopt.rig.devices._lights import LightDriver, LightSettings, open_driver
 from lightopt.rig.devices._link import SerialLink
 from lightopt.rig.devices._log import SerialLog
 
