@@ -28,10 +28,7 @@ _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are 
 class FrameOrder:
     """Remembers the last frame of an acquisition and judges the next by it.
 
-    Attributes
-    ----------
-    lost
-        Frames that the camera counted and that never came, since the beginning.
+    lost: Frames that the camera counted and that never came, since the beginning.
     """
 
     def __init__(self) -> None:
@@ -49,10 +46,7 @@ class FrameOrder:
     def check(self, frame: RawFrame) -> None:
         """Refuse a frame that cannot be the one that was asked for.
 
-        Raises
-        ------
-        ReplyError
-            When it is incomplete, came before, or is older than the one before.
+        Raises ReplyError when it is incomplete, came before, or is older than the one before.
         """
         if frame.problem is not None:
             raise ReplyError(f"{frame.name} is incomplete: {frame.problem}")
@@ -89,30 +83,12 @@ class MachineCamera:
     table, mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are
     checked for being whole, new and in order; what is not is taken again, a bounded number of times, each told.
 
-    Parameters
-    ----------
-    driver
-        Name of the driver, as in the rig file.
-    sdk
-        The opened camera; closed with this one.
-    settings
-        How it is to be.
-    tell
-        Called with what is out of the ordinary, as it happens.
-    ready
-        Called before each frame is asked for; returns when one can be: a simulated camera has to render first.
+    ready: Called before each frame is asked for; returns when one can be: a simulated camera has to render first.
 
-    Attributes
-    ----------
-    events
-        What was out of the ordinary.
+    events: What was out of the ordinary.
 
-    Raises
-    ------
-    InputError
-        When the camera cannot be as the rig wants it.
-    HardwareError
-        When it does not answer, or holds something else than it was told.
+    Raises InputError when the camera cannot be as the rig wants it.
+    Raises HardwareError when it does not answer, or holds something else than it was told.
     """
 
     def __init__(
@@ -174,10 +150,7 @@ class MachineCamera:
     def set_exposure(self, exposure_us: float) -> float:
         """Set the exposure time [µs] and return what the camera holds.
 
-        Raises
-        ------
-        InputError
-            When it lies outside the camera's range.
+        Raises InputError when it lies outside the camera's range.
         """
         return self._exposure.tell_us(exposure_us)
 
@@ -187,10 +160,7 @@ class MachineCamera:
         All attempts together take no longer than `timeout_s`, of which each has an equal part, and no less than the
         exposure time: fewer attempts where there is no time for as many exposures.
 
-        Raises
-        ------
-        HardwareError
-            When no sound frame came in time or in the attempts that there are.
+        Raises HardwareError when no sound frame came in time or in the attempts that there are.
         """
         if self._ready is not None:
             self._ready()

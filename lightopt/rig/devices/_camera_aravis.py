@@ -27,10 +27,7 @@ Value = TypeVar("Value")
 def load_aravis() -> Any:
     """The library.
 
-    Raises
-    ------
-    InputError
-        When it is not there, with how to install it.
+    Raises InputError when it is not there, with how to install it.
     """
     try:
         import_module("gi").require_version("Aravis", "0.8")
@@ -42,10 +39,7 @@ def load_aravis() -> Any:
 def aravis_cameras() -> list[CameraHere]:
     """Cameras on the networks and USB ports of this computer; none is opened.
 
-    Raises
-    ------
-    InputError
-        When Aravis is not there.
+    Raises InputError when Aravis is not there.
     """
     library = load_aravis()
     library.update_device_list()
@@ -64,17 +58,8 @@ def aravis_cameras() -> list[CameraHere]:
 class AravisSdk:
     """A camera opened with Aravis.
 
-    Parameters
-    ----------
-    settings
-        Which camera, and the packets of its stream.
-
-    Raises
-    ------
-    InputError
-        When Aravis or the camera is not there.
-    HardwareError
-        When it does not let itself be opened.
+    Raises InputError when Aravis or the camera is not there.
+    Raises HardwareError when it does not let itself be opened.
     """
 
     def __init__(self, settings: CameraSettings) -> None:

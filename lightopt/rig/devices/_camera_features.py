@@ -142,17 +142,7 @@ class ExposureTime:
     counts units that only the camera knows: it names them, or ``ExposureTimeBaseAbs`` is their length [µs]; a camera
     that says neither cannot be told an exposure time.
 
-    Parameters
-    ----------
-    sdk
-        The opened camera.
-    settings
-        With the exposure time of a camera that cannot be told one.
-
-    Raises
-    ------
-    InputError
-        When the time that it exposes is not known.
+    Raises InputError when the time that it exposes is not known.
     """
 
     def __init__(self, sdk: CameraSdk, settings: CameraSettings) -> None:
@@ -196,10 +186,7 @@ class ExposureTime:
     def tell_us(self, exposure_us: float) -> float:
         """Tell the camera an exposure time [µs], and return what it then holds.
 
-        Raises
-        ------
-        InputError
-            When it lies outside the camera's range; nothing was sent.
+        Raises InputError when it lies outside the camera's range; nothing was sent.
         """
         low, high = self.range_us
         if not low * (1 - _TOLERANCE) <= exposure_us <= high * (1 + _TOLERANCE):

@@ -28,10 +28,7 @@ Value = TypeVar("Value")
 def load_harvester() -> Any:
     """Class of the library that opens producers.
 
-    Raises
-    ------
-    InputError
-        When it is not there, with how to install it.
+    Raises InputError when it is not there, with how to install it.
     """
     try:
         return import_module("harvesters.core").Harvester
@@ -50,12 +47,8 @@ def producers_here() -> list[Path]:
 def genicam_cameras(producer: Path | str) -> list[CameraHere]:
     """Cameras that a producer finds; none is opened.
 
-    Raises
-    ------
-    InputError
-        When library or producer are not there.
-    HardwareError
-        When the producer fails.
+    Raises InputError when library or producer are not there.
+    Raises HardwareError when the producer fails.
     """
     harvester = _harvester(producer, f"{producer}")
     try:
@@ -67,17 +60,8 @@ def genicam_cameras(producer: Path | str) -> list[CameraHere]:
 class GenicamSdk:
     """A camera opened with a maker's producer.
 
-    Parameters
-    ----------
-    settings
-        Which producer, which camera.
-
-    Raises
-    ------
-    InputError
-        When library, producer or camera are not there.
-    HardwareError
-        When it does not let itself be opened.
+    Raises InputError when library, producer or camera are not there.
+    Raises HardwareError when it does not let itself be opened.
     """
 
     def __init__(self, settings: CameraSettings) -> None:

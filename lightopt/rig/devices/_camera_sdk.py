@@ -15,28 +15,16 @@ from lightopt.core.errors import InputError
 class CameraSettings:
     """What is asked of a camera.
 
-    Attributes
-    ----------
-    where
-        What messages call it, with file and line.
-    resolution_px, bit_depth
-        Width and height [pixels], and bits of a level, of the rig.
-    port
-        Serial number, address or identifier; None: the only one that there is.
-    producer
-        genicam: GenTL producer of the maker (a .cti file).
-    pixel_format
-        Name; None: the camera's that has the bit depth.
-    offset_px
-        Corner of the image on the sensor, from the left and from the top; None: centred.
-    gain
-        In the camera's units (mostly dB); None: as the camera has it.
-    trigger
-        ``software``, ``none``, or ``auto``: software where the camera has it.
-    fixed_exposure_us
-        Exposure time [µs] of a camera that cannot be told one; None: it is told.
-    packet_size, packet_delay_ns
-        GigE: size of packets [bytes] and pause between them [ns]; None: as the camera has it.
+    where: What messages call it, with file and line.
+    resolution_px, bit_depth: Width and height [pixels], and bits of a level, of the rig.
+    port: Serial number, address or identifier; None: the only one that there is.
+    producer: genicam: GenTL producer of the maker (a .cti file).
+    pixel_format: Name; None: the camera's that has the bit depth.
+    offset_px: Corner of the image on the sensor, from the left and from the top; None: centred.
+    gain: In the camera's units (mostly dB); None: as the camera has it.
+    trigger: ``software``, ``none``, or ``auto``: software where the camera has it.
+    fixed_exposure_us: Exposure time [µs] of a camera that cannot be told one; None: it is told.
+    packet_size, packet_delay_ns: GigE: size of packets [bytes] and pause between them [ns]; None: as the camera has it.
     """
 
     where: str
@@ -57,14 +45,9 @@ class CameraSettings:
 class CameraHere:
     """A camera that answered when all were asked who is there.
 
-    Attributes
-    ----------
-    driver
-        That would open it.
-    identifier, serial, address
-        What a rig file may call it; empty where it has none.
-    model
-        Maker and model.
+    driver: That would open it.
+    identifier, serial, address: What a rig file may call it; empty where it has none.
+    model: Maker and model.
     """
 
     driver: str
@@ -85,10 +68,7 @@ class CameraHere:
 def choose_camera(here: list[CameraHere], settings: CameraSettings) -> CameraHere:
     """The camera that is meant.
 
-    Raises
-    ------
-    InputError
-        When it is not there, or not said which of several.
+    Raises InputError when it is not there, or not said which of several.
     """
     there = "; there is " + (", ".join(map(str, here)) or "none") + " (lightopt bench devices lists them)"
     if settings.port is None:
@@ -107,19 +87,10 @@ def offset_of(
 ) -> tuple[int, int]:
     """Corner of the rig's image on the sensor [pixels], from the left and from the top.
 
-    Parameters
-    ----------
-    settings
-        What the rig wants.
-    sensor_px
-        Width and height of the sensor.
-    steps_px
-        Steps that the corner can be moved by.
+    sensor_px: Width and height of the sensor.
+    steps_px: Steps that the corner can be moved by.
 
-    Raises
-    ------
-    InputError
-        When the image does not fit on the sensor, or the corner lies between steps.
+    Raises InputError when the image does not fit on the sensor, or the corner lies between steps.
     """
     size, where = settings.resolution_px, settings.where
     if size[0] > sensor_px[0] or size[1] > sensor_px[1]:
@@ -149,20 +120,12 @@ def offset_of(
 class RawFrame:
     """A frame as it came over the cable.
 
-    Attributes
-    ----------
-    data
-        Its bytes, shape (n,).
-    width, height
-        As it says of itself [pixels].
-    code
-        Its pixel format as a number of the naming convention; None where it does not say.
-    number
-        The camera's own; None where it has none.
-    timestamp_ns
-        The camera's own time [ns]; None where it has none.
-    problem
-        What is wrong with it in words; None: it is whole.
+    data: Its bytes, shape (n,).
+    width, height: As it says of itself [pixels].
+    code: Its pixel format as a number of the naming convention; None where it does not say.
+    number: The camera's own; None where it has none.
+    timestamp_ns: The camera's own time [ns]; None where it has none.
+    problem: What is wrong with it in words; None: it is whole.
     """
 
     data: NDArray[np.uint8]

@@ -41,18 +41,11 @@ _Speak = Callable[[SerialLink, Sequence[Axis], float], Dialogue]
 class StageDriver:
     """A language that stages speak.
 
-    Attributes
-    ----------
-    name
-        Its name in a rig file.
-    baud
-        The protocol's usual baud rate.
-    rtscts
-        Whether the device paces the line.
-    check
-        Refuses axes and speeds that it cannot have, as far as that is known without the device.
-    speak
-        Makes the language's dialogue from link, axes, and the longest time [s] that homing may take.
+    name: Its name in a rig file.
+    baud: The protocol's usual baud rate.
+    rtscts: Whether the device paces the line.
+    check: Refuses axes and speeds that it cannot have, as far as that is known without the device.
+    speak: Makes the language's dialogue from link, axes, and the longest time [s] that homing may take.
     """
 
     name: str
@@ -82,10 +75,7 @@ def stage_drivers() -> dict[str, StageDriver]:
 def check_stage(driver: str, axes: Sequence[Axis]) -> None:
     """Check what a stage is asked to be against what its driver can say; nothing is opened.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For an unknown driver, or axes or speeds that it cannot have.
+    Raises InputError for an unknown driver, or axes or speeds that it cannot have.
     """
     known = stage_drivers()
     if driver not in known:
@@ -108,31 +98,11 @@ def open_stage(
 ) -> MovingStage:
     """Open a stage; nothing moves.
 
-    Parameters
-    ----------
-    driver
-        Name of the driver.
-    port
-        Serial port or pyserial URL.
-    axes
-        The axes that the device moves, at least one.
-    baud
-        Baud rate; the protocol's usual one if None.
-    timeout_s
-        Deadline [s] of a reply.
-    home_timeout_s
-        Longest time [s] that seeking the origins may take.
-    log
-        Where every byte is written down.
-    clock
-        Time between two looks at a moving stage, for tests.
+    axes: The axes that the device moves, at least one.
+    baud: Baud rate; the protocol's usual one if None.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For an unknown driver, axes that it cannot have, or a port that is not there or in use.
-    lightopt.core.errors.HardwareError
-        When the device does not answer where the protocol has it speak first.
+    Raises InputError for an unknown driver, axes that it cannot have, or a port that is not there or in use.
+    Raises HardwareError when the device does not answer where the protocol has it speak first.
     """
     check_stage(driver, axes)
     kind = stage_drivers()[driver]
@@ -168,23 +138,10 @@ def open_camera(
 ) -> MachineCamera:
     """Open a camera and set it as the rig wants it; no frame is taken.
 
-    Parameters
-    ----------
-    driver
-        Its name.
-    settings
-        Which camera, and how it is to be.
-    tell
-        Called with what is out of the ordinary, as it happens.
-    ready
-        Called before each frame is asked for; returns when one can be.
+    ready: Called before each frame is asked for; returns when one can be.
 
-    Raises
-    ------
-    InputError
-        When software or camera are not there, or it cannot be as the rig wants it.
-    HardwareError
-        When it does not answer.
+    Raises InputError when software or camera are not there, or it cannot be as the rig wants it.
+    Raises HardwareError when it does not answer.
     """
     return MachineCamera(driver, camera_drivers()[driver](settings), settings, tell=tell, ready=ready)
 
@@ -192,10 +149,7 @@ def open_camera(
 def check_camera_driver(driver: str, producer: Path | None) -> None:
     """Check that a camera's software is there; no camera is looked for.
 
-    Raises
-    ------
-    InputError
-        When it is not, with how to install it.
+    Raises InputError when it is not, with how to install it.
     """
     if driver == "aravis":
         load_aravis()
@@ -208,15 +162,9 @@ def check_camera_driver(driver: str, producer: Path | None) -> None:
 def cameras_here(producer: Path | None = None) -> tuple[list[CameraHere], list[str]]:
     """Cameras that answer, through whatever software is there; none is opened.
 
-    Parameters
-    ----------
-    producer
-        GenTL producer to ask beside those that installers have named.
+    producer: GenTL producer to ask beside those that installers have named.
 
-    Returns
-    -------
-    tuple
-        The cameras, and in words what could not be asked.
+    Returns: The cameras, and in words what could not be asked.
     """
     producers = {*producers_here(), *([] if producer is None else [producer])}
     asked = [_asked(aravis_cameras), *(_asked(partial(genicam_cameras, path)) for path in sorted(producers))]

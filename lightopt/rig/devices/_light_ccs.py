@@ -31,23 +31,10 @@ class CcsController(LightDriver):
     The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a
     connection on which nothing was said. No light changes.
 
-    Parameters
-    ----------
-    link
-        The wire.
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    max_levels
-        Intensities never exceeded, by channel.
-    dialect
-        ``lan``: frames without unit number; ``serial``: with it.
+    dialect: ``lan``: frames without unit number; ``serial``: with it.
 
-    Raises
-    ------
-    lightopt.core.errors.HardwareError
-        When the controller does not answer, be it only to ``M``; one that refuses ``M`` cannot be read back.
+    Raises HardwareError when the controller does not answer, be it only to ``M``; one that refuses ``M`` cannot be read
+    back.
     """
 
     def __init__(
@@ -135,12 +122,8 @@ class CcsController(LightDriver):
 def open_ccs(settings: LightSettings, log: SerialLog | None = None) -> CcsController:
     """Open a controller with CCS ``@`` frames.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When the port cannot be opened.
-    lightopt.core.errors.HardwareError
-        When the controller does not answer.
+    Raises InputError when the port cannot be opened.
+    Raises HardwareError when the controller does not answer.
     """
     return open_driver(
         settings,

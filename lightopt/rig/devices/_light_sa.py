@@ -28,23 +28,8 @@ class SaController(LightDriver):
 
     Opening asks for the intensity of channel A; no light changes.
 
-    Parameters
-    ----------
-    link
-        The wire.
-    channels
-        Number of channels, up to 6.
-    top_level
-        Highest intensity, up to 9999.
-    max_levels
-        Intensities never exceeded, by channel.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For more channels or levels than the protocol can say.
-    lightopt.core.errors.HardwareError
-        When the controller does not answer.
+    Raises InputError for more channels or levels than the protocol can say.
+    Raises HardwareError when the controller does not answer.
     """
 
     def __init__(
@@ -100,12 +85,8 @@ class SaController(LightDriver):
 def open_sa(settings: LightSettings, log: SerialLog | None = None) -> SaController:
     """Open a controller of the ``SA0255#`` family.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When the port cannot be opened, or for more channels or levels than the protocol can say.
-    lightopt.core.errors.HardwareError
-        When the controller does not answer.
+    Raises InputError when the port cannot be opened, or for more channels or levels than the protocol can say.
+    Raises HardwareError when the controller does not answer.
     """
     return open_driver(
         settings,

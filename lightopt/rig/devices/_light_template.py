@@ -23,27 +23,12 @@ class TemplateController(LightDriver):
 
     Opening asks for the intensity of channel 1 where the template can ask; no light changes.
 
-    Parameters
-    ----------
-    link
-        The wire.
-    template
-        ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig file; what is
-        None or absent does not exist. Fields of commands: ``{channel}`` from 1, ``{channel0}`` from 0, ``{letter}``,
+    template: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig file; what
+        is None or absent does not exist. Fields of commands: ``{channel}`` from 1, ``{channel0}`` from 0, ``{letter}``,
         ``{level}``. Patterns match a reply without its end.
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    max_levels
-        Intensities never exceeded, by channel.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When a command names another field, or a pattern is none.
-    lightopt.core.errors.HardwareError
-        When the controller does not answer.
+    Raises InputError when a command names another field, or a pattern is none.
+    Raises HardwareError when the controller does not answer.
     """
 
     def __init__(
@@ -124,12 +109,8 @@ class TemplateController(LightDriver):
 def open_template(settings: LightSettings, log: SerialLog | None = None) -> TemplateController:
     """Open a controller that the rig file describes.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When the port cannot be opened, or the template cannot be used.
-    lightopt.core.errors.HardwareError
-        When the controller does not answer.
+    Raises InputError when the port cannot be opened, or the template cannot be used.
+    Raises HardwareError when the controller does not answer.
     """
     template = settings.template
     if template is None:

@@ -27,12 +27,7 @@ _ATTEMPTS = 3
 class LightsStillOnError(HardwareError):
     """Channels could not be switched off.
 
-    Parameters
-    ----------
-    *messages
-        What failed.
-    channels
-        Those that may still be lit, by the name of the controller.
+    *messages: What failed.
     """
 
     def __init__(self, *messages: str, channels: Mapping[str, Sequence[int]]) -> None:
@@ -44,26 +39,15 @@ class LightsStillOnError(HardwareError):
 class LightSettings:
     """What a driver must know to open a light controller.
 
-    Attributes
-    ----------
-    name
-        Name of the controller in the rig file.
-    port
-        Serial port or pyserial URL.
-    baud
-        Baud rate; None is the protocol's usual one.
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    dialect
-        ccs: ``lan`` or ``serial``.
-    template
-        template: commands and patterns of replies, by the words of the rig file.
-    timeout_s
-        Longest wait for a reply [s].
-    max_levels
-        Intensities never exceeded, by channel; where none is given it is `top_level`.
+    name: Name of the controller in the rig file.
+    port: Serial port or pyserial URL.
+    baud: Baud rate; None is the protocol's usual one.
+    channels: Number of channels.
+    top_level: Highest intensity.
+    dialect: ccs: ``lan`` or ``serial``.
+    template: template: commands and patterns of replies, by the words of the rig file.
+    timeout_s: Longest wait for a reply [s].
+    max_levels: Intensities never exceeded, by channel; where none is given it is `top_level`.
     """
 
     name: str
@@ -82,17 +66,11 @@ def all_off(
 ) -> None:
     """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
 
-    Parameters
-    ----------
-    controllers
-        By their names in the rig file.
-    burning
-        Channels that are known to burn, by controller: they come first.
+    controllers: By their names in the rig file.
+    burning: Channels that are known to burn, by controller: they come first.
 
-    Raises
-    ------
-    LightsStillOnError
-        Once all were tried, with a message per controller and reason that names the channels that may still be lit.
+    Raises LightsStillOnError once all were tried, with a message per controller and reason that names the channels that
+    may still be lit.
     """
     first = burning or {}
     reasons = side_by_side(
@@ -146,21 +124,7 @@ def _darken(controller: LightController, channel: int) -> str | None:
 
 
 class LightDriver(ABC):
-    """A :class:`~lightopt.rig.devices.LightController` on a serial link.
-
-    Parameters
-    ----------
-    link
-        The wire.
-    name
-        Name of the protocol, as in the rig file.
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    max_levels
-        Intensities never exceeded, by channel.
-    """
+    """A :class:`~lightopt.rig.devices.LightController` on a serial link."""
 
     def __init__(
         self,
@@ -210,13 +174,9 @@ class LightDriver(ABC):
 
         Darkening comes first: a dialogue under way on the wire is broken off for it, retries included.
 
-        Raises
-        ------
-        lightopt.core.errors.InputError
-            For a channel or an intensity that the controller does not have, or the channel may not have; nothing was
-            sent.
-        lightopt.core.errors.HardwareError
-            When the controller does not answer, or holds something else.
+        Raises InputError for a channel or an intensity that the controller does not have, or the channel may not have;
+        nothing was sent.
+        Raises HardwareError when the controller does not answer, or holds something else.
         """
         self._check(channel, level)
         lock = self._link.lock
@@ -291,18 +251,9 @@ def open_driver(
 ) -> Driver:
     """Open the link of a controller and let its driver speak first; a link on which that fails is closed.
 
-    Parameters
-    ----------
-    settings
-        Port, name, deadline, and baud rate unless it is the protocol's usual one.
-    log
-        Where every byte is written down.
-    name, baud
-        Of the protocol.
-    speak
-        Makes the driver.
-    gap_s
-        Least time [s] that the controllers ask for between two commands.
+    name, baud: Of the protocol.
+    speak: Makes the driver.
+    gap_s: Least time [s] that the controllers ask for between two commands.
     """
     link = SerialLink(
         settings.port,

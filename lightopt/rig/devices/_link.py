@@ -82,37 +82,16 @@ Value = TypeVar("Value")
 class SerialLink:
     """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
 
-    Parameters
-    ----------
-    port
-        Serial port (``/dev/serial/by-id/…``, ``COM3``) or pyserial URL (``socket://host:port``, ``rfc2217://…``).
-    device
-        What stands behind it, for messages: ``controller main (ccs)``.
-    baud
-        Baud rate; 8 data bits, no parity, 1 stop bit.
-    rtscts
-        Whether the device paces the line by RTS/CTS.
-    timeout_s
-        Deadline [s] of a whole reply where a call names none. A write has as long, or a second if that is longer.
-    gap_s
-        Least time [s] between the end of a dialogue and the next command.
-    log
-        Where every byte is written down.
+    baud: Baud rate; 8 data bits, no parity, 1 stop bit.
+    rtscts: Whether the device paces the line by RTS/CTS.
+    gap_s: Least time [s] between the end of a dialogue and the next command.
 
-    Attributes
-    ----------
-    events
-        What was out of the ordinary so far: retries, stale bytes thrown away, the device lost.
-    lock
-        Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait
-        breaks them off by ``lock.first()``; whoever waits for a reply then gets an :class:`OvertakenError`.
+    events: What was out of the ordinary so far: retries, stale bytes thrown away, the device lost.
+    lock: Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait breaks them
+        off by ``lock.first()``; whoever waits for a reply then gets an :class:`OvertakenError`.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When the port is not there (the message lists those that are), is none, or may not be opened.
-    lightopt.core.errors.HardwareError
-        When another program has it, or nothing answers at its address.
+    Raises InputError when the port is not there (the message lists those that are), is none, or may not be opened.
+    Raises HardwareError when another program has it, or nothing answers at its address.
     """
 
     def __init__(
@@ -180,10 +159,7 @@ class SerialLink:
         Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
         be on its way; the line is then first listened to until it is silent.
 
-        Raises
-        ------
-        LinkLostError
-            When the device is gone or does not take the bytes.
+        Raises LinkLostError when the device is gone or does not take the bytes.
         """
         with self.lock:
             if self._owed:
@@ -217,26 +193,15 @@ class SerialLink:
     ) -> bytes:
         """Read a reply up to and with its end. What lies in the input at the deadline was in time and is read, too.
 
-        Parameters
-        ----------
-        end
-            Bytes that end it; or a pattern, which ends it where it is first found; or None: silence of `quiet_s` after
+        end: Bytes that end it; or a pattern, which ends it where it is first found; or None: silence of `quiet_s` after
             at least one byte.
-        deadline_s
-            Longest time [s] for the whole reply; the link's `timeout_s` if None.
-        after
-            The command that was sent, for messages.
-        quiet_s
-            Silence [s] that ends a reply without an end.
+        deadline_s: Longest time [s] for the whole reply; the link's `timeout_s` if None.
+        after: The command that was sent, for messages.
+        quiet_s: Silence [s] that ends a reply without an end.
 
-        Raises
-        ------
-        ReplyError
-            When the deadline passes before the end; it says what had come.
-        OvertakenError
-            When something that cannot wait needs the wire.
-        LinkLostError
-            When the device is gone.
+        Raises ReplyError when the deadline passes before the end; it says what had come.
+        Raises OvertakenError when something that cannot wait needs the wire.
+        Raises LinkLostError when the device is gone.
         """
         limit_s = self.timeout_s if deadline_s is None else deadline_s
         until = time.monotonic() + limit_s
@@ -273,10 +238,7 @@ class SerialLink:
     def drain(self, quiet_s: float = 0.1, deadline_s: float = 1.0) -> None:
         """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command.
 
-        Raises
-        ------
-        OvertakenError
-            When something that cannot wait needs the wire; it is then still owed the silence.
+        Raises OvertakenError when something that cannot wait needs the wire; it is then still owed the silence.
         """
         with self.lock:
             until = time.monotonic() + deadline_s

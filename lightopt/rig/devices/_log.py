@@ -17,16 +17,10 @@ from lightopt.core.errors import InputError
 class Event:
     """Something out of the ordinary on a link.
 
-    Attributes
-    ----------
-    time
-        When, UTC, ISO 8601.
-    port
-        On which port.
-    what
-        What, in words.
-    retry
-        Whether it is a command sent again.
+    time: When, UTC, ISO 8601.
+    port: On which port.
+    what: What, in words.
+    retry: Whether it is a command sent again.
     """
 
     time: str
@@ -47,22 +41,9 @@ class SerialLog:
     never raises: a disk that is full must not keep a light from being switched off. The first entry that cannot be
     written ends the file, which is told once.
 
-    Parameters
-    ----------
-    path
-        The file; made if it is not there, continued if it is. None for none.
-    warn
-        Called with what is out of the ordinary, as it happens; from whichever thread it happens in.
+    events: That the file ended early, if it did.
 
-    Attributes
-    ----------
-    events
-        That the file ended early, if it did.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When it cannot be written.
+    Raises InputError when it cannot be written.
     """
 
     def __init__(self, path: Path | str | None = None, *, warn: Callable[[str], None] | None = None) -> None:

@@ -15,15 +15,9 @@ def side_by_side(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:
     All of it is done, whatever fails; Ctrl-C is raised once all has ended. While the interpreter shuts down, when no
     thread can be started any more, one is done after the other.
 
-    Parameters
-    ----------
-    work
-        By device.
+    work: By device.
 
-    Raises
-    ------
-    Exception
-        The first, in the order of the devices, that any of it raised.
+    Raises Exception with the first, in the order of the devices, that any of it raised.
     """
     results: dict[str, T] = {}
     errors: dict[str, BaseException] = {}

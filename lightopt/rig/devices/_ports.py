@@ -16,14 +16,9 @@ _NETWORK = ("socket://", "rfc2217://")
 class Port:
     """A serial port of this computer.
 
-    Attributes
-    ----------
-    name
-        How it is opened.
-    description
-        What the operating system says of it.
-    usb
-        Vendor and product as ``0403:6001``, and the serial number; empty where it is not USB.
+    name: How it is opened.
+    description: What the operating system says of it.
+    usb: Vendor and product as ``0403:6001``, and the serial number; empty where it is not USB.
     """
 
     name: str

@@ -30,14 +30,8 @@ class Persistence:
     A device that left all attempts unanswered gets one at a time until it answers: switching off the lights of a dead
     controller must not take a minute.
 
-    Parameters
-    ----------
-    link
-        Where retries are told.
-    attempts
-        Times that a command is sent at most.
-    verb
-        What is done again, in the past tense.
+    attempts: Times that a command is sent at most.
+    verb: What is done again, in the past tense.
     """
 
     def __init__(self, link: Repeatable, attempts: int = ATTEMPTS, *, verb: str = "sent") -> None:
@@ -75,12 +69,8 @@ class Persistence:
 def frame_limit_s(exposure_us: float, wait_s: float) -> float:
     """How long a camera may take for one frame [s]: every attempt exposes anew, and the waits share `wait_s`.
 
-    Parameters
-    ----------
-    exposure_us
-        Exposure time that the camera holds [µs].
-    wait_s
-        Longest wait beyond the exposures [s].
+    exposure_us: Exposure time that the camera holds [µs].
+    wait_s: Longest wait beyond the exposures [s].
 
     Examples
     --------

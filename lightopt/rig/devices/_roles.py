@@ -19,14 +19,9 @@ from lightopt.core.transforms import Posture
 class Identity:
     """What a device says of itself.
 
-    Attributes
-    ----------
-    driver
-        Name of the driver, as in the rig file.
-    port
-        Where it is reached: serial port, URL, camera name or folder.
-    says
-        What the device answered when asked (version, serial number), by the field's name; empty where it cannot say.
+    driver: Name of the driver, as in the rig file.
+    port: Where it is reached: serial port, URL, camera name or folder.
+    says: What the device answered when asked (version, serial number), by the field's name; empty where it cannot say.
     """
 
     driver: str
@@ -84,16 +79,10 @@ class LightController(Protocol):
 class StageState:
     """What a stage says of itself.
 
-    Attributes
-    ----------
-    posture
-        Where it stands [°]; an axis that the stage lacks stands at 0.
-    moving
-        Whether an axis moves.
-    referenced
-        Whether it knows where its origin is; None where it cannot tell.
-    alarm
-        The device's alarm in words; None without one.
+    posture: Where it stands [°]; an axis that the stage lacks stands at 0.
+    moving: Whether an axis moves.
+    referenced: Whether it knows where its origin is; None where it cannot tell.
+    alarm: The device's alarm in words; None without one.
     """
 
     posture: Posture
@@ -124,22 +113,16 @@ class Stage(Protocol):
     def move_to(self, posture: Posture) -> StageState:
         """Move, wait, and verify; returns where it stands.
 
-        Raises
-        ------
-        InputError
-            When the posture lies outside the limits or between steps by more than half of one; nothing was sent.
-        HardwareError
-            When it cannot get there; it is then told to stop.
+        Raises InputError when the posture lies outside the limits or between steps by more than half of one; nothing
+        was sent.
+        Raises HardwareError when it cannot get there; it is then told to stop.
         """
         ...
 
     def confirm(self) -> StageState:
         """Ask whether it still stands where it was left; moves nothing.
 
-        Raises
-        ------
-        HardwareError
-            When it stands elsewhere, moves, or has an alarm or lost its origin.
+        Raises HardwareError when it stands elsewhere, moves, or has an alarm or lost its origin.
         """
         ...
 
@@ -156,18 +139,11 @@ class Stage(Protocol):
 class Frame:
     """A frame as the camera delivered it.
 
-    Attributes
-    ----------
-    levels
-        Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
-    exposure_us
-        Exposure time [µs] as read back for this frame.
-    number
-        The camera's own number of the frame; None where it has none.
-    timestamp_ns
-        The camera's own time stamp [ns]; None where it has none.
-    says
-        What else it says (gain, temperature, packets lost).
+    levels: Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
+    exposure_us: Exposure time [µs] as read back for this frame.
+    number: The camera's own number of the frame; None where it has none.
+    timestamp_ns: The camera's own time stamp [ns]; None where it has none.
+    says: What else it says (gain, temperature, packets lost).
     """
 
     levels: NDArray[np.uint8] | NDArray[np.uint16]
@@ -210,10 +186,7 @@ class Camera(Protocol):
     def set_exposure(self, exposure_us: float) -> float:
         """Set the exposure time [µs] and return what the camera holds.
 
-        Raises
-        ------
-        InputError
-            When it lies outside `exposure_range_us`; nothing was sent.
+        Raises InputError when it lies outside `exposure_range_us`; nothing was sent.
         """
         ...
 

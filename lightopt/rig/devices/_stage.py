@@ -37,18 +37,8 @@ class MovingStage:
     or knows that it is not referenced, when it moves already, and when it does not stand where it was left. After a
     failed move it is refused until the stage has been homed.
 
-    Parameters
-    ----------
-    driver
-        Name of the driver.
-    dialogue
-        The device's language.
-    axes
-        The axes that the device moves; an axis of the rig that is not among them stands at 0.
-    home_timeout_s
-        Longest time [s] that seeking the origins may take.
-    clock
-        Time, for tests.
+    dialogue: The device's language.
+    axes: The axes that the device moves; an axis of the rig that is not among them stands at 0.
     """
 
     def __init__(
@@ -105,12 +95,8 @@ class MovingStage:
     def move_to(self, posture: Posture) -> StageState:
         """Move, wait and verify; returns where it stands, to the step.
 
-        Raises
-        ------
-        lightopt.core.errors.InputError
-            When the posture lies outside the limits; nothing was sent.
-        lightopt.core.errors.HardwareError
-            When it may not move (alarm, not referenced), or does not arrive; it is then told to stop.
+        Raises InputError when the posture lies outside the limits; nothing was sent.
+        Raises HardwareError when it may not move (alarm, not referenced), or does not arrive; it is then told to stop.
         """
         self.check(posture)
         with self._link.lock:
@@ -153,10 +139,8 @@ class MovingStage:
     def confirm(self) -> StageState:
         """Ask whether it still stands where the last move left it; moves nothing.
 
-        Raises
-        ------
-        lightopt.core.errors.HardwareError
-            When it does not: moved by hand, or switched off and on, after which most devices count from elsewhere.
+        Raises HardwareError when it does not: moved by hand, or switched off and on, after which most devices count
+        from elsewhere.
         """
         with self._link.lock:
             reading = self._dialogue.read()

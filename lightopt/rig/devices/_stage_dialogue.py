@@ -22,27 +22,15 @@ def describe_range(range_deg: tuple[float, float]) -> str:
 class Axis:
     """An axis of the stage: how the rig's angle becomes the device's count, and how far and fast it may go.
 
-    Attributes
-    ----------
-    name
-        ``elevation`` or ``rotation``.
-    device
-        The axis as the device calls it.
-    range_deg
-        Lowest and highest angle [°] that may be asked for.
-    steps_per_deg
-        Device units per degree; negative where the device counts against the rig's sense.
-    zero
-        Device units at which the rig's angle is 0.
-    speed_deg_per_s
-        Speed [°/s] that the device is set to.
-    home_sense
-        +1 or -1: the sense of the device's count in which a device seeks its origin that must be told (GSC-02).
+    name: ``elevation`` or ``rotation``.
+    device: The axis as the device calls it.
+    range_deg: Lowest and highest angle [°] that may be asked for.
+    steps_per_deg: Device units per degree; negative where the device counts against the rig's sense.
+    zero: Device units at which the rig's angle is 0.
+    speed_deg_per_s: Speed [°/s] that the device is set to.
+    home_sense: +1 or -1: the sense of the device's count in which a device seeks its origin that must be told (GSC-02).
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When a value cannot be: no units per degree, a range upside down, a speed that is not positive.
+    Raises InputError when a value cannot be: no units per degree, a range upside down, a speed that is not positive.
     """
 
     name: str
@@ -82,17 +70,10 @@ class Axis:
     def target(self, angle_deg: float, *, step: float) -> float:
         """Nearest position that the device can hold to an angle [°].
 
-        Parameters
-        ----------
-        angle_deg
-            The angle asked for.
-        step
-            Device units of one step; positions are whole multiples of it.
+        angle_deg: The angle asked for.
+        step: Device units of one step; positions are whole multiples of it.
 
-        Raises
-        ------
-        lightopt.core.errors.InputError
-            When the angle lies outside the range or is no number.
+        Raises InputError when the angle lies outside the range or is no number.
         """
         self.check(angle_deg)
         return step * round(self.units_of(angle_deg) / step)
@@ -122,16 +103,10 @@ class Axis:
 class Reading:
     """What a device says of itself at one moment.
 
-    Attributes
-    ----------
-    units
-        Position of each axis by the device's name of it [device units].
-    moving
-        Whether any axis moves.
-    referenced
-        Whether it knows its origin; None where it cannot tell.
-    alarm
-        The alarm in words; None without one.
+    units: Position of each axis by the device's name of it [device units].
+    moving: Whether any axis moves.
+    referenced: Whether it knows its origin; None where it cannot tell.
+    alarm: The alarm in words; None without one.
     """
 
     units: Mapping[str, float]

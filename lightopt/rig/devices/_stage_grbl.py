@@ -58,21 +58,10 @@ def check_grbl(axes: Sequence[Axis]) -> None:
 class GrblDialogue:
     """The language of Grbl 1.1; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
-    Parameters
-    ----------
-    link
-        The wire.
-    axes
-        The axes, called X, Y or Z.
-    home_timeout_s
-        Longest time [s] that ``$H`` may take.
+    axes: The axes, called X, Y or Z.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For an axis that Grbl does not have.
-    lightopt.core.errors.HardwareError
-        When no Grbl answers.
+    Raises InputError for an axis that Grbl does not have.
+    Raises HardwareError when no Grbl answers.
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:

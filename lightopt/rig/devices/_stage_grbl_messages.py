@@ -69,12 +69,8 @@ def error_words(code: int) -> str:
 class Report:
     """A status report.
 
-    Attributes
-    ----------
-    state
-        ``Idle``, ``Run``, ``Hold:0``, ``Alarm``, …
-    position
-        Machine position of X, Y, Z (and more) [mm, or whatever $100 counts steps per].
+    state: ``Idle``, ``Run``, ``Hold:0``, ``Alarm``, …
+    position: Machine position of X, Y, Z (and more) [mm, or whatever $100 counts steps per].
     """
 
     state: str
@@ -84,10 +80,7 @@ class Report:
 def parse_report(line: bytes) -> Report | None:
     r"""Read a status report; None when the line is none.
 
-    Raises
-    ------
-    ValueError
-        When it is one, but tells no machine position.
+    Raises ValueError when it is one, but tells no machine position.
 
     Examples
     --------

@@ -38,16 +38,10 @@ _LIMITS = {"L": "axis 1", "M": "axis 2", "W": "both axes"}
 class Status:
     """The answer to ``Q:``.
 
-    Attributes
-    ----------
-    positions
-        Count of each axis [pulses].
-    accepted
-        Whether the last command was taken (ACK1).
-    limit
-        Which axis was stopped by its limit switch (ACK2), in words; None where none was.
-    busy
-        Whether an axis moves (ACK3).
+    positions: Count of each axis [pulses].
+    accepted: Whether the last command was taken (ACK1).
+    limit: Which axis was stopped by its limit switch (ACK2), in words; None where none was.
+    busy: Whether an axis moves (ACK3).
     """
 
     positions: tuple[int, ...]
@@ -93,10 +87,7 @@ def axis_words(verb: str, values: Mapping[str, str]) -> str:
 def parse_status(line: bytes) -> Status:
     r"""Read the answer to ``Q:``.
 
-    Raises
-    ------
-    ValueError
-        When it is not one; the message says why.
+    Raises ValueError when it is not one; the message says why.
 
     Examples
     --------
@@ -124,10 +115,7 @@ def parse_status(line: bytes) -> Status:
 def reading_of(status: Status, axes: Sequence[Axis]) -> Reading:
     """A status as a reading of the axes that the rig uses.
 
-    Raises
-    ------
-    ValueError
-        When the controller has fewer axes than that.
+    Raises ValueError when the controller has fewer axes than that.
     """
     needed = max(int(axis.device) for axis in axes)
     if len(status.positions) < needed:
@@ -145,10 +133,7 @@ def reading_of(status: Status, axes: Sequence[Axis]) -> Reading:
 def check_axes(axes: Sequence[Axis], *, slowest: int, fastest: int) -> None:
     """Check the names of the axes and that the controller can be set to their speeds [pulses/s].
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For an axis other than 1 and 2, the same axis twice, or a speed that the command set cannot say.
+    Raises InputError for an axis other than 1 and 2, the same axis twice, or a speed that the command set cannot say.
     """
     wrong: list[str] = []
     for axis in axes:
@@ -176,10 +161,7 @@ def check_shot(axes: Sequence[Axis]) -> None:
 class ShotDialogue:
     """The language of the SHOT family; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For axes or speeds that the controller cannot have.
+    Raises InputError for axes or speeds that the controller cannot have.
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
@@ -267,10 +249,7 @@ def check_gsc(axes: Sequence[Axis]) -> None:
 class GscDialogue:
     """The language of the GSC-02; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For axes or speeds that the controller cannot have.
+    Raises InputError for axes or speeds that the controller cannot have.
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:

@@ -74,20 +74,12 @@ _REPLY = re.compile(
 class Reply:
     """A reply of a device.
 
-    Attributes
-    ----------
-    device, axis
-        Who answers.
-    number
-        Number of the message that it answers; None when it has none.
-    accepted
-        OK rather than RJ.
-    busy
-        Whether it moves.
-    warning
-        Flag of the gravest warning; empty without one.
-    data
-        The answer, or why it was rejected.
+    device, axis: Who answers.
+    number: Number of the message that it answers; None when it has none.
+    accepted: OK rather than RJ.
+    busy: Whether it moves.
+    warning: Flag of the gravest warning; empty without one.
+    data: The answer, or why it was rejected.
     """
 
     device: int
@@ -127,10 +119,7 @@ def frame(device: int, axis: int, number: int, command: str) -> bytes:
 def parse_reply(line: bytes) -> Reply:
     r"""Read a reply.
 
-    Raises
-    ------
-    ValueError
-        When it is none, or its checksum is wrong.
+    Raises ValueError when it is none, or its checksum is wrong.
 
     Examples
     --------
@@ -184,17 +173,9 @@ def check_zaber(axes: Sequence[Axis]) -> None:
 class ZaberDialogue:
     """The Zaber ASCII protocol; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
-    Parameters
-    ----------
-    link
-        The wire.
-    axes
-        The axes, called ``2`` (axis 2 of device 1) or ``2/1`` (axis 1 of device 2).
+    axes: The axes, called ``2`` (axis 2 of device 1) or ``2/1`` (axis 1 of device 2).
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For an axis with another kind of name, or the same axis twice.
+    Raises InputError for an axis with another kind of name, or the same axis twice.
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:

@@ -27,21 +27,12 @@ class _Fault:
 class Travel:
     """One axis.
 
-    Parameters
-    ----------
-    stands
-        Where it really stands at power-up.
-    low, high
-        Where its limit switches are.
-    count
-        What the controller believes at power-up.
+    stands: Where it really stands at power-up.
+    low, high: Where its limit switches are.
+    count: What the controller believes at power-up.
 
-    Attributes
-    ----------
-    at_limit
-        Whether the last move ended at a switch.
-    homed
-        Whether it has found its origin since power-up.
+    at_limit: Whether the last move ended at a switch.
+    homed: Whether it has found its origin since power-up.
     """
 
     def __init__(
@@ -171,12 +162,8 @@ class Axes:
     still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with ``after``, ``count``,
     ``probability`` and ``seed`` counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
 
-    Parameters
-    ----------
-    axes
-        Arguments of :class:`Travel` by the axis' name.
-    count
-        What the controller believes at power-up.
+    axes: Arguments of :class:`Travel` by the axis' name.
+    count: What the controller believes at power-up.
     """
 
     def __init__(self, axes: Mapping[str, Mapping[str, float]], *, count: float = 0.0) -> None:

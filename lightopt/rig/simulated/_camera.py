@@ -56,20 +56,12 @@ class AxisWire:
 class CameraSetup:
     """What the camera looks at.
 
-    Attributes
-    ----------
-    rig, part
-        Files.
-    exposure_us
-        Exposure time of exposure 1 [µs].
-    lights
-        Where they are plugged in.
-    elevation, rotation
-        Axes; None: fixed at 0.
-    truth
-        How the bench differs from the files.
-    gige
-        Whether the camera is a GigE Vision camera on the loopback.
+    rig, part: Files.
+    exposure_us: Exposure time of exposure 1 [µs].
+    lights: Where they are plugged in.
+    elevation, rotation: Axes; None: fixed at 0.
+    truth: How the bench differs from the files.
+    gige: Whether the camera is a GigE Vision camera on the loopback.
     """
 
     rig: str
@@ -115,14 +107,9 @@ class CameraSetup:
 class BenchCamera:
     """Takes frames of what the devices do at the moment.
 
-    Parameters
-    ----------
-    setup
-        What it looks at.
-    levels
-        Brightness of a device's channels at this moment, as a share of its highest intensity.
-    positions
-        Where a device's axes stand at this moment, in device units.
+    setup: What it looks at.
+    levels: Brightness of a device's channels at this moment, as a share of its highest intensity.
+    positions: Where a device's axes stand at this moment, in device units.
     """
 
     def __init__(self, setup: CameraSetup, levels: Brightness, positions: Positions) -> None:
@@ -170,16 +157,10 @@ class BenchCamera:
     def look(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
         """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
 
-        Parameters
-        ----------
-        exposure_us
-            Exposure time [µs].
-        gain_db
-            Gain [dB].
-        triggered
-            Whether it begins now.
-        counted
-            False for a frame that is lost on its way: the next has the noise that it would have had.
+        exposure_us: Exposure time [µs].
+        gain_db: Gain [dB].
+        triggered: Whether it begins now.
+        counted: False for a frame that is lost on its way: the next has the noise that it would have had.
         """
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen

@@ -13,15 +13,9 @@ from lightopt.rig.simulated._process import BenchProcess
 class VirtualCamera:
     """A camera that takes its frames from the virtual bench, over a loopback socket.
 
-    Parameters
-    ----------
-    bench
-        With a camera. It stays open when the camera is closed.
+    bench: With a camera. It stays open when the camera is closed.
 
-    Raises
-    ------
-    HardwareError
-        When the bench does not answer.
+    Raises HardwareError when the bench does not answer.
     """
 
     def __init__(self, bench: BenchProcess) -> None:
@@ -60,10 +54,7 @@ class VirtualCamera:
     def set_exposure(self, exposure_us: float) -> float:
         """Hold an exposure time [µs], to the nearest microsecond.
 
-        Raises
-        ------
-        InputError
-            When it lies outside the camera's range.
+        Raises InputError when it lies outside the camera's range.
         """
         low, high = EXPOSURE_RANGE_US
         if not low <= exposure_us <= high:
@@ -78,10 +69,7 @@ class VirtualCamera:
 
         What has yet to be rendered is waited for first, as long as the bench answers: that is not the camera's time.
 
-        Raises
-        ------
-        HardwareError
-            When the bench does not deliver in time, or hangs.
+        Raises HardwareError when the bench does not deliver in time, or hangs.
         """
         try:
             self._bench.prepare()

@@ -62,12 +62,7 @@ class ControlServer:
     The first line of a connection is the token. Each request is a line ``{"do": name, …}``; each answer is a line
     ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``.
 
-    Parameters
-    ----------
-    handlers
-        What can be asked.
-    token
-        Secret that a client must know: other users of the computer reach the loopback too.
+    token: Secret that a client must know: other users of the computer reach the loopback too.
     """
 
     def __init__(self, handlers: Mapping[str, Handler], token: str) -> None:

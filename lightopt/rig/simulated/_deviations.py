@@ -11,21 +11,13 @@ from typing import Any
 class BenchTruth:
     """The world behind the devices.
 
-    Attributes
-    ----------
-    seed
-        Of the noise.
-    gains
-        Factor on the brightness of a light, by its name; 1 where none is given.
-    part_offset_mm
-        How far from its place the part lies, world frame at posture (0, 0) [mm].
-    dark_level
-        Added to the sensor's black level [sensor level].
-    ambient_level
-        Light that is always there, everywhere in the image [grey level at exposure 1].
-    triggered
-        Whether the camera's frames begin when asked for; otherwise they follow one another, and the first after a
-        change began before it.
+    seed: Of the noise.
+    gains: Factor on the brightness of a light, by its name; 1 where none is given.
+    part_offset_mm: How far from its place the part lies, world frame at posture (0, 0) [mm].
+    dark_level: Added to the sensor's black level [sensor level].
+    ambient_level: Light that is always there, everywhere in the image [grey level at exposure 1].
+    triggered: Whether the camera's frames begin when asked for; otherwise they follow one another, and the first after
+        a change began before it.
     """
 
     seed: int = 1

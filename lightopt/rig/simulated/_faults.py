@@ -14,21 +14,11 @@ from typing import Any
 class Trigger:
     """Decides at each occasion whether a fault strikes.
 
-    Parameters
-    ----------
-    after
-        Occasions that pass unharmed first.
-    count
-        Occasions that it strikes; None: all that follow.
-    probability
-        Chance that it strikes at an occasion that `after` and `count` leave to it.
-    seed
-        Seed of the chance.
+    after: Occasions that pass unharmed first.
+    count: Occasions that it strikes; None: all that follow.
+    seed: Seed of the chance.
 
-    Raises
-    ------
-    ValueError
-        For numbers out of range.
+    Raises ValueError for numbers out of range.
     """
 
     struck = 0
@@ -103,10 +93,7 @@ class Line:
     def inject(self, kind: str, options: Mapping[str, Any]) -> None:
         """Suffer a fault from now on; ``clear`` ends all.
 
-        Raises
-        ------
-        ValueError
-            For an option that the fault does not have.
+        Raises ValueError for an option that the fault does not have.
         """
         if kind == "clear":
             self._faults.clear()

@@ -26,10 +26,7 @@ class Firmware(Protocol):
 
         Faults of the line (replies dropped, late, cut short) are the host's and never come here.
 
-        Raises
-        ------
-        ValueError
-            For a fault or an option that the device does not know; the message lists those that it does.
+        Raises ValueError for a fault or an option that the device does not know; the message lists those that it does.
         """
         ...
 
@@ -65,17 +62,9 @@ FIRMWARE = {
 def build(kind: str, options: dict[str, Any]) -> Firmware:
     """Power up the firmware of a protocol.
 
-    Parameters
-    ----------
-    kind
-        Name of the protocol.
-    options
-        Keyword arguments of the firmware, of JSON's types.
+    kind: Name of the protocol.
 
-    Raises
-    ------
-    ValueError
-        For an unknown protocol, or options that its firmware refuses.
+    Raises ValueError for an unknown protocol, or options that its firmware refuses.
     """
     if kind not in FIRMWARE:
         raise ValueError(f'no firmware called "{kind}"; there is {", ".join(FIRMWARE)}')

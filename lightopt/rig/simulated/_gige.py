@@ -41,12 +41,8 @@ _PAIRED = {0x010C0004: 2, 0x010C0006: 4}
 def packed(levels: NDArray[np.integer[Any]], code: int) -> bytes:
     """Bytes of a frame.
 
-    Parameters
-    ----------
-    levels
-        Right-aligned, shape (H, W).
-    code
-        Number of the pixel format.
+    levels: Right-aligned, shape (H, W).
+    code: Number of the pixel format.
     """
     flat = levels.reshape(-1)
     if code in _DENSE:
@@ -82,24 +78,12 @@ _TRIGGER_US = 1_000
 class GigeCamera:
     """A GigE Vision camera at 127.0.0.1, the only one at a time on a computer.
 
-    Parameters
-    ----------
-    look
-        Delivers right-aligned levels, shape (H, W).
-    resolution_px
-        Width and height of its sensor.
-    bit_depth
-        Of the levels; the camera offers the pixel formats that have it.
+    look: Delivers right-aligned levels, shape (H, W).
+    resolution_px: Width and height of its sensor.
 
-    Attributes
-    ----------
-    serial
-        Its serial number.
+    serial: Its serial number.
 
-    Raises
-    ------
-    ValueError
-        When Aravis is not there, another such camera runs, or no pixel format has the bit depth.
+    Raises ValueError when Aravis is not there, another such camera runs, or no pixel format has the bit depth.
     """
 
     def __init__(self, look: Look, *, resolution_px: tuple[int, int], bit_depth: int) -> None:

@@ -46,10 +46,7 @@ class _Camera(Protocol):
 class GigeFaults:
     """Decides at each frame which faults strike, and lets the camera suffer them.
 
-    Parameters
-    ----------
-    camera
-        That suffers.
+    camera: That suffers.
     """
 
     def __init__(self, camera: _Camera) -> None:
@@ -64,10 +61,7 @@ class GigeFaults:
     def inject(self, fault: str, options: dict[str, Any]) -> None:
         """Let a fault strike as its options say; ``clear`` ends all.
 
-        Raises
-        ------
-        ValueError
-            For a fault or an option that there is not.
+        Raises ValueError for a fault or an option that there is not.
         """
         if fault == "clear":
             self._triggers = {}

@@ -26,15 +26,9 @@ CAMERA = "camera"
 def run(spec: Mapping[str, Any]) -> None:
     """Serve a bench: print one JSON line with its ports, and return when standard input ends.
 
-    Parameters
-    ----------
-    spec
-        ``devices`` (see :class:`World`), ``tcp``, and ``camera`` (see :class:`CameraSetup`).
+    spec: ``devices`` (see :class:`World`), ``tcp``, and ``camera`` (see :class:`CameraSetup`).
 
-    Raises
-    ------
-    ValueError
-        For devices that cannot be built; nothing is served then.
+    Raises ValueError for devices that cannot be built; nothing is served then.
     """
     world = World(spec["devices"], tcp=bool(spec.get("tcp", not have_ptys)))
     requests = handlers(world)

@@ -14,16 +14,8 @@ class Lamps:
     ``share`` of its light), ``swapped`` (its plug is where that of channel ``other`` belongs, and the other way round),
     each for one channel; ``power_cycle`` (the channels are as at power-up).
 
-    Parameters
-    ----------
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    levels
-        Intensities at power-up by channel, 0 where absent. Keys may be text, as in JSON.
-    on
-        Whether the channels are switched on at power-up.
+    levels: Intensities at power-up by channel, 0 where absent. Keys may be text, as in JSON.
+    on: Whether the channels are switched on at power-up.
     """
 
     FAULTS = ("dark", "lit", "deaf", "aged", "swapped", "power_cycle")

@@ -26,18 +26,9 @@ class CcsFirmware:
     not obeyed) and ``checksum`` (the reply's checksum is wrong), with ``after``, ``count``, ``probability`` and
     ``seed``.
 
-    Parameters
-    ----------
-    channels
-        Number of channels.
-    top_level
-        Highest intensity; intensities have three digits, or four where it has.
-    levels
-        Intensities at power-up by channel.
-    on
-        Whether the channels are switched on at power-up.
-    gap_s
-        Time [s] that must pass after a frame; a frame that comes earlier is not heard.
+    levels: Intensities at power-up by channel.
+    on: Whether the channels are switched on at power-up.
+    gap_s: Time [s] that must pass after a frame; a frame that comes earlier is not heard.
     """
 
     def __init__(

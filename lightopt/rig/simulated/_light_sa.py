@@ -24,16 +24,8 @@ class SaFirmware:
     Faults besides those of its lamps: ``ng`` (the command is refused and not obeyed), with ``after``, ``count``,
     ``probability`` and ``seed``.
 
-    Parameters
-    ----------
-    channels
-        Number of channels, up to 6.
-    top_level
-        Highest intensity.
-    levels
-        Intensities at power-up by channel.
-    ack
-        How a set is acknowledged: the channel's letter in ``upper`` or ``lower`` case, or ``!``.
+    levels: Intensities at power-up by channel.
+    ack: How a set is acknowledged: the channel's letter in ``upper`` or ``lower`` case, or ``!``.
     """
 
     def __init__(

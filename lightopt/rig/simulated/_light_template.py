@@ -19,17 +19,9 @@ class TemplateFirmware:
     Faults besides those of its lamps: ``ng`` (the command is answered ``?`` with the end of replies and not obeyed),
     with ``after``, ``count``, ``probability`` and ``seed``.
 
-    Parameters
-    ----------
-    template
-        Commands and patterns as in the rig file: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``,
+    template: Commands and patterns as in the rig file: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``,
         ``read_reply``, ``end``; those that are None or absent do not exist.
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    levels
-        Intensities at power-up by channel.
+    levels: Intensities at power-up by channel.
     """
 
     def __init__(
@@ -127,17 +119,9 @@ def example(pattern: str, level: int | None = None) -> str:
     Alternatives are resolved to the first, repetitions to the fewest; a group named ``level`` becomes the level, with
     as many leading zeros as the pattern wants.
 
-    Parameters
-    ----------
-    pattern
-        Regular expression.
-    level
-        Value of the group ``level``.
+    pattern: Regular expression.
 
-    Raises
-    ------
-    ValueError
-        When none can be made up: the pattern looks around, refers back, or is conditional.
+    Raises ValueError when none can be made up: the pattern looks around, refers back, or is conditional.
     """
     for width in range(1, _WIDEST + 1):
         text = _Maker(pattern, "" if level is None else f"{level:0{width}d}").make()

@@ -30,12 +30,8 @@ class BenchOptics:
 
     Images add linearly, so that one linear layer per light and posture serves every level and exposure; they are kept.
 
-    Parameters
-    ----------
-    scene
-        Rig and part as their files have them.
-    truth
-        How the bench differs from them.
+    scene: Rig and part as their files have them.
+    truth: How the bench differs from them.
     """
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
@@ -71,18 +67,11 @@ class BenchOptics:
 
         The noise depends on the seed, on what is seen, and on how many frames of it were taken before.
 
-        Parameters
-        ----------
-        shares
-            Brightness of the lights by name, as a share of the one that the rig describes; those that burn.
-        posture
-            Where the stage stands.
-        exposure
-            Relative exposure.
-        gain_db
-            Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
-        counted
-            Whether it counts among the frames that were taken before the next.
+        shares: Brightness of the lights by name, as a share of the one that the rig describes; those that burn.
+        posture: Where the stage stands.
+        exposure: Relative exposure.
+        gain_db: Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
+        counted: Whether it counts among the frames that were taken before the next.
         """
         gain = 10.0 ** (gain_db / 20.0)
         electrons = self._scene.sensor.electrons_per_level

@@ -46,27 +46,15 @@ def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
 class BenchProcess:
     """A virtual bench in a process of its own, which ends with this object or with this process.
 
-    Parameters
-    ----------
-    devices
-        By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
+    devices: By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
         ``tcp`` and ``wedges`` of the wire.
-    tcp
-        Whether devices that do not say are on TCP instead of pseudo-terminals; None: where there are none.
-    **more
-        Further keys of the description that the process gets.
+    tcp: Whether devices that do not say are on TCP instead of pseudo-terminals; None: where there are none.
+    **more: Further keys of the description that the process gets.
 
-    Attributes
-    ----------
-    ports
-        What a driver opens, by device.
+    ports: What a driver opens, by device.
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When a device cannot be as described.
-    lightopt.core.errors.HardwareError
-        When the process does not start.
+    Raises InputError when a device cannot be as described.
+    Raises HardwareError when the process does not start.
     """
 
     def __init__(
@@ -99,21 +87,11 @@ class BenchProcess:
     ) -> tuple[dict[str, Any], bytes]:
         """Ask the bench; returns the answer and the bytes that came with it.
 
-        Parameters
-        ----------
-        do
-            What is asked.
-        timeout_s
-            Longest wait for the answer [s]. A bench that leaves a question unanswered is asked nothing more.
-        **arguments
-            Of the question.
+        do: What is asked.
+        **arguments: Of the question.
 
-        Raises
-        ------
-        ValueError
-            When the bench says that the request is wrong.
-        lightopt.core.errors.HardwareError
-            When the bench is gone, or did not answer in time.
+        Raises ValueError when the bench says that the request is wrong.
+        Raises HardwareError when the bench is gone, or did not answer in time.
         """
         with self._lock:
             try:
@@ -140,10 +118,7 @@ class BenchProcess:
     def prepare(self) -> None:
         """Wait until what the camera will see is rendered, however long that takes; meanwhile the bench has to answer.
 
-        Raises
-        ------
-        lightopt.core.errors.HardwareError
-            When it cannot be rendered, or the bench is gone or hangs.
+        Raises HardwareError when it cannot be rendered, or the bench is gone or hangs.
         """
         try:
             while not self.request("prepare", timeout_s=_ANSWER_S)[0]["ready"]:

@@ -34,14 +34,8 @@ class GrblFirmware:
     (option ``code``: lines are answered by ``error:code``, with ``after``, ``count``, ``probability`` and ``seed``),
     ``power_cycle``.
 
-    Parameters
-    ----------
-    axes
-        Where each axis really stands at power-up, and its switches; see :class:`Axes`.
-    settings
-        Settings other than the usual ones by number: ``{"22": 1}``.
-    home_speed
-        Speed of the search for the switches [mm/s].
+    axes: Where each axis really stands at power-up, and its switches; see :class:`Axes`.
+    home_speed: Speed of the search for the switches [mm/s].
     """
 
     def __init__(

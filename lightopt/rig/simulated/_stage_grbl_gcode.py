@@ -24,14 +24,9 @@ class GcodeError(Exception):
 class Modes:
     """What one line leaves to the next.
 
-    Attributes
-    ----------
-    rapid
-        G0 rather than G1.
-    relative
-        G91 rather than G90.
-    feed
-        F [mm/min].
+    rapid: G0 rather than G1.
+    relative: G91 rather than G90.
+    feed: F [mm/min].
     """
 
     rapid: bool = True
@@ -43,14 +38,9 @@ class Modes:
 class Move:
     """What a line asks for.
 
-    Attributes
-    ----------
-    words
-        Axis words by letter [mm].
-    relative, rapid, feed
-        How to read and go them.
-    dwell_s
-        G4: time [s] to wait when all moves are done; None without one.
+    words: Axis words by letter [mm].
+    relative, rapid, feed: How to read and go them.
+    dwell_s: G4: time [s] to wait when all moves are done; None without one.
     """
 
     words: dict[str, float] = field(default_factory=dict[str, float])
@@ -63,10 +53,7 @@ class Move:
 def parse_line(text: str, modes: Modes, *, jog: bool = False) -> Move:
     """Read a line, and change the modes as it says; a jog changes none.
 
-    Raises
-    ------
-    GcodeError
-        When Grbl would refuse it; the modes are then as they were.
+    Raises GcodeError when Grbl would refuse it; the modes are then as they were.
     """
     line = re.sub(r"\s", "", text).upper()
     words: dict[str, float] = {}
@@ -120,10 +107,7 @@ _SOFT_LIMITS, _HOMING = 20, 22
 class Settings:
     """The settings by number.
 
-    Parameters
-    ----------
-    changed
-        Those that are not as new, by their numbers as text.
+    changed: Those that are not as new, by their numbers as text.
     """
 
     def __init__(self, changed: Mapping[str, float]) -> None:
@@ -151,10 +135,7 @@ class Settings:
     def set_from(self, line: str) -> None:
         """Obey ``$number=value``.
 
-        Raises
-        ------
-        GcodeError
-            When Grbl refuses it.
+        Raises GcodeError when Grbl refuses it.
         """
         match = re.fullmatch(r"\$(\d+)=(\d+(?:\.\d+)?)", line)
         if match is None or int(match[1]) not in self._values:

@@ -37,14 +37,9 @@ class Controller:
     Faults besides those of its axes: ``refuse`` (a command is refused and not obeyed), with ``after``, ``count``,
     ``probability`` and ``seed`` counting commands other than questions; ``power_cycle``.
 
-    Parameters
-    ----------
-    axes
-        Arguments of each axis by its number, ``"1"`` or ``"1"`` and ``"2"``; see :class:`Axes`. None: two of them.
-    speed
-        Speed at power-up [pulses/s].
-    home_speed
-        Speed of the search for the origin [pulses/s].
+    axes: Arguments of each axis by its number, ``"1"`` or ``"1"`` and ``"2"``; see :class:`Axes`. None: two of them.
+    speed: Speed at power-up [pulses/s].
+    home_speed: Speed of the search for the origin [pulses/s].
     """
 
     def __init__(
@@ -169,14 +164,9 @@ _TOP_SPEED = 500_000
 class ShotFirmware:
     """A SHOT controller; faults as :class:`~lightopt.rig.simulated._stage_sigmakoki.Controller` has them.
 
-    Parameters
-    ----------
-    axes
-        Arguments of each axis by its number.
-    speed, home_speed
-        Speed at power-up, and of the search for the origin [pulses/s].
-    detached
-        Whether a sign stands at the left edge of its column rather than before the digits.
+    axes: Arguments of each axis by its number.
+    speed, home_speed: Speed at power-up, and of the search for the origin [pulses/s].
+    detached: Whether a sign stands at the left edge of its column rather than before the digits.
     """
 
     def __init__(
@@ -272,12 +262,8 @@ _RANGES = {"1": (1, 200), "2": (50, 20_000)}
 class GscFirmware:
     """A GSC-02; faults as :class:`~lightopt.rig.simulated._stage_sigmakoki.Controller` has them.
 
-    Parameters
-    ----------
-    axes
-        Arguments of each axis by its number.
-    speed, home_speed
-        Speed at power-up, and of the search for the origin [pulses/s].
+    axes: Arguments of each axis by its number.
+    speed, home_speed: Speed at power-up, and of the search for the origin [pulses/s].
     """
 
     def __init__(

@@ -28,18 +28,11 @@ class ZaberFirmware:
     BADDATA unless told), ``checksum`` (a reply's checksum is wrong), both with ``after``, ``count``, ``probability``
     and ``seed``; ``power_cycle``.
 
-    Parameters
-    ----------
-    axes
-        Arguments of each axis by its number; see :class:`Axes`. None: two of them.
-    limits
-        ``limit.min`` and ``limit.max`` of each axis by its number.
-    maxspeed
-        Speed at first, in the unit of the setting.
-    home_speed
-        Speed of the search for the home sensor [microsteps/s].
-    checksums
-        Whether replies carry a checksum.
+    axes: Arguments of each axis by its number; see :class:`Axes`. None: two of them.
+    limits: ``limit.min`` and ``limit.max`` of each axis by its number.
+    maxspeed: Speed at first, in the unit of the setting.
+    home_speed: Speed of the search for the home sensor [microsteps/s].
+    checksums: Whether replies carry a checksum.
     """
 
     def __init__(

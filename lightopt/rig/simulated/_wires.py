@@ -86,10 +86,7 @@ class PtyWire:
 class TcpWire:
     """A TCP socket on the loopback that serves one client at a time, as controllers with Ethernet do.
 
-    Parameters
-    ----------
-    wedges
-        Whether a client that connects and leaves without a word puts the device out of order, as the PD3-EI does.
+    wedges: Whether a client that connects and leaves without a word puts the device out of order, as the PD3-EI does.
     """
 
     def __init__(self, *, wedges: bool = False) -> None:

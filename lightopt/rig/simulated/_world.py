@@ -38,14 +38,8 @@ class Change:
 class Device:
     """A simulated device on its wire.
 
-    Parameters
-    ----------
-    kind
-        Protocol of its firmware.
-    options
-        Keyword arguments of its firmware.
-    wire
-        Its wire.
+    kind: Protocol of its firmware.
+    wire: Its wire.
     """
 
     def __init__(self, kind: str, options: dict[str, Any], wire: Wire) -> None:
@@ -121,17 +115,10 @@ class World:
 
     Hold `lock` while touching the devices: the wires are served by one thread, requests by others.
 
-    Parameters
-    ----------
-    devices
-        By name: ``kind`` and, optionally, ``options`` of the firmware, ``tcp`` and ``wedges`` of the wire.
-    tcp
-        Whether devices that do not say are on TCP; by default where there are no pseudo-terminals.
+    devices: By name: ``kind`` and, optionally, ``options`` of the firmware, ``tcp`` and ``wedges`` of the wire.
+    tcp: Whether devices that do not say are on TCP; by default where there are no pseudo-terminals.
 
-    Raises
-    ------
-    ValueError
-        For firmware that does not exist, or options that it refuses.
+    Raises ValueError for firmware that does not exist, or options that it refuses.
     """
 
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool = not have_ptys) -> None:
@@ -162,12 +149,7 @@ class World:
     def serve(self, now: float, ready: Collection[int]) -> None:
         """Let every device hear and speak once that has something to.
 
-        Parameters
-        ----------
-        now
-            [s], monotonic clock.
-        ready
-            Of the file descriptors that wait, those with something to read.
+        ready: Of the file descriptors that wait, those with something to read.
         """
         with self.lock:
             for device in self.devices.values():
@@ -202,10 +184,7 @@ class World:
     def pull(self, name: str) -> None:
         """Pull the cable of a device, and wait until nobody holds its end any more.
 
-        Raises
-        ------
-        KeyError
-            For a device that is not there.
+        Raises KeyError for a device that is not there.
         """
         with self.lock:
             self.devices[name].wire.pull()
