@@ -15,7 +15,7 @@ from lightopt.core.errors import HardwareError, InputError, LightoptError
 if TYPE_CHECKING:
     from lightopt.config import CameraDeviceConfig, RigConfig
     from lightopt.rig.capture import Devices
-    from lightopt.rig.devices import CameraHere
+    from lightopt.rig.devices import CameraInfo
 
 
 bench = typer.Typer(
@@ -246,11 +246,11 @@ def list_devices(
     show_table(("device", "driver", "port", "there"), rows, numbers_from=4)
 
 
-def _show_cameras(producer: Path | None) -> list[CameraHere]:
+def _show_cameras(producer: Path | None) -> list[CameraInfo]:
     """List the cameras that answer, and say what could not be asked."""
-    from lightopt.rig.devices import cameras_here
+    from lightopt.rig.devices import find_cameras
 
-    cameras, problems = cameras_here(producer)
+    cameras, problems = find_cameras(producer)
     say("")
     if cameras:
         show_table(
@@ -265,7 +265,7 @@ def _show_cameras(producer: Path | None) -> list[CameraHere]:
     return cameras
 
 
-def _camera_here(config: CameraDeviceConfig, cameras: list[CameraHere]) -> str:
+def _camera_here(config: CameraDeviceConfig, cameras: list[CameraInfo]) -> str:
     """Whether the camera of a rig is among those that answer."""
     if config.driver not in ("aravis", "genicam"):
         return "simulated" if config.driver == "virtual" else ""

@@ -13,7 +13,7 @@ from fault_cases import make_rig
 
 from lightopt.cli._main import run
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices import CameraSettings, cameras_here, check_camera_driver, open_camera
+from lightopt.rig.devices import CameraSettings, check_camera_driver, find_cameras, open_camera
 from lightopt.rig.devices._camera_genicam import GenicamSdk
 from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, levels_of
 from lightopt.rig.devices._drivers import camera_drivers
@@ -31,14 +31,14 @@ def rig_with(folder: Path, camera: str) -> Path:
 
 def test_cameras_of_a_producer_are_listed() -> None:
     needs("genicam")
-    cameras, _ = cameras_here(viky())
+    cameras, _ = find_cameras(viky())
     assert [camera.serial for camera in cameras if camera.driver == "genicam"] == ["0", "1", "2"]
 
 
 def test_producers_that_installers_have_named_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     needs("genicam")
     monkeypatch.setenv("GENICAM_GENTL64_PATH", str(viky().parent))
-    cameras, _ = cameras_here()
+    cameras, _ = find_cameras()
     assert "VikyTL_DEV_red" in [camera.identifier for camera in cameras]
 
 

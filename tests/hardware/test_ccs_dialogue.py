@@ -268,7 +268,7 @@ def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_told(
     controller = CcsController(link)
     controller.set_level(1, 255)
     assert controller.read_level(1) is None
-    assert controller.identify().says["read_back"] == "no"
+    assert controller.identify().details["read_back"] == "no"
     assert any("cannot be read back" in e.what for e in controller.events)
     assert port.dialogue == []
 

@@ -93,7 +93,7 @@ def test_sa_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
     controller = SaController(link)
     controller.set_level(1, 100)
     assert controller.read_level(1) is None
-    assert controller.identify().says == {"read_back": "no"}
+    assert controller.identify().details == {"read_back": "no"}
     assert port.dialogue == []
 
 

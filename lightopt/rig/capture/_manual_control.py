@@ -57,7 +57,7 @@ def device_rows(
             f"controller {name}",
             lambda controller=controller, config=config: (
                 f"{config.driver} on {config.port}"
-                + "".join(f", {key} {value}" for key, value in controller.identify().says.items())
+                + "".join(f", {key} {value}" for key, value in controller.identify().details.items())
             ),
         )
     for light in rig.lights:

@@ -84,8 +84,8 @@ def opened_camera(
     return open_camera(
         config.driver,
         settings,
-        tell=None if log is None else log.note,
-        ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
+        on_event=None if log is None else log.note,
+        wait_ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
     )
 
 

@@ -15,7 +15,7 @@ from lightopt.rig.devices import (
     SerialLog,
     all_off,
     light_drivers,
-    side_by_side,
+    run_in_parallel,
 )
 
 NONE_OF_THE_RIG = "none that the rig has a name for"
@@ -75,7 +75,7 @@ def open_lights(
     opened
         Called with each that is open, before anything else is sent to it, from the thread that opened it.
     """
-    done = side_by_side(
+    done = run_in_parallel(
         {
             name: lambda name=name: _open_one(
                 wiring, name, port=ports.get(name), log=log, darken=darken, opened=opened

@@ -18,7 +18,7 @@ from lightopt.rig.devices._camera_pixels import levels_of
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._errors import ReplyError
 from lightopt.rig.devices._log import Event, now
-from lightopt.rig.devices._retry import ATTEMPTS, Persistence
+from lightopt.rig.devices._retry import ATTEMPTS, Retry
 from lightopt.rig.devices._roles import Frame, Identity
 
 _LAST_ID = 0xFFFF
@@ -97,17 +97,17 @@ class MachineCamera:
         sdk: CameraSdk,
         settings: CameraSettings,
         *,
-        tell: Callable[[Event], None] | None = None,
-        ready: Callable[[], object] | None = None,
+        on_event: Callable[[Event], None] | None = None,
+        wait_ready: Callable[[], object] | None = None,
     ) -> None:
         self.events: list[Event] = []
         self._driver = driver
         self._sdk = sdk
         self._settings = settings
-        self._tell = tell
-        self._ready = ready
+        self._on_event = on_event
+        self._wait_ready = wait_ready
         self._order = FrameOrder()
-        self._persistence = Persistence(self, verb="taken")
+        self._retry = Retry(self, verb="taken")
         self._running = False
         try:
             switch_off_corrections(sdk, settings)
@@ -121,37 +121,29 @@ class MachineCamera:
 
     @property
     def triggered(self) -> bool:
-        """Whether a frame begins at the call of `grab`."""
         return self._triggered
 
     @property
     def resolution_px(self) -> tuple[int, int]:
-        """Width and height [pixels]."""
         return self._settings.resolution_px
 
     @property
     def bit_depth(self) -> int:
-        """Bits of a level."""
         return self._format.bits
 
     @property
     def exposure_range_us(self) -> tuple[float, float]:
-        """Shortest and longest exposure time [µs]."""
         return self._exposure.range_us
 
     def identify(self) -> Identity:
         """What the camera said of itself when it was opened, and how it was set."""
-        says = {**self._sdk.says, "pixel_format": self._format.name}
-        says["trigger"] = "software" if self._triggered else "none"
+        details = {**self._sdk.details, "pixel_format": self._format.name}
+        details["trigger"] = "software" if self._triggered else "none"
         if self._gain is not None:
-            says["gain"] = f"{self._sdk.number(self._gain):g}"
-        return Identity(driver=self._driver, port=self._settings.port or "the only one", says=says)
+            details["gain"] = f"{self._sdk.number(self._gain):g}"
+        return Identity(driver=self._driver, port=self._settings.port or "the only one", details=details)
 
     def set_exposure(self, exposure_us: float) -> float:
-        """Set the exposure time [µs] and return what the camera holds.
-
-        Raises InputError when it lies outside the camera's range.
-        """
         return self._exposure.tell_us(exposure_us)
 
     def grab(self, *, timeout_s: float) -> Frame:
@@ -162,23 +154,22 @@ class MachineCamera:
 
         Raises HardwareError when no sound frame came in time or in the attempts that there are.
         """
-        if self._ready is not None:
-            self._ready()
+        if self._wait_ready is not None:
+            self._wait_ready()
         end = time.monotonic() + timeout_s
         fit = int(timeout_s / max(1e-6, self._exposure.held_us / 1e6))
         each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
-        raw = self._persistence.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
+        raw = self._retry.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
         levels = levels_of(raw.data, self._format, width=raw.width, height=raw.height)
         return Frame(
             levels=levels,
             exposure_us=self._exposure.read_us(),
             number=raw.number,
             timestamp_ns=raw.timestamp_ns,
-            says={"pixel_format": self._format.name, "frames_lost": self._order.lost},
+            details={"pixel_format": self._format.name, "frames_lost": self._order.lost},
         )
 
     def close(self) -> None:
-        """Stop and give up the camera; never raises."""
         with suppress(LightoptError):  # it is given up in any case
             self._stop()
         self._sdk.close()
@@ -188,11 +179,10 @@ class MachineCamera:
         self._stop()
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Tell of something out of the ordinary."""
         event = Event(now(), f"camera {self._settings.port or self._driver}", what, retry)
         self.events.append(event)
-        if self._tell is not None:
-            self._tell(event)
+        if self._on_event is not None:
+            self._on_event(event)
 
     def _take(self, end: float) -> RawFrame:
         if not self._running:

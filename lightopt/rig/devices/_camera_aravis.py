@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_sdk import CameraHere, CameraSettings, RawFrame, choose_camera
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings, RawFrame, choose_camera
 from lightopt.rig.devices._errors import LinkLostError
 
 _BUFFERS = 4
@@ -36,7 +36,7 @@ def load_aravis() -> Any:
         raise InputError(f"camera driver aravis: Aravis is not there ({error}); {_INSTALL}") from None
 
 
-def aravis_cameras() -> list[CameraHere]:
+def find_aravis_cameras() -> list[CameraInfo]:
     """Cameras on the networks and USB ports of this computer; none is opened.
 
     Raises InputError when Aravis is not there.
@@ -44,7 +44,7 @@ def aravis_cameras() -> list[CameraHere]:
     library = load_aravis()
     library.update_device_list()
     return [
-        CameraHere(
+        CameraInfo(
             driver="aravis",
             identifier=library.get_device_id(i) or "",
             serial=library.get_device_serial_nbr(i) or "",
@@ -65,7 +65,7 @@ class AravisSdk:
     def __init__(self, settings: CameraSettings) -> None:
         self._library = load_aravis()
         self._failure: Any = import_module("gi.repository.GLib").Error
-        chosen = choose_camera(aravis_cameras(), settings)
+        chosen = choose_camera(find_aravis_cameras(), settings)
         self._where = settings.where
         self._lost: str | None = None
         self._stream: Any = None
@@ -73,7 +73,7 @@ class AravisSdk:
             f"opening {chosen}", lambda: self._library.Camera.new(chosen.identifier)
         )
         self._device: Any = self._camera.get_device()
-        self.says = {
+        self.details = {
             name: value
             for name, value in (
                 ("model", chosen.model),
@@ -90,24 +90,20 @@ class AravisSdk:
             )
 
     def has(self, feature: str) -> bool:
-        """Whether the camera has a feature."""
         return self._try(feature, lambda: bool(self._camera.is_feature_available(feature)))
 
     def number(self, feature: str) -> float:
-        """Read a number."""
         if self._is_float(feature):
             return self._try(f"reading {feature}", lambda: float(self._camera.get_float(feature)))
         return self._try(f"reading {feature}", lambda: float(self._camera.get_integer(feature)))
 
     def set_number(self, feature: str, value: float) -> None:
-        """Write a number."""
         if self._is_float(feature):
             self._try(f"setting {feature}", lambda: self._camera.set_float(feature, float(value)))
         else:
             self._try(f"setting {feature}", lambda: self._camera.set_integer(feature, round(value)))
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
-        """Lowest and highest number, and the step between them."""
         kind = "float" if self._is_float(feature) else "integer"
 
         def ask() -> tuple[float, float, float]:
@@ -118,39 +114,31 @@ class AravisSdk:
         return low, high, step if 0 < step < high else 0.0
 
     def unit(self, feature: str) -> str:
-        """What a number counts."""
         ask = self._device.get_feature(feature).get_unit
         return str(self._try(f"asking for the unit of {feature}", ask) or "").strip()
 
     def word(self, feature: str) -> str:
-        """Read the entry of an enumeration."""
         return self._try(f"reading {feature}", lambda: str(self._camera.get_string(feature)))
 
     def set_word(self, feature: str, word: str) -> None:
-        """Choose an entry of an enumeration."""
         self._try(f"setting {feature}", lambda: self._camera.set_string(feature, word))
 
     def words(self, feature: str) -> tuple[str, ...]:
-        """Entries of an enumeration."""
         return self._try(
             f"asking for the entries of {feature}",
             lambda: tuple(self._camera.dup_available_enumerations_as_strings(feature)),
         )
 
     def is_on(self, feature: str) -> bool:
-        """Read a truth value."""
         return self._try(f"reading {feature}", lambda: bool(self._camera.get_boolean(feature)))
 
     def switch_off(self, feature: str) -> None:
-        """Set a truth value to false."""
         self._try(f"setting {feature}", lambda: self._camera.set_boolean(feature, False))
 
     def do(self, feature: str) -> None:
-        """Execute a command."""
         self._try(f"executing {feature}", lambda: self._camera.execute_command(feature))
 
     def start(self) -> None:
-        """Begin an acquisition."""
         if self._stream is None:
             self._stream = self._try("opening the stream", lambda: self._camera.create_stream(None, None))
             if self._stream is None:
@@ -166,11 +154,9 @@ class AravisSdk:
         self._try("starting the acquisition", self._camera.start_acquisition)
 
     def stop(self) -> None:
-        """End the acquisition."""
         self._try("stopping the acquisition", self._camera.stop_acquisition)
 
     def pop(self, timeout_s: float) -> RawFrame | None:
-        """The next frame."""
         end = time.monotonic() + timeout_s
         while True:
             left_s = min(end - time.monotonic(), _SLICE_S)
@@ -187,7 +173,6 @@ class AravisSdk:
                 return None
 
     def close(self) -> None:
-        """Give the camera up; never raises."""
         # the stream goes first: its end resets the camera's stream port, which would be that of the next program
         self._stream = None
         self._device = None

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_sdk import CameraHere, CameraSettings, RawFrame, choose_camera
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings, RawFrame, choose_camera
 from lightopt.rig.devices._errors import LinkLostError
 
 _BUFFERS = 4
@@ -38,13 +38,13 @@ def load_harvester() -> Any:
         ) from None
 
 
-def producers_here() -> list[Path]:
+def find_producers() -> list[Path]:
     """GenTL producers that makers' installers have named in GENICAM_GENTL64_PATH."""
     folders = os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep)
     return sorted(path for folder in folders if folder for path in Path(folder).glob("*.cti"))
 
 
-def genicam_cameras(producer: Path | str) -> list[CameraHere]:
+def find_genicam_cameras(producer: Path | str) -> list[CameraInfo]:
     """Cameras that a producer finds; none is opened.
 
     Raises InputError when library or producer are not there.
@@ -83,14 +83,13 @@ class GenicamSdk:
             self.close()
             raise
         self._nodes: Any = self._acquirer.remote_device.node_map
-        self.says = {
+        self.details = {
             "model": chosen.model,
             "serial": chosen.serial,
             "producer": Path(settings.producer or "").name,
         }
 
     def has(self, feature: str) -> bool:
-        """Whether the camera has a feature, and it can be used as things are."""
         if not self._nodes.has_node(feature):
             return False
         mode = self._try(feature, lambda: self._nodes.get_node(feature).get_access_mode())
@@ -98,17 +97,14 @@ class GenicamSdk:
         return mode in (modes.RW, modes.RO, modes.WO)
 
     def number(self, feature: str) -> float:
-        """Read a number."""
         return self._try(f"reading {feature}", lambda: float(self._node(feature).value))
 
     def set_number(self, feature: str, value: float) -> None:
-        """Write a number."""
         node = self._node(feature)
         whole = type(node).__name__ == "IInteger"
         self._try(f"setting {feature}", lambda: setattr(node, "value", round(value) if whole else value))
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
-        """Lowest and highest number, and the step between them."""
         node = self._node(feature)
         whole = type(node).__name__ == "IInteger"
         return self._try(
@@ -117,44 +113,34 @@ class GenicamSdk:
         )
 
     def unit(self, feature: str) -> str:
-        """What a number counts."""
         node = self._node(feature)
         return _known(lambda: str(node.unit or "").strip(), "")
 
     def word(self, feature: str) -> str:
-        """Read the entry of an enumeration."""
         return self._try(f"reading {feature}", lambda: str(self._node(feature).value))
 
     def set_word(self, feature: str, word: str) -> None:
-        """Choose an entry of an enumeration."""
         self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", word))
 
     def words(self, feature: str) -> tuple[str, ...]:
-        """Entries of an enumeration."""
         return self._try(f"asking for the entries of {feature}", lambda: tuple(self._node(feature).symbolics))
 
     def is_on(self, feature: str) -> bool:
-        """Read a truth value."""
         return self._try(f"reading {feature}", lambda: bool(self._node(feature).value))
 
     def switch_off(self, feature: str) -> None:
-        """Set a truth value to false."""
         self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", False))
 
     def do(self, feature: str) -> None:
-        """Execute a command."""
         self._try(f"executing {feature}", lambda: self._node(feature).execute())
 
     def start(self) -> None:
-        """Begin an acquisition."""
         self._try("starting the acquisition", self._acquirer.start)
 
     def stop(self) -> None:
-        """End the acquisition; buffers of it are given back."""
         self._try("stopping the acquisition", self._acquirer.stop)
 
     def pop(self, timeout_s: float) -> RawFrame | None:
-        """The next frame."""
         end = time.monotonic() + timeout_s
         while True:
             left_s = min(end - time.monotonic(), _SLICE_S)
@@ -168,7 +154,6 @@ class GenicamSdk:
                 return None
 
     def close(self) -> None:
-        """Give the camera up; never raises."""
         self._nodes = None
         for action in ((self._acquirer.destroy,) if self._acquirer is not None else ()) + (
             self._harvester.reset,
@@ -243,7 +228,7 @@ class GenicamSdk:
 
 
 def _known(ask: Callable[[], Value], otherwise: Value) -> Value:
-    """What the producer says, or something else where it cannot say."""
+    """What the producer details, or something else where it cannot say."""
     try:
         return ask()
     except Exception:  # noqa: BLE001  (each producer lacks other things, and says so in its own way)
@@ -264,12 +249,12 @@ def _harvester(producer: Path | str, where: str) -> Any:
     return harvester
 
 
-def _cameras(harvester: Any) -> list[CameraHere]:
-    here: list[CameraHere] = []
+def _cameras(harvester: Any) -> list[CameraInfo]:
+    here: list[CameraInfo] = []
     for info in harvester.device_info_list:
         said = info.property_dict
         here.append(
-            CameraHere(
+            CameraInfo(
                 driver="genicam",
                 identifier=str(said.get("id_") or ""),
                 serial=str(said.get("serial_number") or ""),

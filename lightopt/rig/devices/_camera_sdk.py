@@ -42,7 +42,7 @@ class CameraSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraHere:
+class CameraInfo:
     """A camera that answered when all were asked who is there.
 
     driver: That would open it.
@@ -65,7 +65,7 @@ class CameraHere:
         return f"{self.model or self.identifier} ({', '.join(dict.fromkeys(self.names))})"
 
 
-def choose_camera(here: list[CameraHere], settings: CameraSettings) -> CameraHere:
+def choose_camera(here: list[CameraInfo], settings: CameraSettings) -> CameraInfo:
     """The camera that is meant.
 
     Raises InputError when it is not there, or not said which of several.
@@ -146,73 +146,37 @@ class CameraSdk(Protocol):
     """An opened camera. Features have the names of GenICam's Standard Features Naming Convention (SFNC).
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not answer or refuses, and
-    :class:`~lightopt.rig.devices.LinkLostError` when it is gone.
+    :class:`~lightopt.rig.devices.LinkLostError` when it is gone; `close` never raises.
+
+    details: Maker, model, serial number, address, as far as they are known.
+    has: Whether the camera has a feature and it can be used as things are.
+    number, set_number: Read or write a number; it is rounded where the feature is whole.
+    bounds: Lowest and highest number, and the step between them (0: any).
+    unit: Unit of a number (us, dB); empty where the camera gives none.
+    word, set_word, words: Read or choose the entry of an enumeration; those that can be chosen.
+    is_on, switch_off: Read a truth value, or set it to false.
+    do: Execute a command.
+    start: Begin an acquisition; no frame of an earlier one is delivered afterwards.
+    pop: The next frame, whole or not; None when none came in time.
     """
 
     @property
-    def says(self) -> dict[str, str]:
-        """What the camera says of itself: maker, model, serial number, address."""
-        ...
-
-    def has(self, feature: str) -> bool:
-        """Whether the camera has a feature and it can be used as things are."""
-        ...
-
-    def number(self, feature: str) -> float:
-        """Read a number."""
-        ...
-
-    def set_number(self, feature: str, value: float) -> None:
-        """Write a number, rounded where the feature is whole."""
-        ...
-
-    def bounds(self, feature: str) -> tuple[float, float, float]:
-        """Lowest and highest number, and the step between them (0: any)."""
-        ...
-
-    def unit(self, feature: str) -> str:
-        """What the camera says that a number counts (us, dB); empty where it says nothing."""
-        ...
-
-    def word(self, feature: str) -> str:
-        """Read the entry of an enumeration."""
-        ...
-
-    def set_word(self, feature: str, word: str) -> None:
-        """Choose an entry of an enumeration."""
-        ...
-
-    def words(self, feature: str) -> tuple[str, ...]:
-        """Entries of an enumeration that can be chosen."""
-        ...
-
-    def is_on(self, feature: str) -> bool:
-        """Read a truth value."""
-        ...
-
-    def switch_off(self, feature: str) -> None:
-        """Set a truth value to false."""
-        ...
-
-    def do(self, feature: str) -> None:
-        """Execute a command."""
-        ...
-
-    def start(self) -> None:
-        """Begin an acquisition; no frame of an earlier one is delivered afterwards."""
-        ...
-
-    def stop(self) -> None:
-        """End the acquisition."""
-        ...
-
-    def pop(self, timeout_s: float) -> RawFrame | None:
-        """The next frame, whole or not; None when none came in time."""
-        ...
-
-    def close(self) -> None:
-        """Give the camera up; never raises."""
-        ...
+    def details(self) -> dict[str, str]: ...
+    def has(self, feature: str) -> bool: ...
+    def number(self, feature: str) -> float: ...
+    def set_number(self, feature: str, value: float) -> None: ...
+    def bounds(self, feature: str) -> tuple[float, float, float]: ...
+    def unit(self, feature: str) -> str: ...
+    def word(self, feature: str) -> str: ...
+    def set_word(self, feature: str, word: str) -> None: ...
+    def words(self, feature: str) -> tuple[str, ...]: ...
+    def is_on(self, feature: str) -> bool: ...
+    def switch_off(self, feature: str) -> None: ...
+    def do(self, feature: str) -> None: ...
+    def start(self) -> None: ...
+    def stop(self) -> None: ...
+    def pop(self, timeout_s: float) -> RawFrame | None: ...
+    def close(self) -> None: ...
 
 
 def first_of(sdk: CameraSdk, *names: str) -> str | None:

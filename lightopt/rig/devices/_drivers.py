@@ -12,12 +12,17 @@ from pathlib import Path
 
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.rig.devices._camera import MachineCamera
-from lightopt.rig.devices._camera_aravis import AravisSdk, aravis_cameras, load_aravis
-from lightopt.rig.devices._camera_genicam import GenicamSdk, genicam_cameras, load_harvester, producers_here
-from lightopt.rig.devices._camera_sdk import CameraHere, CameraSdk, CameraSettings
-from lightopt.rig.devices._light_ccs import open_ccs
-from lightopt.rig.devices._light_sa import open_sa
-from lightopt.rig.devices._light_template import open_template
+from lightopt.rig.devices._camera_aravis import AravisSdk, find_aravis_cameras, load_aravis
+from lightopt.rig.devices._camera_genicam import (
+    GenicamSdk,
+    find_genicam_cameras,
+    find_producers,
+    load_harvester,
+)
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSdk, CameraSettings
+from lightopt.rig.devices._light_ccs import CcsController
+from lightopt.rig.devices._light_sa import SaController
+from lightopt.rig.devices._light_template import TemplateController
 from lightopt.rig.devices._lights import LightSettings
 from lightopt.rig.devices._link import SerialLink
 from lightopt.rig.devices._log import Event, SerialLog
@@ -31,49 +36,43 @@ from lightopt.rig.devices._stage_zaber import ZaberDialogue, check_zaber
 
 def light_drivers() -> dict[str, Callable[[LightSettings, SerialLog | None], LightController]]:
     """What opens a light controller, by the name of its protocol."""
-    return {"ccs": open_ccs, "sa": open_sa, "template": open_template}
-
-
-_Speak = Callable[[SerialLink, Sequence[Axis], float], Dialogue]
+    return {driver.NAME: driver.open for driver in (CcsController, SaController, TemplateController)}
 
 
 @dataclass(frozen=True)
 class StageDriver:
-    """A language that stages speak.
+    """A protocol of stages.
 
-    name: Its name in a rig file.
-    baud: The protocol's usual baud rate.
-    rtscts: Whether the device paces the line.
+    rtscts: Whether the device paces the line by RTS/CTS.
     check: Refuses axes and speeds that it cannot have, as far as that is known without the device.
-    speak: Makes the language's dialogue from link, axes, and the longest time [s] that homing may take.
+    speak: Makes the dialogue from link, axes, and the longest time [s] that homing may take.
     """
 
-    name: str
     baud: int
-    rtscts: bool
     check: Callable[[Sequence[Axis]], None]
-    speak: _Speak
+    speak: Callable[[SerialLink, Sequence[Axis], float], Dialogue]
+    rtscts: bool = False
 
 
 def stage_drivers() -> dict[str, StageDriver]:
-    """The stage drivers by name."""
-    drivers = (
-        StageDriver("shot", 9600, True, check_shot, lambda link, axes, _: ShotDialogue(link, axes)),
-        StageDriver("gsc", 9600, False, check_gsc, lambda link, axes, _: GscDialogue(link, axes)),
-        StageDriver(
-            "grbl",
-            115200,
-            False,
-            check_grbl,
-            lambda link, axes, s: GrblDialogue(link, axes, home_timeout_s=s),
+    """The protocols of stages by name."""
+    return {
+        "shot": StageDriver(9600, check_shot, lambda link, axes, _: ShotDialogue(link, axes), rtscts=True),
+        "gsc": StageDriver(9600, check_gsc, lambda link, axes, _: GscDialogue(link, axes)),
+        "grbl": StageDriver(
+            115200, check_grbl, lambda link, axes, s: GrblDialogue(link, axes, home_timeout_s=s)
         ),
-        StageDriver("zaber", 115200, False, check_zaber, lambda link, axes, _: ZaberDialogue(link, axes)),
-    )
-    return {driver.name: driver for driver in drivers}
+        "zaber": StageDriver(115200, check_zaber, lambda link, axes, _: ZaberDialogue(link, axes)),
+    }
+
+
+def camera_drivers() -> dict[str, Callable[[CameraSettings], CameraSdk]]:
+    """What opens a camera, by the name of the driver."""
+    return {"aravis": AravisSdk, "genicam": GenicamSdk}
 
 
 def check_stage(driver: str, axes: Sequence[Axis]) -> None:
-    """Check what a stage is asked to be against what its driver can say; nothing is opened.
+    """Check axes and speeds against what the driver of a stage can do; nothing is opened.
 
     Raises InputError for an unknown driver, or axes or speeds that it cannot have.
     """
@@ -124,26 +123,24 @@ def open_stage(
     )
 
 
-def camera_drivers() -> dict[str, Callable[[CameraSettings], CameraSdk]]:
-    """What opens a camera, by the name of the driver."""
-    return {"aravis": AravisSdk, "genicam": GenicamSdk}
-
-
 def open_camera(
     driver: str,
     settings: CameraSettings,
     *,
-    tell: Callable[[Event], None] | None = None,
-    ready: Callable[[], object] | None = None,
+    on_event: Callable[[Event], None] | None = None,
+    wait_ready: Callable[[], object] | None = None,
 ) -> MachineCamera:
     """Open a camera and set it as the rig wants it; no frame is taken.
 
-    ready: Called before each frame is asked for; returns when one can be.
+    on_event: Called with what is out of the ordinary, as it happens.
+    wait_ready: Called before each frame is asked for; returns when one can be.
 
     Raises InputError when software or camera are not there, or it cannot be as the rig wants it.
     Raises HardwareError when it does not answer.
     """
-    return MachineCamera(driver, camera_drivers()[driver](settings), settings, tell=tell, ready=ready)
+    return MachineCamera(
+        driver, camera_drivers()[driver](settings), settings, on_event=on_event, wait_ready=wait_ready
+    )
 
 
 def check_camera_driver(driver: str, producer: Path | None) -> None:
@@ -159,22 +156,19 @@ def check_camera_driver(driver: str, producer: Path | None) -> None:
             raise InputError(f"no GenTL producer {producer}; it is a .cti file of the camera's maker")
 
 
-def cameras_here(producer: Path | None = None) -> tuple[list[CameraHere], list[str]]:
+def find_cameras(producer: Path | None = None) -> tuple[list[CameraInfo], list[str]]:
     """Cameras that answer, through whatever software is there; none is opened.
 
     producer: GenTL producer to ask beside those that installers have named.
 
-    Returns: The cameras, and in words what could not be asked.
+    Returns the cameras, and in words what could not be asked.
     """
-    producers = {*producers_here(), *([] if producer is None else [producer])}
-    asked = [_asked(aravis_cameras), *(_asked(partial(genicam_cameras, path)) for path in sorted(producers))]
-    return [camera for cameras, _ in asked for camera in cameras], [
-        text for _, texts in asked for text in texts
-    ]
-
-
-def _asked(ask: Callable[[], list[CameraHere]]) -> tuple[list[CameraHere], tuple[str, ...]]:
-    try:
-        return ask(), ()
-    except LightoptError as error:
-        return [], error.messages
+    producers = {*find_producers(), *([] if producer is None else [producer])}
+    cameras: list[CameraInfo] = []
+    problems: list[str] = []
+    for find in (find_aravis_cameras, *(partial(find_genicam_cameras, path) for path in sorted(producers))):
+        try:
+            cameras += find()
+        except LightoptError as error:  # noqa: PERF203
+            problems += error.messages
+    return cameras, problems

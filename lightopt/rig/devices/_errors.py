@@ -13,7 +13,7 @@ class RefusedError(HardwareError):
     """The device heard the command and said no. Asking again cannot help."""
 
 
-class OvertakenError(HardwareError):
+class PreemptedError(HardwareError):
     """A dialogue was broken off, because something that cannot wait needed the wire."""
 
 

@@ -8,15 +8,13 @@ checksum.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.rig.devices._errors import RefusedError, ReplyError
-from lightopt.rig.devices._lights import LightDriver, LightSettings, open_driver
+from lightopt.rig.devices._lights import LightDriver
 from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._log import SerialLog
 
-_BAUD = 19200
 _LETTERS = "ABCDEF"
 _TOP = 9999
 _ACK = re.compile(rb"NG|[A-Fa-f!]")
@@ -32,34 +30,30 @@ class SaController(LightDriver):
     Raises HardwareError when the controller does not answer.
     """
 
-    def __init__(
-        self,
-        link: SerialLink,
-        *,
-        channels: int = 4,
-        top_level: int = 255,
-        max_levels: Mapping[int, int] | None = None,
-    ) -> None:
-        if channels > len(_LETTERS) or top_level > _TOP:
+    NAME = "sa"
+    BAUD = 19200
+
+    def __init__(self, link: SerialLink, **limits: Any) -> None:
+        super().__init__(link, **limits)
+        if self._channels > len(_LETTERS) or self._top_level > _TOP:
             raise InputError(
                 f"{link.device}: the protocol has {len(_LETTERS)} channels and intensities up to {_TOP}, "
-                f"found channels: {channels}, top_level: {top_level}"
+                f"found channels: {self._channels}, top_level: {self._top_level}"
             )
-        super().__init__(link, name="sa", channels=channels, top_level=top_level, max_levels=max_levels)
-        self._reads = self._answers_reading()
+        self._reads = self._can_read_levels()
 
-    def _ask_who(self) -> dict[str, str]:
+    def _query_identity(self) -> dict[str, str]:
         """Ask for an intensity: the protocol has no name."""
         if self._reads:
-            self._held(1)
+            self._query_level(1)
         return {}
 
-    def _tell(self, channel: int, level: int) -> None:
+    def _send_level(self, channel: int, level: int) -> None:
         letter = _LETTERS[channel - 1]
-        self._persistence.ask(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
+        self._retry.ask(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
 
-    def _held(self, channel: int) -> int:
-        return self._persistence.ask(lambda: self._read_once(_LETTERS[channel - 1]))
+    def _query_level(self, channel: int) -> int:
+        return self._retry.ask(lambda: self._read_once(_LETTERS[channel - 1]))
 
     def _set_once(self, frame: bytes, letter: str) -> None:
         reply = self._query(frame, _ACK)
@@ -80,20 +74,3 @@ class SaController(LightDriver):
         if reply == b"NG":
             raise RefusedError(self._link.words("it refuses the command (NG)", sent=frame, reply=reply))
         return reply
-
-
-def open_sa(settings: LightSettings, log: SerialLog | None = None) -> SaController:
-    """Open a controller of the ``SA0255#`` family.
-
-    Raises InputError when the port cannot be opened, or for more channels or levels than the protocol can say.
-    Raises HardwareError when the controller does not answer.
-    """
-    return open_driver(
-        settings,
-        log,
-        name="sa",
-        baud=_BAUD,
-        speak=lambda link: SaController(
-            link, channels=settings.channels, top_level=settings.top_level, max_levels=settings.max_levels
-        ),
-    )

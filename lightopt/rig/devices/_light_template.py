@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.rig.devices._errors import ReplyError
-from lightopt.rig.devices._lights import LightDriver, LightSettings, open_driver
+from lightopt.rig.devices._lights import LightDriver, LightSettings
 from lightopt.rig.devices._link import SerialLink
 from lightopt.rig.devices._log import SerialLog
-
-_BAUD = 9600
 
 
 class TemplateController(LightDriver):
@@ -31,36 +30,41 @@ class TemplateController(LightDriver):
     Raises HardwareError when the controller does not answer.
     """
 
-    def __init__(
-        self,
-        link: SerialLink,
-        template: Mapping[str, str | None],
-        *,
-        channels: int = 4,
-        top_level: int = 255,
-        max_levels: Mapping[int, int] | None = None,
-    ) -> None:
-        super().__init__(link, name="template", channels=channels, top_level=top_level, max_levels=max_levels)
+    NAME = "template"
+    BAUD = 9600
+
+    def __init__(self, link: SerialLink, template: Mapping[str, str | None], **limits: Any) -> None:
+        super().__init__(link, **limits)
         self._words = {key: text for key, text in template.items() if text is not None}
         self._end = self._words.get("end", "").encode("latin-1")
         self._patterns: dict[str, re.Pattern[bytes]] = {}
         self._reads = "read" in self._words
         self._check_template()
-        self._ask_who()
+        self._query_identity()
 
-    def _ask_who(self) -> dict[str, str]:
+    @classmethod
+    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightDriver:
+        if settings.template is None:
+            raise InputError(f"light controller {settings.name} (template): there is no template")
+        return super().open(settings, log)
+
+    @classmethod
+    def _on(cls, link: SerialLink, settings: LightSettings) -> TemplateController:
+        return cls(link, settings.template or {}, **settings.limits)
+
+    def _query_identity(self) -> dict[str, str]:
         """Ask for an intensity where the template can; it has no question for a name."""
         if self._reads:
-            self._held(1)
+            self._query_level(1)
         return {}
 
-    def _tell(self, channel: int, level: int) -> None:
+    def _send_level(self, channel: int, level: int) -> None:
         """Set the intensity, or darken by the template's own command."""
         verb = "off" if level == 0 and "off" in self._words else "set"
-        self._persistence.ask(lambda: self._say(verb, channel, level))
+        self._retry.ask(lambda: self._say(verb, channel, level))
 
-    def _held(self, channel: int) -> int:
-        return self._persistence.ask(lambda: self._read_once(channel))
+    def _query_level(self, channel: int) -> int:
+        return self._retry.ask(lambda: self._read_once(channel))
 
     def _check_template(self) -> None:
         for verb in ("set", "off", "read"):
@@ -104,27 +108,3 @@ class TemplateController(LightDriver):
             what = f"the reply does not match template.{verb}_reply"
             raise ReplyError(self._link.words(what, sent=frame, reply=reply))
         return match.groupdict()
-
-
-def open_template(settings: LightSettings, log: SerialLog | None = None) -> TemplateController:
-    """Open a controller that the rig file describes.
-
-    Raises InputError when the port cannot be opened, or the template cannot be used.
-    Raises HardwareError when the controller does not answer.
-    """
-    template = settings.template
-    if template is None:
-        raise InputError(f"light controller {settings.name} (template): there is no template")
-    return open_driver(
-        settings,
-        log,
-        name="template",
-        baud=_BAUD,
-        speak=lambda link: TemplateController(
-            link,
-            template,
-            channels=settings.channels,
-            top_level=settings.top_level,
-            max_levels=settings.max_levels,
-        ),
-    )

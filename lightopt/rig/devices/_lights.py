@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, ClassVar
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.rig.devices._errors import RefusedError
 from lightopt.rig.devices._link import SerialLink
 from lightopt.rig.devices._log import Event, SerialLog
-from lightopt.rig.devices._parallel import side_by_side
-from lightopt.rig.devices._retry import Persistence
+from lightopt.rig.devices._parallel import run_in_parallel
+from lightopt.rig.devices._retry import Retry
 from lightopt.rig.devices._roles import Identity, LightController
 
 _ATTEMPTS = 3
@@ -60,20 +60,25 @@ class LightSettings:
     timeout_s: float = 1.0
     max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
 
+    @property
+    def limits(self) -> dict[str, Any]:
+        """Arguments that every driver has."""
+        return {"channels": self.channels, "top_level": self.top_level, "max_levels": self.max_levels}
+
 
 def all_off(
-    controllers: Mapping[str, LightController], *, burning: Mapping[str, Collection[int]] | None = None
+    controllers: Mapping[str, LightController], *, lit: Mapping[str, Collection[int]] | None = None
 ) -> None:
     """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
 
     controllers: By their names in the rig file.
-    burning: Channels that are known to burn, by controller: they come first.
+    lit: Channels that are known to burn, by controller: they come first.
 
     Raises LightsStillOnError once all were tried, with a message per controller and reason that names the channels that
     may still be lit.
     """
-    first = burning or {}
-    reasons = side_by_side(
+    first = lit or {}
+    reasons = run_in_parallel(
         {
             name: lambda name=name, controller=controller: _darken_all(controller, first.get(name, ()))
             for name, controller in controllers.items()
@@ -124,40 +129,72 @@ def _darken(controller: LightController, channel: int) -> str | None:
 
 
 class LightDriver(ABC):
-    """A :class:`~lightopt.rig.devices.LightController` on a serial link."""
+    """A :class:`~lightopt.rig.devices.LightController` on a serial link: checks, sets, and reads back.
+
+    max_levels: Intensities never exceeded, by channel.
+    """
+
+    NAME: ClassVar[str]
+    """Name of the protocol, as in the rig file."""
+
+    BAUD: ClassVar[int]
+    """The protocol's usual baud rate."""
+
+    GAP_S: ClassVar[float] = 0.0
+    """Least time [s] that the controllers ask for between two commands."""
 
     def __init__(
         self,
         link: SerialLink,
         *,
-        name: str,
-        channels: int,
-        top_level: int,
-        max_levels: Mapping[int, int] | None,
+        channels: int = 4,
+        top_level: int = 255,
+        max_levels: Mapping[int, int] | None = None,
     ) -> None:
         self._link = link
-        self._name = name
         self._channels = channels
         self._top_level = top_level
         self._max_levels = max_levels or {}
-        self._persistence = Persistence(link)
-        self._told_s = 0.0
+        self._retry = Retry(link)
+        self._level_set_s = 0.0
         self._reads = False  # whether levels can be read back, which each protocol finds out in its own way
+
+    @classmethod
+    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightDriver:
+        """Open the link of a controller and let its driver talk first; a link on which that fails is closed.
+
+        Raises InputError when the port cannot be opened, or the protocol cannot do what the settings want.
+        Raises HardwareError when the controller does not answer.
+        """
+        link = SerialLink(
+            settings.port,
+            device=f"light controller {settings.name} ({cls.NAME})",
+            baud=settings.baud or cls.BAUD,
+            timeout_s=settings.timeout_s,
+            gap_s=cls.GAP_S,
+            log=log,
+        )
+        try:
+            return cls._on(link, settings)
+        except BaseException:
+            link.close()
+            raise
+
+    @classmethod
+    def _on(cls, link: SerialLink, settings: LightSettings) -> LightDriver:
+        return cls(link, **settings.limits)
 
     @property
     def channels(self) -> int:
-        """Number of channels."""
         return self._channels
 
     @property
     def top_level(self) -> int:
-        """Highest intensity."""
         return self._top_level
 
     @property
-    def told_s(self) -> float:
-        """When [s, monotonic clock] the device had the last intensity, before it was read back."""
-        return self._told_s
+    def level_set_s(self) -> float:
+        return self._level_set_s
 
     @property
     def events(self) -> list[Event]:
@@ -165,62 +202,55 @@ class LightDriver(ABC):
         return self._link.events
 
     def identify(self) -> Identity:
-        """Ask the device something that changes nothing, and say who it is."""
-        says = {**self._ask_who(), "read_back": "yes" if self._reads else "no"}
-        return Identity(self._name, self._link.port, says)
+        details = {**self._query_identity(), "read_back": "yes" if self._reads else "no"}
+        return Identity(self.NAME, self._link.port, details)
 
     def set_level(self, channel: int, level: int) -> int | None:
-        """Set the intensity, and read it back where that can be; returns what is held, None where nobody knows.
+        """Set the intensity and read it back where that can be; returns what is held, None where that is unknown.
 
-        Darkening comes first: a dialogue under way on the wire is broken off for it, retries included.
-
-        Raises InputError for a channel or an intensity that the controller does not have, or the channel may not have;
-        nothing was sent.
-        Raises HardwareError when the controller does not answer, or holds something else.
+        Darkening has priority: a dialogue under way on the wire is broken off for it, retries included.
         """
         self._check(channel, level)
         lock = self._link.lock
-        with lock if level > 0 else lock.first():
-            self._tell(channel, level)
-            self._told_s = time.monotonic()
+        with lock if level > 0 else lock.priority():
+            self._send_level(channel, level)
+            self._level_set_s = time.monotonic()
             if not self._reads:
                 return None
             self._verify(channel, level)
             return level
 
     def read_level(self, channel: int) -> int | None:
-        """Intensity that the controller holds, 0 where it is switched off; None where it cannot be read back."""
         self._check(channel, 0)
-        return self._held(channel) if self._reads else None
+        return self._query_level(channel) if self._reads else None
 
     def close(self) -> None:
-        """Give up the link; lights stay as they are."""
         self._link.close()
 
     @abstractmethod
-    def _ask_who(self) -> dict[str, str]:
-        """Ask the device something that changes nothing; what it says of itself."""
+    def _query_identity(self) -> dict[str, str]:
+        """Ask the device something that changes nothing; what it answers about itself."""
 
     @abstractmethod
-    def _tell(self, channel: int, level: int) -> None:
+    def _send_level(self, channel: int, level: int) -> None:
         """Light a channel at an intensity, or darken it with 0."""
 
     @abstractmethod
-    def _held(self, channel: int) -> int:
+    def _query_level(self, channel: int) -> int:
         """Ask for the intensity of a channel; only where levels can be read back."""
 
-    def _answers_reading(self) -> bool:
-        """Whether the controller says what it holds; one that refuses that is noted, one that is silent fails."""
+    def _can_read_levels(self) -> bool:
+        """Whether the controller reports what it holds; one that refuses that is noted, one that is silent fails."""
         try:
-            self._held(1)
-        except RefusedError as error:  # a lost reply says nothing of what the controller can
+            self._query_level(1)
+        except RefusedError as error:  # a lost reply does not show what the controller can do
             self._link.note(f"lights cannot be read back: {error}")
             return False
         return True
 
     def _verify(self, channel: int, level: int) -> None:
-        """Raise unless the controller holds what it was told."""
-        if (held := self._held(channel)) != level:
+        """Raise unless the controller holds what was set."""
+        if (held := self._query_level(channel)) != level:
             raise self._link.failure(f"channel {channel} was set to {level} but holds {held}")
 
     def _check(self, channel: int, level: int) -> None:
@@ -235,36 +265,3 @@ class LightDriver(ABC):
                 f"{device}: channel {channel} may have an intensity of {self._max_levels[channel]} at most "
                 f"(max_level), found {level}; nothing was sent"
             )
-
-
-Driver = TypeVar("Driver", bound=LightDriver)
-
-
-def open_driver(
-    settings: LightSettings,
-    log: SerialLog | None,
-    *,
-    name: str,
-    baud: int,
-    speak: Callable[[SerialLink], Driver],
-    gap_s: float = 0.0,
-) -> Driver:
-    """Open the link of a controller and let its driver speak first; a link on which that fails is closed.
-
-    name, baud: Of the protocol.
-    speak: Makes the driver.
-    gap_s: Least time [s] that the controllers ask for between two commands.
-    """
-    link = SerialLink(
-        settings.port,
-        device=f"light controller {settings.name} ({name})",
-        baud=settings.baud or baud,
-        timeout_s=settings.timeout_s,
-        gap_s=gap_s,
-        log=log,
-    )
-    try:
-        return speak(link)
-    except BaseException:
-        link.close()
-        raise

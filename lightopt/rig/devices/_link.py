@@ -18,50 +18,9 @@ from typing import TypeVar
 import serial
 
 from lightopt.core.errors import HardwareError
-from lightopt.rig.devices._errors import LinkLostError, OvertakenError, ReplyError, printable
+from lightopt.rig.devices._errors import LinkLostError, PreemptedError, ReplyError, printable
 from lightopt.rig.devices._log import Event, LogEntry, SerialLog, now
 from lightopt.rig.devices._ports import cannot_open
-
-
-class Turns:
-    """A lock that its holder may take again, and that gives way to what cannot wait.
-
-    Used as a context manager it waits for its turn. Whoever comes by :meth:`first` is seen by the holder as
-    :attr:`overtaken`, who then breaks off what it waits for. Of several that cannot wait, none overtakes another.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
-        self._pressing: set[object] = set()
-        self._held_first = 0
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self._lock.release()
-
-    @contextmanager
-    def first(self) -> Generator[None]:
-        """Take the next turn, for what cannot wait, such as darkening a light."""
-        mark = object()
-        self._pressing.add(mark)
-        try:
-            with self._lock:
-                self._pressing.discard(mark)
-                self._held_first += 1
-                try:
-                    yield
-                finally:
-                    self._held_first -= 1
-        finally:
-            self._pressing.discard(mark)
-
-    @property
-    def overtaken(self) -> bool:
-        """Whether the holder, who asks this, should break off because something that cannot wait does."""
-        return bool(self._pressing) and not self._held_first
-
 
 try:
     from termios import error as _termios_error  # not an OSError
@@ -79,6 +38,46 @@ _USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 4608
 Value = TypeVar("Value")
 
 
+class PriorityLock:
+    """A re-entrant lock that gives way to what cannot wait.
+
+    As a context manager it waits for its turn. Who enters by :meth:`priority` takes the next turn, and the holder sees
+    :attr:`preempted` and breaks off what it waits for. Of several with priority, none preempts another.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._urgent: set[object] = set()
+        self._held_urgent = 0
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self._lock.release()
+
+    @contextmanager
+    def priority(self) -> Generator[None]:
+        """Take the next turn, for what cannot wait, such as darkening a light."""
+        mark = object()
+        self._urgent.add(mark)
+        try:
+            with self._lock:
+                self._urgent.discard(mark)
+                self._held_urgent += 1
+                try:
+                    yield
+                finally:
+                    self._held_urgent -= 1
+        finally:
+            self._urgent.discard(mark)
+
+    @property
+    def preempted(self) -> bool:
+        """Whether the holder, who asks this, should break off because something that cannot wait does."""
+        return bool(self._urgent) and not self._held_urgent
+
+
 class SerialLink:
     """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
 
@@ -88,7 +87,7 @@ class SerialLink:
 
     events: What was out of the ordinary so far: retries, stale bytes thrown away, the device lost.
     lock: Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait breaks them
-        off by ``lock.first()``; whoever waits for a reply then gets an :class:`OvertakenError`.
+        off by ``lock.priority()``; whoever waits for a reply then gets an :class:`PreemptedError`.
 
     Raises InputError when the port is not there (the message lists those that are), is none, or may not be opened.
     Raises HardwareError when another program has it, or nothing answers at its address.
@@ -110,7 +109,7 @@ class SerialLink:
         self.timeout_s = timeout_s
         self._write_s = max(timeout_s, _WRITE_S)
         self.events: list[Event] = []
-        self.lock = Turns()
+        self.lock = PriorityLock()
         self._gap_s = gap_s
         self._log = log
         self._quiet_since = 0.0
@@ -200,7 +199,7 @@ class SerialLink:
         quiet_s: Silence [s] that ends a reply without an end.
 
         Raises ReplyError when the deadline passes before the end; it says what had come.
-        Raises OvertakenError when something that cannot wait needs the wire.
+        Raises PreemptedError when something that cannot wait needs the wire.
         Raises LinkLostError when the device is gone.
         """
         limit_s = self.timeout_s if deadline_s is None else deadline_s
@@ -224,8 +223,8 @@ class SerialLink:
                         entry.write()
                         if end is None and got and moment - heard >= quiet_s:
                             return bytes(got)
-                    if self.lock.overtaken:
-                        raise self._overtaken(after)
+                    if self.lock.preempted:
+                        raise self._preempted(after)
                     if moment >= until:
                         # a computer that was busy finds the reply there: it is the device that may be late
                         if late == _LATE_BYTES or not self._guarded(lambda: self._serial.in_waiting, after):
@@ -238,24 +237,24 @@ class SerialLink:
     def drain(self, quiet_s: float = 0.1, deadline_s: float = 1.0) -> None:
         """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command.
 
-        Raises OvertakenError when something that cannot wait needs the wire; it is then still owed the silence.
+        Raises PreemptedError when something that cannot wait needs the wire; it is then still owed the silence.
         """
         with self.lock:
             until = time.monotonic() + deadline_s
             heard = time.monotonic()
             entry = LogEntry(self._log, self.port)
             stale = 0
-            while not (overtaken := self.lock.overtaken) and time.monotonic() < min(until, heard + quiet_s):
+            while not (preempted := self.lock.preempted) and time.monotonic() < min(until, heard + quiet_s):
                 data = self._guarded(lambda: self._serial.read(1), b"")
                 if data:
                     heard = time.monotonic()
                     stale += 1
                     entry.add(data)
             entry.write()
-            self._told_stale(stale)
-            if overtaken:
+            self._note_stale(stale)
+            if preempted:
                 self._owed = True
-                raise self._overtaken(b"")
+                raise self._preempted(b"")
 
     def discard(self) -> None:
         """Throw away what already lies in the input, without waiting; it is logged and told as an event."""
@@ -270,7 +269,7 @@ class SerialLink:
                 stale += 1
                 entry.add(data)
             entry.write()
-            self._told_stale(stale)
+            self._note_stale(stale)
 
     def note(self, what: str, *, retry: bool = False) -> None:
         """Tell of something out of the ordinary: in `events`, and to the log."""
@@ -342,8 +341,8 @@ class SerialLink:
                 )
             ) from None
 
-    def _overtaken(self, sent: bytes) -> OvertakenError:
-        return OvertakenError(
+    def _preempted(self, sent: bytes) -> PreemptedError:
+        return PreemptedError(
             self.words("no longer waited for, because a light had to be switched off", sent=sent)
         )
 
@@ -351,7 +350,7 @@ class SerialLink:
         problem = "the reply is incomplete" if got else "no reply"
         return ReplyError(self.words(f"{problem} after {limit_s:g} s", sent=after, reply=got))
 
-    def _told_stale(self, count: int) -> None:
+    def _note_stale(self, count: int) -> None:
         if count:
             self.note(f"threw away {count} bytes that nothing had asked for")
 

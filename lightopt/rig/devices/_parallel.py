@@ -9,7 +9,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-def side_by_side(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:
+def run_in_parallel(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:
     """Do what there is to do with each device, in a thread of its own; results in the order of the devices.
 
     All of it is done, whatever fails; Ctrl-C is raised once all has ended. While the interpreter shuts down, when no

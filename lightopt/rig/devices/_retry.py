@@ -24,7 +24,7 @@ class Repeatable(Protocol):
         ...
 
 
-class Persistence:
+class Retry:
     """Asks again when a reply is lost or spoilt. Only for what may be repeated: queries, intensities, absolute targets.
 
     A device that left all attempts unanswered gets one at a time until it answers: switching off the lights of a dead

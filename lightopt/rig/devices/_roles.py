@@ -17,20 +17,20 @@ from lightopt.core.transforms import Posture
 
 @dataclass(frozen=True)
 class Identity:
-    """What a device says of itself.
+    """Identity of a device.
 
     driver: Name of the driver, as in the rig file.
     port: Where it is reached: serial port, URL, camera name or folder.
-    says: What the device answered when asked (version, serial number), by the field's name; empty where it cannot say.
+    details: What the device answered about itself (version, serial number), by name; may be empty.
     """
 
     driver: str
     port: str
-    says: dict[str, str] = field(default_factory=dict[str, str])
+    details: dict[str, str] = field(default_factory=dict[str, str])
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {"driver": self.driver, "port": self.port, **self.says}
+        return {"driver": self.driver, "port": self.port, **self.details}
 
 
 class LightController(Protocol):
@@ -62,7 +62,7 @@ class LightController(Protocol):
         ...
 
     @property
-    def told_s(self) -> float:
+    def level_set_s(self) -> float:
         """When [s, monotonic clock] the device had the last intensity; before it was read back."""
         ...
 
@@ -77,7 +77,7 @@ class LightController(Protocol):
 
 @dataclass(frozen=True)
 class StageState:
-    """What a stage says of itself.
+    """State of a stage.
 
     posture: Where it stands [°]; an axis that the stage lacks stands at 0.
     moving: Whether an axis moves.
@@ -143,14 +143,14 @@ class Frame:
     exposure_us: Exposure time [µs] as read back for this frame.
     number: The camera's own number of the frame; None where it has none.
     timestamp_ns: The camera's own time stamp [ns]; None where it has none.
-    says: What else it says (gain, temperature, packets lost).
+    details: Further properties (gain, temperature, packets lost).
     """
 
     levels: NDArray[np.uint8] | NDArray[np.uint16]
     exposure_us: float
     number: int | None
     timestamp_ns: int | None = None
-    says: dict[str, Any] = field(default_factory=dict[str, Any])
+    details: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
 class Camera(Protocol):

@@ -67,12 +67,10 @@ class MovingStage:
         return self._link.events
 
     def identify(self) -> Identity:
-        """Ask the device who it is, without moving it."""
         with self._link.lock:
-            return Identity(driver=self._driver, port=self._link.port, says=self._dialogue.says())
+            return Identity(driver=self._driver, port=self._link.port, details=self._dialogue.identify())
 
     def state(self) -> StageState:
-        """Ask where it stands and how it is."""
         with self._link.lock:
             return self._state(self._dialogue.read())
 
@@ -192,7 +190,6 @@ class MovingStage:
             return reading
 
     def close(self) -> None:
-        """Give up the link; never moves an axis, never raises."""
         self._link.close()
 
     def _targets(self, posture: Posture) -> dict[str, float]:

@@ -116,53 +116,33 @@ class Reading:
 
 
 class Dialogue(Protocol):
-    """What a stage's language must say; one class per protocol. Positions are in device units, axes by device name.
+    """The protocol of a stage. Positions are in device units, axes by the device's name of them.
 
     Each method raises :class:`~lightopt.core.errors.HardwareError` when the device answers no, or not at all.
+
+    link: The wire.
+    homes_to_end: Whether `home` returns when the origins are found, rather than when the search has begun.
+    identify: What the device answers about itself.
+    read: Ask for positions and state; may be repeated.
+    step: Smallest distance [device units] between two positions of an axis.
+    check: Raise an InputError for targets that the device is known to refuse; sends nothing that moves.
+    prepare: Set speeds; once, before the first move.
+    go: Start a move; never sent twice. A ReplyError means that it is unknown whether the device took it.
+    home: Start to seek the origins, or seek them to the end, as the protocol has it; never sent twice.
+    homed: What is wrong with a reading after homing; None when all is well.
+    halt: Stop all axes at once.
     """
 
     @property
-    def link(self) -> SerialLink:
-        """The wire."""
-        ...
-
+    def link(self) -> SerialLink: ...
     @property
-    def homes_to_end(self) -> bool:
-        """Whether :meth:`home` returns when the origins are found, rather than when the search has begun."""
-        ...
-
-    def says(self) -> dict[str, str]:
-        """What the device answers when asked who it is."""
-        ...
-
-    def read(self) -> Reading:
-        """Ask where it stands and how it is; may be asked again."""
-        ...
-
-    def step(self, axis: Axis) -> float:
-        """Smallest distance [device units] between two positions of an axis."""
-        ...
-
-    def check(self, targets: Mapping[str, float]) -> None:
-        """Raise an InputError for targets that the device is known to refuse; sends nothing that moves."""
-        ...
-
-    def prepare(self) -> None:
-        """Set speeds; once, before the first move."""
-        ...
-
-    def go(self, targets: Mapping[str, float]) -> None:
-        """Start a move; never sent twice. A ReplyError says that it is unknown whether it was taken."""
-        ...
-
-    def home(self) -> None:
-        """Start to seek the origins, or seek them to the end, as the protocol has it; never sent twice."""
-        ...
-
-    def homed(self, reading: Reading) -> str | None:
-        """What is wrong with a reading after homing; None when all is well."""
-        ...
-
-    def halt(self) -> None:
-        """Stop all axes at once."""
-        ...
+    def homes_to_end(self) -> bool: ...
+    def identify(self) -> dict[str, str]: ...
+    def read(self) -> Reading: ...
+    def step(self, axis: Axis) -> float: ...
+    def check(self, targets: Mapping[str, float]) -> None: ...
+    def prepare(self) -> None: ...
+    def go(self, targets: Mapping[str, float]) -> None: ...
+    def home(self) -> None: ...
+    def homed(self, reading: Reading) -> str | None: ...
+    def halt(self) -> None: ...

@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._errors import LinkLostError, ReplyError
 from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._retry import Persistence
+from lightopt.rig.devices._retry import Retry
 from lightopt.rig.devices._stage_dialogue import Axis, Reading, describe_range
 from lightopt.rig.devices._stage_grbl_messages import (
     CRITICAL_ALARMS,
@@ -68,7 +68,7 @@ class GrblDialogue:
         check_grbl(axes)
         self.link = link
         self.homes_to_end = True
-        self._patience = Persistence(link)
+        self._retry = Retry(link)
         self._axes = tuple(axes)
         self._home_timeout_s = home_timeout_s
         self._settings: dict[int, float] | None = None
@@ -78,21 +78,20 @@ class GrblDialogue:
         self._homing = False
         self._greet()
 
-    def says(self) -> dict[str, str]:
-        """Version and build options."""
-        lines = self._patience.ask(lambda: self._line("$I"))
-        says: dict[str, str] = {}
+    def identify(self) -> dict[str, str]:
+        lines = self._retry.ask(lambda: self._line("$I"))
+        details: dict[str, str] = {}
         for line in lines:
             key, _, value = line.decode("ascii", "replace").strip().strip("[]").partition(":")
             if key in ("VER", "OPT") and value:
-                says[key.lower()] = value.rstrip(":")
-        return says
+                details[key.lower()] = value.rstrip(":")
+        return details
 
     def read(self) -> Reading:
         """Position and state; after an alarm that silences Grbl, the last that is known, without asking."""
         if self._critical is None:
             try:
-                return self._patience.ask(self._report)
+                return self._retry.ask(self._report)
             except ReplyError as error:
                 if self._critical is None:
                     raise ReplyError(
@@ -223,7 +222,7 @@ class GrblDialogue:
 
     def _setting(self, number: int) -> float:
         if self._settings is None:
-            lines = self._patience.ask(lambda: self._line("$$"))
+            lines = self._retry.ask(lambda: self._line("$$"))
             settings = dict(setting for line in lines if (setting := parse_setting(line)) is not None)
             needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
             if missing := needed - set(settings):

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from lightopt.core.errors import InputError
 from lightopt.rig.devices._errors import ReplyError, printable
 from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._retry import Persistence
+from lightopt.rig.devices._retry import Retry
 from lightopt.rig.devices._stage_dialogue import Axis, Reading
 
 END = b"\r\n"
@@ -32,6 +32,9 @@ RAMP_MS = 200  # acceleration and deceleration; the controllers' own value at po
 
 _POSITION = re.compile(r"\s*([+-]?)\s*(\d+)\s*")
 _LIMITS = {"L": "axis 1", "M": "axis 2", "W": "both axes"}
+_SHOT_SPEEDS = (1, 500_000)  # [pulses/s]
+_GSC_SPEEDS = {1: (1, 200), 2: (50, 20_000)}  # speed ranges of D: [pulses/s]
+_GSC_FARTHEST = 16_777_214  # longest relative move [pulses]
 
 
 @dataclass(frozen=True)
@@ -150,60 +153,21 @@ def check_axes(axes: Sequence[Axis], *, slowest: int, fastest: int) -> None:
         raise InputError(*wrong)
 
 
-_SLOWEST, _FASTEST = 1, 500_000  # [pulses/s]
-
-
-def check_shot(axes: Sequence[Axis]) -> None:
-    """Refuse axes and speeds that the controller cannot have."""
-    check_axes(axes, slowest=_SLOWEST, fastest=_FASTEST)
-
-
-class ShotDialogue:
-    """The language of the SHOT family; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
-
-    Raises InputError for axes or speeds that the controller cannot have.
-    """
+class _SigmakokiDialogue:
+    """What the two families share; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`."""
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
-        check_shot(axes)
         self.link = link
         self.homes_to_end = False
-        self._patience = Persistence(link)
+        self._retry = Retry(link)
         self._axes = tuple(axes)
 
-    def says(self) -> dict[str, str]:
-        """Version of the controller's program."""
-        version = self._patience.ask(lambda: self._query("?:V"))
-        return {} if version == "NG" else {"version": version}
-
     def read(self) -> Reading:
-        """Where the axes are and whether they move."""
-        return self._patience.ask(self._read)
+        return self._retry.ask(self._status)[1]
 
     def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
         """One pulse."""
         return 1.0
-
-    def check(self, targets: Mapping[str, float]) -> None:
-        """The controller has no limits to check against."""
-
-    def prepare(self) -> None:
-        """Set the speed of each axis."""
-        for axis in self._axes:
-            fast = round(axis.speed_units())
-            slow = max(_SLOWEST, fast // 10)
-            text = f"D:{axis.device}S{slow}F{fast}R{RAMP_MS}"
-            self._patience.ask(lambda text=text: self._command(text))
-
-    def go(self, targets: Mapping[str, float]) -> None:
-        """Name the targets, which may be said twice, and go, which may not."""
-        text = axis_words("A", {axis: signed(round(units)) for axis, units in targets.items()})
-        self._patience.ask(lambda: self._command(text))
-        self._command("G:")
-
-    def home(self) -> None:
-        """Start to seek the origin of the axes in use."""
-        self._command("H:W" if len(self._axes) == 2 else f"H:{self._axes[0].device}")
 
     def homed(self, reading: Reading) -> str | None:
         """The count is 0 at the origin."""
@@ -212,19 +176,60 @@ class ShotDialogue:
         off = [f"axis {axis} reads {units:g}" for axis, units in reading.units.items() if units != 0]
         return f"{', '.join(off)} pulses, not 0" if off else None
 
-    def halt(self) -> None:
-        """Stop at once."""
-        self._patience.ask(lambda: self._command("L:E"))
+    def _version(self) -> str:
+        line = self._retry.ask(lambda: self.link.query(command("?:V"), end=END))
+        return line.decode("ascii", "replace").strip()
 
-    def _read(self) -> Reading:
-        line = self.link.query(command("Q:"), end=END)
+    def _status(self) -> tuple[Status, Reading]:
+        frame = command("Q:")
+        line = self._status_line(frame)
         try:
-            return reading_of(parse_status(line), self._axes)
+            status = parse_status(line)
+            return status, reading_of(status, self._axes)
         except ValueError as error:
-            raise ReplyError(self.link.words(str(error), sent=command("Q:"))) from None
+            raise ReplyError(self.link.words(str(error), sent=frame)) from None
 
-    def _query(self, text: str) -> str:
-        return self.link.query(command(text), end=END).decode("ascii", "replace").strip()
+    def _status_line(self, frame: bytes) -> bytes:
+        return self.link.query(frame, end=END)
+
+
+def check_shot(axes: Sequence[Axis]) -> None:
+    """Refuse axes and speeds that the SHOT family cannot have."""
+    check_axes(axes, slowest=_SHOT_SPEEDS[0], fastest=_SHOT_SPEEDS[1])
+
+
+class ShotDialogue(_SigmakokiDialogue):
+    """The protocol of the SHOT family."""
+
+    def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
+        check_shot(axes)
+        super().__init__(link, axes)
+
+    def identify(self) -> dict[str, str]:
+        version = self._version()
+        return {} if version == "NG" else {"version": version}
+
+    def check(self, targets: Mapping[str, float]) -> None:
+        """The controller has no limits to check against."""
+
+    def prepare(self) -> None:
+        for axis in self._axes:
+            fast = round(axis.speed_units())
+            slow = max(_SHOT_SPEEDS[0], fast // 10)
+            text = f"D:{axis.device}S{slow}F{fast}R{RAMP_MS}"
+            self._retry.ask(lambda text=text: self._command(text))
+
+    def go(self, targets: Mapping[str, float]) -> None:
+        """Name the targets, which may be repeated, and go, which may not."""
+        text = axis_words("A", {axis: signed(round(units)) for axis, units in targets.items()})
+        self._retry.ask(lambda: self._command(text))
+        self._command("G:")
+
+    def home(self) -> None:
+        self._command("H:W" if len(self._axes) == 2 else f"H:{self._axes[0].device}")
+
+    def halt(self) -> None:
+        self._retry.ask(lambda: self._command("L:E"))
 
     def _command(self, text: str) -> None:
         reply = self.link.query(command(text), end=END)
@@ -236,56 +241,35 @@ class ShotDialogue:
             raise ReplyError(self.link.words("expected OK or NG", sent=command(text), reply=reply))
 
 
-_RANGES = {1: (1, 200), 2: (50, 20_000)}  # speed ranges of D: [pulses/s]
-_FARTHEST = 16_777_214  # longest relative move [pulses]
-
-
 def check_gsc(axes: Sequence[Axis]) -> None:
-    """Refuse axes and speeds that the controller cannot have."""
-    check_axes(axes, slowest=_RANGES[1][0], fastest=_RANGES[2][1])
+    """Refuse axes and speeds that the GSC-02 cannot have."""
+    check_axes(axes, slowest=_GSC_SPEEDS[1][0], fastest=_GSC_SPEEDS[2][1])
     _speed_command(axes)
 
 
-class GscDialogue:
-    """The language of the GSC-02; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
-
-    Raises InputError for axes or speeds that the controller cannot have.
-    """
+class GscDialogue(_SigmakokiDialogue):
+    """The protocol of the GSC-02."""
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
         check_gsc(axes)
-        self.link = link
-        self.homes_to_end = False
-        self._patience = Persistence(link)
-        self._axes = tuple(axes)
+        super().__init__(link, axes)
         self._speeds = _speed_command(self._axes)
 
-    def says(self) -> dict[str, str]:
-        """Version of the controller's program."""
-        line = self._patience.ask(lambda: self.link.query(command("?:V"), end=END))
-        version = line.decode("ascii", "replace").strip()
+    def identify(self) -> dict[str, str]:
+        version = self._version()
         return {"version": version} if version not in ("", "NG") else {}
 
-    def read(self) -> Reading:
-        """Where the axes are and whether they move."""
-        return self._reading(self._patience.ask(self._status))
-
-    def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
-        """One pulse."""
-        return 1.0
-
     def check(self, targets: Mapping[str, float]) -> None:
-        """Raise an InputError for a way that is longer than the command can say."""
+        """Raise an InputError for a way that is longer than the command can express."""
         here = self.read().units
         for axis, target in targets.items():
-            if abs(target - here[axis]) > _FARTHEST:
+            if abs(target - here[axis]) > _GSC_FARTHEST:
                 raise InputError(
                     f"stage axis {axis}: {abs(target - here[axis]):.0f} pulses in one move are more than the "
-                    f"{_FARTHEST} that the controller takes; nothing was moved"
+                    f"{_GSC_FARTHEST} that the controller takes; nothing was moved"
                 )
 
     def prepare(self) -> None:
-        """Set the speed of both axes."""
         self._command(self._speeds)
 
     def go(self, targets: Mapping[str, float]) -> None:
@@ -297,44 +281,27 @@ class GscDialogue:
         self._command("G:")
 
     def home(self) -> None:
-        """Start to seek the origin of the axes in use."""
         senses = {axis.device: "+" if axis.home_sense > 0 else "-" for axis in self._axes}
         self._command(axis_words("H", senses))
 
-    def homed(self, reading: Reading) -> str | None:
-        """The count is 0 at the origin."""
-        if reading.alarm is not None:
-            return reading.alarm
-        off = [f"axis {axis} reads {units:g}" for axis, units in reading.units.items() if units != 0]
-        return f"{', '.join(off)} pulses, not 0" if off else None
-
     def halt(self) -> None:
-        """Stop at once; L:E also stops the search for the origin, which L:1 does not."""
+        """L:E also stops the search for the origin, which L:1 does not."""
         self._command("L:E")
 
     def _command(self, text: str) -> None:
         """Send a command, and ask whether it was taken."""
         self.link.send(command(text))
-        status = self._patience.ask(self._status)
+        status, _ = self._retry.ask(self._status)
         if not status.accepted:
             raise self.link.failure(
                 "refused (ACK1 is X): the command is wrong, or the stage is moving", sent=command(text)
             )
 
-    def _status(self) -> Status:
-        frame = command("Q:")
-        line = self.link.query(frame, end=END)
+    def _status_line(self, frame: bytes) -> bytes:
+        line = super()._status_line(frame)
         if line in (b"OK\r\n", b"NG\r\n"):  # from a controller that answers to commands as well
             line = self.link.read(end=END, after=frame)
-        try:
-            status = parse_status(line)
-            reading_of(status, self._axes)
-        except ValueError as error:
-            raise ReplyError(self.link.words(str(error), sent=frame)) from None
-        return status
-
-    def _reading(self, status: Status) -> Reading:
-        return reading_of(status, self._axes)
+        return line
 
 
 def _speed_command(axes: Sequence[Axis]) -> str:
@@ -342,7 +309,7 @@ def _speed_command(axes: Sequence[Axis]) -> str:
     speeds = {axis.device: round(axis.speed_units()) for axis in axes}
     given = next(iter(speeds.values()))
     both = [speeds.get("1", given), speeds.get("2", given)]
-    for number, (slowest, fastest) in reversed(_RANGES.items()):
+    for number, (slowest, fastest) in reversed(_GSC_SPEEDS.items()):
         if all(slowest <= speed <= fastest for speed in both):
             words = "".join(f"S{max(slowest, speed // 10)}F{speed}R{RAMP_MS}" for speed in both)
             return f"D:{number}{words}"

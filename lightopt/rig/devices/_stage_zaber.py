@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from lightopt.core.errors import InputError
 from lightopt.rig.devices._errors import ReplyError, printable
 from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._retry import Persistence
+from lightopt.rig.devices._retry import Retry
 from lightopt.rig.devices._stage_dialogue import Axis, Reading
 
 NOT_HOMED = frozenset({"WR", "WH"})
@@ -181,7 +181,7 @@ class ZaberDialogue:
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
         self.link = link
         self.homes_to_end = False
-        self._patience = Persistence(link)
+        self._retry = Retry(link)
         self._axes = tuple(axes)
         check_zaber(axes)
         self._addresses = {axis.device: _address(axis) for axis in axes}
@@ -189,27 +189,26 @@ class ZaberDialogue:
         self._limits: dict[str, tuple[int, int]] = {}
         self._told: set[str] = set()
 
-    def says(self) -> dict[str, str]:
+    def identify(self) -> dict[str, str]:
         """Kind, serial number and firmware of each device."""
-        says: dict[str, str] = {}
+        details: dict[str, str] = {}
         for device in sorted({address.device for address in self._addresses.values()}):
             for key, setting in (
                 ("deviceid", "deviceid"),
                 ("serial", "system.serial"),
                 ("version", "version"),
             ):
-                reply = self._patience.ask(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
+                reply = self._retry.ask(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
                 if reply.accepted:
-                    says[f"{key}{device if device > 1 else ''}"] = reply.data
-        return says
+                    details[f"{key}{device if device > 1 else ''}"] = reply.data
+        return details
 
     def read(self) -> Reading:
-        """Position, motion and warnings of each axis."""
         units: dict[str, float] = {}
         moving, homed = False, True
         alarms: list[str] = []
         for axis in self._axes:
-            reply, position = self._patience.ask(lambda axis=axis: self._number_of(axis.device, "get pos"))
+            reply, position = self._retry.ask(lambda axis=axis: self._number_of(axis.device, "get pos"))
             units[axis.device] = float(position)
             moving = moving or reply.busy
             homed = homed and reply.warning not in NOT_HOMED
@@ -224,7 +223,6 @@ class ZaberDialogue:
         return Reading(units=units, moving=moving, referenced=homed, alarm="; ".join(alarms) or None)
 
     def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
-        """One microstep."""
         return 1.0
 
     def check(self, targets: Mapping[str, float]) -> None:
@@ -242,11 +240,9 @@ class ZaberDialogue:
         """Set the speed of each axis where it is another; the device keeps it."""
         for axis in self._axes:
             wanted = max(1, round(axis.speed_units() * _SPEED_UNIT))
-            _, holds = self._patience.ask(lambda axis=axis: self._number_of(axis.device, "get maxspeed"))
+            _, holds = self._retry.ask(lambda axis=axis: self._number_of(axis.device, "get maxspeed"))
             if holds != wanted:
-                self._patience.ask(
-                    lambda axis=axis, v=wanted: self._accepted(axis.device, f"set maxspeed {v}")
-                )
+                self._retry.ask(lambda axis=axis, v=wanted: self._accepted(axis.device, f"set maxspeed {v}"))
                 self.link.note(f"axis {axis.device}: maxspeed was {holds}, set to {wanted}")
 
     def go(self, targets: Mapping[str, float]) -> None:
@@ -254,7 +250,6 @@ class ZaberDialogue:
         self._start({axis: f"move abs {round(units)}" for axis, units in targets.items()})
 
     def home(self) -> None:
-        """Start to seek the home position of each axis in use."""
         self._start({axis.device: "home" for axis in self._axes})
 
     def homed(self, reading: Reading) -> str | None:
@@ -264,9 +259,8 @@ class ZaberDialogue:
         return None if reading.referenced else "it still warns that it has no reference position"
 
     def halt(self) -> None:
-        """Stop every axis of each device."""
         for device in sorted({address.device for address in self._addresses.values()}):
-            reply = self._patience.ask(lambda d=device: self._exchange(d, 0, "stop"))
+            reply = self._retry.ask(lambda d=device: self._exchange(d, 0, "stop"))
             if not reply.accepted:
                 raise self.link.failure(f"device {device} refused to stop: {rejection_words(reply.data)}")
 
@@ -284,7 +278,7 @@ class ZaberDialogue:
     def _limits_of(self, axis: str) -> tuple[int, int]:
         if axis not in self._limits:
             low, high = (
-                self._patience.ask(lambda s=setting: self._number_of(axis, f"get {s}"))[1]
+                self._retry.ask(lambda s=setting: self._number_of(axis, f"get {s}"))[1]
                 for setting in ("limit.min", "limit.max")
             )
             self._limits[axis] = (low, high)

@@ -1,8 +1,13 @@
 """A rig that is not there: simulated firmware and a camera that sees what the firmware does."""
 
-from lightopt.rig.simulated._camera import EXPOSURE_RANGE_US, AxisWire, CameraSetup, LightWire
 from lightopt.rig.simulated._camera_client import VirtualCamera
-from lightopt.rig.simulated._deviations import BenchTruth
+from lightopt.rig.simulated._camera_setup import (
+    EXPOSURE_RANGE_US,
+    AxisWire,
+    BenchTruth,
+    CameraSetup,
+    LightWire,
+)
 from lightopt.rig.simulated._gige import GigeCamera
 from lightopt.rig.simulated._process import BenchProcess
 

@@ -24,7 +24,7 @@ class _Fault:
     busy: bool
 
 
-class Travel:
+class SimulatedAxis:
     """One axis.
 
     stands: Where it really stands at power-up.
@@ -51,11 +51,11 @@ class Travel:
         self.at_limit = False
         self.homed = False
 
-    def suffer(self, fault: _Fault | None) -> None:
+    def set_fault(self, fault: _Fault | None) -> None:
         """Suffer a fault in a coming move; None ends it."""
         self._fault = fault
 
-    def lose(self, steps: float) -> None:
+    def lose_steps(self, steps: float) -> None:
         """Lose steps: the axis stands that much short of its count from now on."""
         self._offset -= steps
 
@@ -162,16 +162,16 @@ class Axes:
     still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with ``after``, ``count``,
     ``probability`` and ``seed`` counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
 
-    axes: Arguments of :class:`Travel` by the axis' name.
+    axes: Arguments of :class:`SimulatedAxis` by the axis' name.
     count: What the controller believes at power-up.
     """
 
     def __init__(self, axes: Mapping[str, Mapping[str, float]], *, count: float = 0.0) -> None:
         if not axes:
             raise ValueError("a stage has at least one axis")
-        self.by_name = {name: Travel(**options, count=count) for name, options in axes.items()}
+        self.by_name = {name: SimulatedAxis(**options, count=count) for name, options in axes.items()}
 
-    def __getitem__(self, name: str) -> Travel:
+    def __getitem__(self, name: str) -> SimulatedAxis:
         return self.by_name[name]
 
     def real(self, now: float) -> dict[str, float]:
@@ -201,18 +201,18 @@ class Axes:
         axes = list(self.by_name.values()) if name is None else [self.by_name[name]]
         if fault == "clear":
             for axis in axes:
-                axis.suffer(None)
+                axis.set_fault(None)
         elif fault == "lost_step":
             steps = float(chosen.pop("steps", 100))
             if chosen:
                 raise ValueError(f"lost_step: unknown option {', '.join(chosen)}")
             for axis in axes:
-                axis.lose(steps)
+                axis.lose_steps(steps)
         elif fault in ("stall", "limit"):
             share, busy = float(chosen.pop("share", 0.5)), bool(chosen.pop("busy", False))
             strikes = trigger(fault, chosen)
             for axis in axes:
-                axis.suffer(_Fault(fault, strikes, share, busy))
+                axis.set_fault(_Fault(fault, strikes, share, busy))
         else:
             raise ValueError(
                 f'no fault called "{fault}"; there is {", ".join((*AXIS_FAULTS, *others))}, clear'

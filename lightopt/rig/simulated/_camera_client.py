@@ -6,7 +6,7 @@ import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import Frame, Identity
-from lightopt.rig.simulated._camera import EXPOSURE_RANGE_US
+from lightopt.rig.simulated._camera_setup import EXPOSURE_RANGE_US
 from lightopt.rig.simulated._process import BenchProcess
 
 
@@ -28,34 +28,25 @@ class VirtualCamera:
 
     @property
     def triggered(self) -> bool:
-        """Whether a frame begins when it is asked for."""
         return bool(self._says["triggered"])
 
     @property
     def resolution_px(self) -> tuple[int, int]:
-        """Width and height [pixels]."""
         width, height = self._says["resolution_px"]
         return width, height
 
     @property
     def bit_depth(self) -> int:
-        """Bits of a level."""
         return int(self._says["bit_depth"])
 
     @property
     def exposure_range_us(self) -> tuple[float, float]:
-        """Shortest and longest exposure time [µs]."""
         return EXPOSURE_RANGE_US
 
     def identify(self) -> Identity:
-        """The bench's camera."""
-        return Identity(driver="virtual", port="virtual", says={"model": "lightopt virtual camera"})
+        return Identity(driver="virtual", port="virtual", details={"model": "lightopt virtual camera"})
 
     def set_exposure(self, exposure_us: float) -> float:
-        """Hold an exposure time [µs], to the nearest microsecond.
-
-        Raises InputError when it lies outside the camera's range.
-        """
         low, high = EXPOSURE_RANGE_US
         if not low <= exposure_us <= high:
             raise InputError(

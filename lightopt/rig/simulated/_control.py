@@ -14,50 +14,51 @@ from dataclasses import astuple
 from typing import Any
 
 from lightopt.core.errors import error_text
+from lightopt.rig.simulated._devices import SimulatedDevices
 from lightopt.rig.simulated._faults import Trigger
-from lightopt.rig.simulated._world import World
 
-Answer = tuple[dict[str, Any], bytes]
+Response = tuple[dict[str, Any], bytes]
 """A JSON object, and bytes that follow it; often none."""
 
-Handler = Callable[[Mapping[str, Any]], Answer]
-"""Answers a request; runs in a thread of the asking connection. A ValueError or KeyError becomes the asker's."""
+Handler = Callable[[Mapping[str, Any]], Response]
+"""Responses a request; runs in a thread of the asking connection. A ValueError or KeyError becomes the asker's."""
 
 
-def handlers(world: World) -> dict[str, Handler]:
-    """Requests about the devices of a world."""
+def handlers(devices: SimulatedDevices) -> dict[str, Handler]:
+    """Requests about simulated devices."""
 
-    def state(_: Mapping[str, Any]) -> Answer:
+    def state(_: Mapping[str, Any]) -> Response:
         now = time.monotonic()
-        with world.lock:
-            devices = {name: device.deliveries for name, device in world.devices.items()}
+        with devices.lock:
             return {
                 "pid": os.getpid(),
                 "time": now,
-                "ports": world.ports(),
-                "deliveries": devices,
+                "ports": devices.ports(),
+                "deliveries": {name: device.deliveries for name, device in devices.devices.items()},
                 "struck": Trigger.struck,
-                "levels": world.levels(),
-                "positions": world.positions(now),
+                "levels": devices.levels(),
+                "positions": devices.positions(now),
             }, b""
 
-    def trace(_: Mapping[str, Any]) -> Answer:
-        with world.lock:
-            return {"changes": [astuple(change) for change in world.trace]}, b""
+    def trace(_: Mapping[str, Any]) -> Response:
+        with devices.lock:
+            return {"changes": [astuple(change) for change in devices.trace]}, b""
 
-    def fault(request: Mapping[str, Any]) -> Answer:
-        world.inject(request["device"], request["fault"], dict(request.get("options", {})), time.monotonic())
+    def fault(request: Mapping[str, Any]) -> Response:
+        devices.inject(
+            request["device"], request["fault"], dict(request.get("options", {})), time.monotonic()
+        )
         return {}, b""
 
-    def unplug(request: Mapping[str, Any]) -> Answer:
-        world.pull(request["device"])
+    def unplug(request: Mapping[str, Any]) -> Response:
+        devices.pull(request["device"])
         return {}, b""
 
     return {"state": state, "trace": trace, "fault": fault, "unplug": unplug}
 
 
 class ControlServer:
-    """Answers requests on a loopback port, one thread per connection.
+    """Responses requests on a loopback port, one thread per connection.
 
     The first line of a connection is the token. Each request is a line ``{"do": name, …}``; each answer is a line
     ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``.
@@ -90,7 +91,7 @@ class ControlServer:
         self._server.server_close()
 
 
-def _answer(handlers: Mapping[str, Handler], line: bytes) -> Answer:
+def _answer(handlers: Mapping[str, Handler], line: bytes) -> Response:
     try:
         request: dict[str, Any] = json.loads(line)
         name = request["do"]

@@ -26,7 +26,6 @@ class CcsFirmware:
     not obeyed) and ``checksum`` (the reply's checksum is wrong), with ``after``, ``count``, ``probability`` and
     ``seed``.
 
-    levels: Intensities at power-up by channel.
     on: Whether the channels are switched on at power-up.
     gap_s: Time [s] that must pass after a frame; a frame that comes earlier is not heard.
     """
@@ -50,7 +49,6 @@ class CcsFirmware:
         self._wrong: Trigger | None = None
 
     def feed(self, data: bytes, now: float) -> bytes:
-        """Take bytes; answer the frames that they complete."""
         self._buffer += data
         replies = b""
         while b"\r\n" in self._buffer:
@@ -65,15 +63,13 @@ class CcsFirmware:
         return replies
 
     def poll(self, now: float) -> bytes:  # noqa: ARG002
-        """Return nothing: it speaks when spoken to."""
         return b""
 
     def levels(self) -> dict[int, float]:
         """Brightness of each channel; a channel in a strobe mode is dark, because nobody triggers it."""
-        return {c: share if self._mode[c] == 0 else 0.0 for c, share in self._lamps.shine().items()}
+        return {c: share if self._mode[c] == 0 else 0.0 for c, share in self._lamps.brightness().items()}
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
-        """Suffer a fault; see the class."""
         if fault == "ng":
             chosen = dict(options)
             code = chosen.pop("code", _COMMAND)

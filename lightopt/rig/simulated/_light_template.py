@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Iterator, Mapping
-from typing import Any
 
-from lightopt.rig.simulated._faults import Trigger, trigger
-from lightopt.rig.simulated._lamps import Lamps
+from lightopt.rig.simulated._lamps import LampFirmware, Lamps
 
 _LONGEST = 256
 
 
-class TemplateFirmware:
+class TemplateFirmware(LampFirmware):
     """A controller that understands the commands of a template, and replies with what their patterns match.
 
     Faults besides those of its lamps: ``ng`` (the command is answered ``?`` with the end of replies and not obeyed),
@@ -21,7 +19,6 @@ class TemplateFirmware:
 
     template: Commands and patterns as in the rig file: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``,
         ``read_reply``, ``end``; those that are None or absent do not exist.
-    levels: Intensities at power-up by channel.
     """
 
     def __init__(
@@ -32,9 +29,9 @@ class TemplateFirmware:
         top_level: int = 255,
         levels: Mapping[str, int] | None = None,
     ) -> None:
+        super().__init__(Lamps(channels, top_level, levels))
         self._template = {key: value for key, value in template.items() if value is not None}
         self._end = self._template.get("end", "")
-        self._lamps = Lamps(channels, top_level, levels)
         self._commands = [
             (verb, channel, re.compile(_understood(self._template[verb], channel), re.DOTALL))
             for verb in ("off", "set", "read")
@@ -42,40 +39,21 @@ class TemplateFirmware:
             for channel in range(1, channels + 1)
         ]
         self._buffer = ""
-        self._ng: Trigger | None = None
         for verb in ("set", "off", "read"):
             self._reply(verb, top_level)
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
-        """Take bytes; answer the commands that they complete."""
         self._buffer += data.decode("latin-1")
         replies = "".join(self._answers())
         self._buffer = self._buffer[-_LONGEST:]
         return replies.encode("latin-1")
-
-    def poll(self, now: float) -> bytes:  # noqa: ARG002
-        """Return nothing: it speaks when spoken to."""
-        return b""
-
-    def levels(self) -> dict[int, float]:
-        """Brightness of each channel."""
-        return self._lamps.shine()
-
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
-        """Suffer a fault; see the class."""
-        if fault == "ng":
-            self._ng = trigger(fault, options)
-            return
-        if fault == "clear":
-            self._ng = None
-        self._lamps.inject(fault, options, ("ng",))
 
     def _answers(self) -> Iterator[str]:
         while (found := self._first()) is not None:
             verb, channel, match = found
             self._buffer = self._buffer[match.end() :]
             level = int(match["level"]) if "level" in match.re.groupindex else 0
-            if level > self._lamps.top_level or (self._ng is not None and self._ng.strikes()):
+            if level > self._lamps.top_level or self._refuses():
                 yield "?" + self._end
                 continue
             if verb != "read":

@@ -16,7 +16,7 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.simulated._deviations import BenchTruth
+from lightopt.rig.simulated._camera_setup import BenchTruth
 from lightopt.scene import Scene, move_part
 
 Float32 = NDArray[np.float32]

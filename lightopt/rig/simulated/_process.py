@@ -1,4 +1,4 @@
-"""The virtual bench from outside: its process, its ports, and what its world is asked."""
+"""The virtual bench from outside: its process, its ports, and the requests to it."""
 
 from __future__ import annotations
 
@@ -85,10 +85,7 @@ class BenchProcess:
     def request(
         self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any
     ) -> tuple[dict[str, Any], bytes]:
-        """Ask the bench; returns the answer and the bytes that came with it.
-
-        do: What is asked.
-        **arguments: Of the question.
+        """Send a request to the bench; returns the answer and the bytes that came with it.
 
         Raises ValueError when the bench says that the request is wrong.
         Raises HardwareError when the bench is gone, or did not answer in time.
@@ -127,7 +124,7 @@ class BenchProcess:
             raise self._gone(f"cannot render what its camera sees ({error})") from None
 
     def state(self) -> dict[str, Any]:
-        """World now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
+        """State now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
         return self.request("state")[0]
 
     def levels(self, device: str) -> dict[int, float]:
@@ -143,7 +140,7 @@ class BenchProcess:
         return [(t, name, channel, level) for t, name, channel, level in self.request("trace")[0]["changes"]]
 
     def set_fault(self, device: str, fault: str, **options: Any) -> None:
-        """Let a device suffer a fault, of its line or its own; ``clear`` ends them."""
+        """Set a fault of a device or of its line; ``clear`` ends them."""
         self.request("fault", device=device, fault=fault, options=options)
 
     def unplug(self, device: str) -> None:

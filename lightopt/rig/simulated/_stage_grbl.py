@@ -106,7 +106,6 @@ class GrblFirmware:
         return self._axes.real(now)
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Suffer a fault; see the class."""
         chosen = dict(options)
         if fault == "alarm":
             code = int(chosen.pop("code", 1))

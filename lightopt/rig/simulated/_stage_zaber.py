@@ -62,7 +62,6 @@ class ZaberFirmware:
         self._wrong: Trigger | None = None
 
     def feed(self, data: bytes, now: float) -> bytes:
-        """Take bytes; answer each command."""
         self._buffer += data
         *lines, rest = self._buffer.split(b"\n")
         self._buffer = rest[-_LONGEST:]
@@ -73,11 +72,9 @@ class ZaberFirmware:
         return b""
 
     def positions(self, now: float) -> dict[str, float]:
-        """Where each axis really stands [microsteps]."""
         return self._axes.real(now)
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Suffer a fault; see the class."""
         chosen = dict(options)
         if fault == "alarm":
             flag, axis = str(chosen.pop("flag", "FS")), chosen.pop("axis", None)
