@@ -25,10 +25,7 @@ Value = TypeVar("Value")
 
 
 def load_aravis() -> Any:
-    """The library.
-
-    Raises InputError when it is not there, with how to install it.
-    """
+    """The library; an InputError with how to install it when it is not there."""
     try:
         import_module("gi").require_version("Aravis", "0.8")
         return import_module("gi.repository.Aravis")
@@ -37,10 +34,7 @@ def load_aravis() -> Any:
 
 
 def find_aravis_cameras() -> list[CameraInfo]:
-    """Cameras on the networks and USB ports of this computer; none is opened.
-
-    Raises InputError when Aravis is not there.
-    """
+    """Cameras on the networks and USB ports of this computer; none is opened."""
     library = load_aravis()
     library.update_device_list()
     return [
@@ -73,15 +67,8 @@ class AravisSdk:
             f"opening {chosen}", lambda: self._library.Camera.new(chosen.identifier)
         )
         self._device: Any = self._camera.get_device()
-        self.details = {
-            name: value
-            for name, value in (
-                ("model", chosen.model),
-                ("serial", chosen.serial),
-                ("address", chosen.address),
-            )
-            if value
-        }
+        known = {"model": chosen.model, "serial": chosen.serial, "address": chosen.address}
+        self.details = {name: value for name, value in known.items() if value}
         if self._camera.is_gv_device():
             self._set_packets(settings)
         elif settings.packet_size is not None or settings.packet_delay_ns is not None:
@@ -181,13 +168,7 @@ class AravisSdk:
     def _raw(self, buffer: Any) -> RawFrame:
         status = buffer.get_status()
         if status != self._library.BufferStatus.SUCCESS:
-            return RawFrame(
-                data=np.zeros(0, np.uint8),
-                width=0,
-                height=0,
-                number=buffer.get_frame_id(),
-                problem=status.value_nick.replace("-", " "),
-            )
+            return RawFrame.unusable(buffer.get_frame_id(), status.value_nick.replace("-", " "))
         return RawFrame(
             data=np.frombuffer(buffer.get_data(), np.uint8),
             width=buffer.get_image_width(),
@@ -201,10 +182,8 @@ class AravisSdk:
         # the raw socket that Aravis takes for root sees nothing on the loopback, and needs rights elsewhere
         options = self._library.GvStreamOption.PACKET_SOCKET_DISABLED
         self._try("choosing the socket", lambda: self._camera.gv_set_stream_options(options))
-        for name, value in (
-            ("packet_size", settings.packet_size),
-            ("packet_delay", settings.packet_delay_ns),
-        ):
+        wanted = {"packet_size": settings.packet_size, "packet_delay": settings.packet_delay_ns}
+        for name, value in wanted.items():
             if value is None:
                 continue
             self._try(f"setting {name}", lambda n=name, v=value: getattr(self._camera, f"gv_set_{n}")(v))

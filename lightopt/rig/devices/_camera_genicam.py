@@ -26,10 +26,7 @@ Value = TypeVar("Value")
 
 
 def load_harvester() -> Any:
-    """Class of the library that opens producers.
-
-    Raises InputError when it is not there, with how to install it.
-    """
+    """Class of the library that opens producers; an InputError with how to install it when it is not there."""
     try:
         return import_module("harvesters.core").Harvester
     except ImportError as error:
@@ -155,11 +152,11 @@ class GenicamSdk:
 
     def close(self) -> None:
         self._nodes = None
-        for action in ((self._acquirer.destroy,) if self._acquirer is not None else ()) + (
-            self._harvester.reset,
-        ):
-            with suppress(Exception):  # it is given up in any case, and each step is tried
-                action()
+        with suppress(Exception):  # it is given up in any case, and each step is tried
+            if self._acquirer is not None:
+                self._acquirer.destroy()
+        with suppress(Exception):
+            self._harvester.reset()
         self._acquirer = None
 
     def _fetch(self, timeout_s: float) -> Any:
@@ -179,14 +176,10 @@ class GenicamSdk:
         module = buffer.module
         number = _known(lambda: int(module.frame_id), None)
         if not _known(lambda: bool(module.is_complete()), True):
-            return RawFrame(
-                data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="parts of it were lost"
-            )
+            return RawFrame.unusable(number, "parts of it were lost")
         payload = self._try("reading a frame", lambda: buffer.payload)
         if not payload.components:
-            return RawFrame(
-                data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="it has no image"
-            )
+            return RawFrame.unusable(number, "it has no image")
         part = payload.components[0]
         if padding := _known(lambda: int(module.padding_x), 0):
             raise HardwareError(
@@ -228,7 +221,7 @@ class GenicamSdk:
 
 
 def _known(ask: Callable[[], Value], otherwise: Value) -> Value:
-    """What the producer details, or something else where it cannot say."""
+    """What the producer answers, or a default where it cannot."""
     try:
         return ask()
     except Exception:  # noqa: BLE001  (each producer lacks other things, and says so in its own way)
@@ -250,15 +243,12 @@ def _harvester(producer: Path | str, where: str) -> Any:
 
 
 def _cameras(harvester: Any) -> list[CameraInfo]:
-    here: list[CameraInfo] = []
-    for info in harvester.device_info_list:
-        said = info.property_dict
-        here.append(
-            CameraInfo(
-                driver="genicam",
-                identifier=str(said.get("id_") or ""),
-                serial=str(said.get("serial_number") or ""),
-                model=f"{said.get('vendor') or ''} {said.get('model') or ''}".strip(),
-            )
+    return [
+        CameraInfo(
+            driver="genicam",
+            identifier=str(info.get("id_") or ""),
+            serial=str(info.get("serial_number") or ""),
+            model=f"{info.get('vendor') or ''} {info.get('model') or ''}".strip(),
         )
-    return here
+        for info in (found.property_dict for found in harvester.device_info_list)
+    ]

@@ -136,6 +136,11 @@ class RawFrame:
     timestamp_ns: int | None = None
     problem: str | None = None
 
+    @classmethod
+    def unusable(cls, number: int | None, problem: str) -> RawFrame:
+        """A frame of which there are no pixels."""
+        return cls(data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem=problem)
+
     @property
     def name(self) -> str:
         """What it is called in messages."""
