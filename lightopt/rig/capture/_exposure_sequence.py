@@ -213,8 +213,8 @@ class Shooter:
                 facts["events"] = [event.as_dict() for event in events]
         if first.timestamp_ns is not None:
             facts["camera_time_ns"] = first.timestamp_ns
-        if first.says:
-            facts["camera"] = first.says
+        if first.details:
+            facts["camera"] = first.details
 
         def develop() -> Exposed:
             for frame in counted:

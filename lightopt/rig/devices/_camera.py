@@ -26,10 +26,7 @@ _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are 
 
 
 class FrameOrder:
-    """Remembers the last frame of an acquisition and judges the next by it.
-
-    lost: Frames that the camera counted and that never came, since the beginning.
-    """
+    """Compares each frame with the one before; `lost` counts frames that the camera numbered and that never came."""
 
     def __init__(self) -> None:
         self.lost = 0
@@ -44,10 +41,7 @@ class FrameOrder:
         self._last = frame
 
     def check(self, frame: RawFrame) -> None:
-        """Refuse a frame that cannot be the one that was asked for.
-
-        Raises ReplyError when it is incomplete, came before, or is older than the one before.
-        """
+        """Raise a ReplyError for a frame that is incomplete, came before, or is older than the one before."""
         if frame.problem is not None:
             raise ReplyError(f"{frame.name} is incomplete: {frame.problem}")
         last = self._last
@@ -77,18 +71,13 @@ def _step(last: int | None, number: int | None) -> int:
 
 
 class MachineCamera:
-    """A camera of which the levels are to be a measure of light.
+    """A camera whose levels measure light, as a :class:`~lightopt.rig.devices.Camera`.
 
-    What would make them something else is switched off: automatic exposure, gain and black level, gamma and look-up
-    table, mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are
-    checked for being whole, new and in order; what is not is taken again, a bounded number of times, each told.
+    What would falsify them is switched off: automatic exposure, gain and black level, gamma and look-up table,
+    mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are checked for
+    being whole, new and in order; others are taken again, a bounded number of times, each with an event.
 
-    ready: Called before each frame is asked for; returns when one can be: a simulated camera has to render first.
-
-    events: What was out of the ordinary.
-
-    Raises InputError when the camera cannot be as the rig wants it.
-    Raises HardwareError when it does not answer, or holds something else than it was told.
+    wait_ready: Called before each frame; returns when one can be taken: a simulated camera has to render first.
     """
 
     def __init__(
@@ -151,8 +140,6 @@ class MachineCamera:
 
         All attempts together take no longer than `timeout_s`, of which each has an equal part, and no less than the
         exposure time: fewer attempts where there is no time for as many exposures.
-
-        Raises HardwareError when no sound frame came in time or in the attempts that there are.
         """
         if self._wait_ready is not None:
             self._wait_ready()

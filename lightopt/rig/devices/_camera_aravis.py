@@ -50,11 +50,7 @@ def find_aravis_cameras() -> list[CameraInfo]:
 
 
 class AravisSdk:
-    """A camera opened with Aravis.
-
-    Raises InputError when Aravis or the camera is not there.
-    Raises HardwareError when it does not let itself be opened.
-    """
+    """A camera opened with Aravis, as a :class:`~lightopt.rig.devices._camera_sdk.CameraSdk`."""
 
     def __init__(self, settings: CameraSettings) -> None:
         self._library = load_aravis()

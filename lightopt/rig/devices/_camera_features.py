@@ -136,13 +136,11 @@ _TOLERANCE = 1e-6
 
 
 class ExposureTime:
-    """The exposure time of a camera, told and read back in microseconds.
+    """The exposure time of a camera, set and read back in microseconds.
 
     ``ExposureTime`` and ``ExposureTimeAbs`` are microseconds unless the camera names another unit. ``ExposureTimeRaw``
-    counts units that only the camera knows: it names them, or ``ExposureTimeBaseAbs`` is their length [µs]; a camera
-    that says neither cannot be told an exposure time.
-
-    Raises InputError when the time that it exposes is not known.
+    counts units that only the camera knows: it names them, or ``ExposureTimeBaseAbs`` is their length [µs]. On a camera
+    that gives neither it cannot be set, and is `fixed_exposure_us`.
     """
 
     def __init__(self, sdk: CameraSdk, settings: CameraSettings) -> None:
@@ -184,10 +182,7 @@ class ExposureTime:
         return self._sdk.number(self._feature) * self._unit_us
 
     def tell_us(self, exposure_us: float) -> float:
-        """Tell the camera an exposure time [µs], and return what it then holds.
-
-        Raises InputError when it lies outside the camera's range; nothing was sent.
-        """
+        """Set the exposure time [µs] and return what the camera then holds; out of range is an InputError."""
         low, high = self.range_us
         if not low * (1 - _TOLERANCE) <= exposure_us <= high * (1 + _TOLERANCE):
             raise InputError(

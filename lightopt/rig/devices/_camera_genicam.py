@@ -42,11 +42,7 @@ def find_producers() -> list[Path]:
 
 
 def find_genicam_cameras(producer: Path | str) -> list[CameraInfo]:
-    """Cameras that a producer finds; none is opened.
-
-    Raises InputError when library or producer are not there.
-    Raises HardwareError when the producer fails.
-    """
+    """Cameras that a producer finds; none is opened."""
     harvester = _harvester(producer, f"{producer}")
     try:
         return _cameras(harvester)
@@ -55,11 +51,7 @@ def find_genicam_cameras(producer: Path | str) -> list[CameraInfo]:
 
 
 class GenicamSdk:
-    """A camera opened with a maker's producer.
-
-    Raises InputError when library, producer or camera are not there.
-    Raises HardwareError when it does not let itself be opened.
-    """
+    """A camera opened with a maker's producer, as a :class:`~lightopt.rig.devices._camera_sdk.CameraSdk`."""
 
     def __init__(self, settings: CameraSettings) -> None:
         self._where = settings.where

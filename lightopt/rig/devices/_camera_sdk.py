@@ -13,17 +13,16 @@ from lightopt.core.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """What is asked of a camera.
+    """What the rig wants of a camera.
 
     where: What messages call it, with file and line.
-    resolution_px, bit_depth: Width and height [pixels], and bits of a level, of the rig.
-    port: Serial number, address or identifier; None: the only one that there is.
+    port: Serial number, address or identifier; None: the only camera that there is.
     producer: genicam: GenTL producer of the maker (a .cti file).
     pixel_format: Name; None: the camera's that has the bit depth.
     offset_px: Corner of the image on the sensor, from the left and from the top; None: centred.
     gain: In the camera's units (mostly dB); None: as the camera has it.
     trigger: ``software``, ``none``, or ``auto``: software where the camera has it.
-    fixed_exposure_us: Exposure time [µs] of a camera that cannot be told one; None: it is told.
+    fixed_exposure_us: Exposure time [µs] of a camera on which it cannot be set; None: it is set.
     packet_size, packet_delay_ns: GigE: size of packets [bytes] and pause between them [ns]; None: as the camera has it.
     """
 
@@ -43,12 +42,7 @@ class CameraSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraInfo:
-    """A camera that answered when all were asked who is there.
-
-    driver: That would open it.
-    identifier, serial, address: What a rig file may call it; empty where it has none.
-    model: Maker and model.
-    """
+    """A camera that answered; `identifier`, `serial` or `address` name it in a rig file, empty where it has none."""
 
     driver: str
     identifier: str
@@ -66,10 +60,7 @@ class CameraInfo:
 
 
 def choose_camera(here: list[CameraInfo], settings: CameraSettings) -> CameraInfo:
-    """The camera that is meant.
-
-    Raises InputError when it is not there, or not said which of several.
-    """
+    """The camera that the settings name; an InputError when it is not there, or which of several is unclear."""
     there = "; there is " + (", ".join(map(str, here)) or "none") + " (lightopt bench devices lists them)"
     if settings.port is None:
         if len(here) == 1:
@@ -85,13 +76,7 @@ def choose_camera(here: list[CameraInfo], settings: CameraSettings) -> CameraInf
 def offset_of(
     settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px: tuple[int, int]
 ) -> tuple[int, int]:
-    """Corner of the rig's image on the sensor [pixels], from the left and from the top.
-
-    sensor_px: Width and height of the sensor.
-    steps_px: Steps that the corner can be moved by.
-
-    Raises InputError when the image does not fit on the sensor, or the corner lies between steps.
-    """
+    """Corner of the rig's image on the sensor [pixels], from the left and from the top, in multiples of `steps_px`."""
     size, where = settings.resolution_px, settings.where
     if size[0] > sensor_px[0] or size[1] > sensor_px[1]:
         raise InputError(
@@ -121,11 +106,9 @@ class RawFrame:
     """A frame as it came over the cable.
 
     data: Its bytes, shape (n,).
-    width, height: As it says of itself [pixels].
-    code: Its pixel format as a number of the naming convention; None where it does not say.
-    number: The camera's own; None where it has none.
-    timestamp_ns: The camera's own time [ns]; None where it has none.
-    problem: What is wrong with it in words; None: it is whole.
+    code: Its pixel format as a number of the naming convention; None where the camera does not report it.
+    number, timestamp_ns: The camera's own; None where it has none.
+    problem: Why it is unusable; None when it is whole.
     """
 
     data: NDArray[np.uint8]

@@ -72,10 +72,7 @@ def camera_drivers() -> dict[str, Callable[[CameraSettings], CameraSdk]]:
 
 
 def check_stage(driver: str, axes: Sequence[Axis]) -> None:
-    """Check axes and speeds against what the driver of a stage can do; nothing is opened.
-
-    Raises InputError for an unknown driver, or axes or speeds that it cannot have.
-    """
+    """Check axes and speeds against what the driver of a stage can do; nothing is opened. Raises an InputError."""
     known = stage_drivers()
     if driver not in known:
         raise InputError(f"unknown stage driver {driver}; there are: {', '.join(known)}")
@@ -97,8 +94,8 @@ def open_stage(
 ) -> MovingStage:
     """Open a stage; nothing moves.
 
-    axes: The axes that the device moves, at least one.
     baud: Baud rate; the protocol's usual one if None.
+    clock: Time between two looks at a moving stage, for tests.
 
     Raises InputError for an unknown driver, axes that it cannot have, or a port that is not there or in use.
     Raises HardwareError when the device does not answer where the protocol has it speak first.
@@ -144,10 +141,7 @@ def open_camera(
 
 
 def check_camera_driver(driver: str, producer: Path | None) -> None:
-    """Check that a camera's software is there; no camera is looked for.
-
-    Raises InputError when it is not, with how to install it.
-    """
+    """Check that a camera's software is there, or raise an InputError with how to install it; no camera is asked."""
     if driver == "aravis":
         load_aravis()
     else:
@@ -157,11 +151,9 @@ def check_camera_driver(driver: str, producer: Path | None) -> None:
 
 
 def find_cameras(producer: Path | None = None) -> tuple[list[CameraInfo], list[str]]:
-    """Cameras that answer, through whatever software is there; none is opened.
+    """Cameras that answer, through whatever software is there, and what could not be asked; none is opened.
 
     producer: GenTL producer to ask beside those that installers have named.
-
-    Returns the cameras, and in words what could not be asked.
     """
     producers = {*find_producers(), *([] if producer is None else [producer])}
     cameras: list[CameraInfo] = []

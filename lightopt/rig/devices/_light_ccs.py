@@ -23,15 +23,10 @@ _REFUSALS = {
 
 
 class CcsController(LightDriver):
-    """A light controller with CCS ``@`` frames, as a :class:`~lightopt.rig.devices.LightController`.
+    """A light controller with CCS ``@`` frames; `dialect` ``lan`` without unit number, ``serial`` with it.
 
     The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a
-    connection on which nothing was said. No light changes.
-
-    dialect: ``lan``: frames without unit number; ``serial``: with it.
-
-    Raises HardwareError when the controller does not answer, be it only to ``M``; one that refuses ``M`` cannot be read
-    back.
+    connection on which nothing was said. No light changes. A controller that refuses ``M`` cannot be read back.
     """
 
     NAME = "ccs"

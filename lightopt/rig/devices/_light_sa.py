@@ -22,13 +22,7 @@ _VALUE = re.compile(rb"NG|[A-Fa-f]\d{4}")
 
 
 class SaController(LightDriver):
-    """A light controller of the ``SA0255#`` family, as a :class:`~lightopt.rig.devices.LightController`.
-
-    Opening asks for the intensity of channel A; no light changes.
-
-    Raises InputError for more channels or levels than the protocol can say.
-    Raises HardwareError when the controller does not answer.
-    """
+    """A light controller of the ``SA0255#`` family; opening asks for the intensity of channel A, no light changes."""
 
     NAME = "sa"
     BAUD = 19200

@@ -18,16 +18,11 @@ from lightopt.rig.devices._log import SerialLog
 
 
 class TemplateController(LightDriver):
-    """A light controller that speaks as a template says, as a :class:`~lightopt.rig.devices.LightController`.
-
-    Opening asks for the intensity of channel 1 where the template can ask; no light changes.
+    """A light controller with the commands of a template; opening asks for the intensity of channel 1 where it can.
 
     template: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig file; what
         is None or absent does not exist. Fields of commands: ``{channel}`` from 1, ``{channel0}`` from 0, ``{letter}``,
         ``{level}``. Patterns match a reply without its end.
-
-    Raises InputError when a command names another field, or a pattern is none.
-    Raises HardwareError when the controller does not answer.
     """
 
     NAME = "template"

@@ -25,10 +25,7 @@ _ATTEMPTS = 3
 
 
 class LightsStillOnError(HardwareError):
-    """Channels could not be switched off.
-
-    *messages: What failed.
-    """
+    """Channels could not be switched off; `channels` by the name of the controller."""
 
     def __init__(self, *messages: str, channels: Mapping[str, Sequence[int]]) -> None:
         super().__init__(*messages)
@@ -42,8 +39,6 @@ class LightSettings:
     name: Name of the controller in the rig file.
     port: Serial port or pyserial URL.
     baud: Baud rate; None is the protocol's usual one.
-    channels: Number of channels.
-    top_level: Highest intensity.
     dialect: ccs: ``lan`` or ``serial``.
     template: template: commands and patterns of replies, by the words of the rig file.
     timeout_s: Longest wait for a reply [s].
@@ -71,11 +66,9 @@ def all_off(
 ) -> None:
     """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
 
-    controllers: By their names in the rig file.
-    lit: Channels that are known to burn, by controller: they come first.
+    lit: Channels that are known to be lit, by controller: they come first.
 
-    Raises LightsStillOnError once all were tried, with a message per controller and reason that names the channels that
-    may still be lit.
+    Raises LightsStillOnError once all were tried, with a message per controller and reason.
     """
     first = lit or {}
     reasons = run_in_parallel(
@@ -161,11 +154,7 @@ class LightDriver(ABC):
 
     @classmethod
     def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightDriver:
-        """Open the link of a controller and let its driver talk first; a link on which that fails is closed.
-
-        Raises InputError when the port cannot be opened, or the protocol cannot do what the settings want.
-        Raises HardwareError when the controller does not answer.
-        """
+        """Open the link of a controller and let its driver talk first; a link on which that fails is closed."""
         link = SerialLink(
             settings.port,
             device=f"light controller {settings.name} ({cls.NAME})",

@@ -81,13 +81,11 @@ class PriorityLock:
 class SerialLink:
     """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
 
-    baud: Baud rate; 8 data bits, no parity, 1 stop bit.
-    rtscts: Whether the device paces the line by RTS/CTS.
+    device: What stands behind it, for messages: ``controller main (ccs)``.
+    timeout_s: Deadline [s] of a whole reply where a call names none. A write has as long, and a second at least.
     gap_s: Least time [s] between the end of a dialogue and the next command.
-
-    events: What was out of the ordinary so far: retries, stale bytes thrown away, the device lost.
     lock: Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait breaks them
-        off by ``lock.priority()``; whoever waits for a reply then gets an :class:`PreemptedError`.
+        off by ``lock.priority()``; whoever waits for a reply then gets a :class:`PreemptedError`.
 
     Raises InputError when the port is not there (the message lists those that are), is none, or may not be opened.
     Raises HardwareError when another program has it, or nothing answers at its address.
@@ -157,8 +155,6 @@ class SerialLink:
 
         Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
         be on its way; the line is then first listened to until it is silent.
-
-        Raises LinkLostError when the device is gone or does not take the bytes.
         """
         with self.lock:
             if self._owed:
@@ -194,13 +190,10 @@ class SerialLink:
 
         end: Bytes that end it; or a pattern, which ends it where it is first found; or None: silence of `quiet_s` after
             at least one byte.
-        deadline_s: Longest time [s] for the whole reply; the link's `timeout_s` if None.
         after: The command that was sent, for messages.
-        quiet_s: Silence [s] that ends a reply without an end.
 
-        Raises ReplyError when the deadline passes before the end; it says what had come.
-        Raises PreemptedError when something that cannot wait needs the wire.
-        Raises LinkLostError when the device is gone.
+        Raises ReplyError when the deadline passes before the end, PreemptedError when something that cannot wait needs
+        the wire, LinkLostError when the device is gone.
         """
         limit_s = self.timeout_s if deadline_s is None else deadline_s
         until = time.monotonic() + limit_s
@@ -235,10 +228,7 @@ class SerialLink:
                 self._quiet_since = time.monotonic()
 
     def drain(self, quiet_s: float = 0.1, deadline_s: float = 1.0) -> None:
-        """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command.
-
-        Raises PreemptedError when something that cannot wait needs the wire; it is then still owed the silence.
-        """
+        """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command."""
         with self.lock:
             until = time.monotonic() + deadline_s
             heard = time.monotonic()

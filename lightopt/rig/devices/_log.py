@@ -15,13 +15,7 @@ from lightopt.core.errors import InputError
 
 @dataclass(frozen=True)
 class Event:
-    """Something out of the ordinary on a link.
-
-    time: When, UTC, ISO 8601.
-    port: On which port.
-    what: What, in words.
-    retry: Whether it is a command sent again.
-    """
+    """Something out of the ordinary on a link, at a time (UTC, ISO 8601); `retry`: a command was sent again."""
 
     time: str
     port: str
@@ -34,16 +28,15 @@ class Event:
 
 
 class SerialLog:
-    """What happens on the wires of a run: what is out of the ordinary is told, and every byte is written down.
+    """What happens on the wires of a run: every byte is written down, and what is out of the ordinary is reported.
 
     The text file has time (UTC), port, direction, and bytes as a Python literal. Entries are appended and flushed one
     by one, so that the file is whole up to the moment of a crash. Links of several threads may share it. Once opened it
     never raises: a disk that is full must not keep a light from being switched off. The first entry that cannot be
-    written ends the file, which is told once.
+    written ends the file, which is reported once, and kept in `events`.
 
-    events: That the file ended early, if it did.
-
-    Raises InputError when it cannot be written.
+    path: Made if it is not there, continued if it is. None for none.
+    warn: Called with what is out of the ordinary; from whichever thread it happens in.
     """
 
     def __init__(self, path: Path | str | None = None, *, warn: Callable[[str], None] | None = None) -> None:

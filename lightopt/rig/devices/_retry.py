@@ -29,9 +29,6 @@ class Retry:
 
     A device that left all attempts unanswered gets one at a time until it answers: switching off the lights of a dead
     controller must not take a minute.
-
-    attempts: Times that a command is sent at most.
-    verb: What is done again, in the past tense.
     """
 
     def __init__(self, link: Repeatable, attempts: int = ATTEMPTS, *, verb: str = "sent") -> None:

@@ -80,7 +80,6 @@ class StageState:
     """State of a stage.
 
     posture: Where it stands [°]; an axis that the stage lacks stands at 0.
-    moving: Whether an axis moves.
     referenced: Whether it knows where its origin is; None where it cannot tell.
     alarm: The device's alarm in words; None without one.
     """
@@ -141,8 +140,7 @@ class Frame:
 
     levels: Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
     exposure_us: Exposure time [µs] as read back for this frame.
-    number: The camera's own number of the frame; None where it has none.
-    timestamp_ns: The camera's own time stamp [ns]; None where it has none.
+    number, timestamp_ns: The camera's own number and time stamp [ns]; None where it has none.
     details: Further properties (gain, temperature, packets lost).
     """
 

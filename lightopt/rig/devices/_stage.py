@@ -31,14 +31,11 @@ class Clock:
 
 
 class MovingStage:
-    """The :class:`~lightopt.rig.devices.Stage` role over any stage language.
+    """The :class:`~lightopt.rig.devices.Stage` role over any :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
     A move is refused when the posture lies outside the range (before a command is sent), when the device has an alarm
     or knows that it is not referenced, when it moves already, and when it does not stand where it was left. After a
-    failed move it is refused until the stage has been homed.
-
-    dialogue: The device's language.
-    axes: The axes that the device moves; an axis of the rig that is not among them stands at 0.
+    failed move it is refused until the stage has been homed. An axis that is not among `axes` stands at 0.
     """
 
     def __init__(
@@ -91,11 +88,7 @@ class MovingStage:
             raise InputError(*wrong)
 
     def move_to(self, posture: Posture) -> StageState:
-        """Move, wait and verify; returns where it stands, to the step.
-
-        Raises InputError when the posture lies outside the limits; nothing was sent.
-        Raises HardwareError when it may not move (alarm, not referenced), or does not arrive; it is then told to stop.
-        """
+        """Move, wait and verify; returns where it stands, to the step."""
         self.check(posture)
         with self._link.lock:
             try:
@@ -137,8 +130,7 @@ class MovingStage:
     def confirm(self) -> StageState:
         """Ask whether it still stands where the last move left it; moves nothing.
 
-        Raises HardwareError when it does not: moved by hand, or switched off and on, after which most devices count
-        from elsewhere.
+        It does not after it was moved by hand, or switched off and on: then most devices count from elsewhere.
         """
         with self._link.lock:
             reading = self._dialogue.read()

@@ -27,10 +27,9 @@ class Axis:
     range_deg: Lowest and highest angle [°] that may be asked for.
     steps_per_deg: Device units per degree; negative where the device counts against the rig's sense.
     zero: Device units at which the rig's angle is 0.
-    speed_deg_per_s: Speed [°/s] that the device is set to.
-    home_sense: +1 or -1: the sense of the device's count in which a device seeks its origin that must be told (GSC-02).
+    home_sense: +1 or -1: the sense of the count in which a device seeks its origin that must be told (GSC-02).
 
-    Raises InputError when a value cannot be: no units per degree, a range upside down, a speed that is not positive.
+    Raises InputError for values that cannot be.
     """
 
     name: str
@@ -68,13 +67,7 @@ class Axis:
         return self.zero + angle_deg * self.steps_per_deg
 
     def target(self, angle_deg: float, *, step: float) -> float:
-        """Nearest position that the device can hold to an angle [°].
-
-        angle_deg: The angle asked for.
-        step: Device units of one step; positions are whole multiples of it.
-
-        Raises InputError when the angle lies outside the range or is no number.
-        """
+        """Nearest multiple of a `step` [device units] to an angle [°]; an InputError for one outside the range."""
         self.check(angle_deg)
         return step * round(self.units_of(angle_deg) / step)
 
@@ -101,10 +94,9 @@ class Axis:
 
 @dataclass(frozen=True)
 class Reading:
-    """What a device says of itself at one moment.
+    """State of a device at one moment.
 
     units: Position of each axis by the device's name of it [device units].
-    moving: Whether any axis moves.
     referenced: Whether it knows its origin; None where it cannot tell.
     alarm: The alarm in words; None without one.
     """

@@ -56,13 +56,7 @@ def check_grbl(axes: Sequence[Axis]) -> None:
 
 
 class GrblDialogue:
-    """The language of Grbl 1.1; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
-
-    axes: The axes, called X, Y or Z.
-
-    Raises InputError for an axis that Grbl does not have.
-    Raises HardwareError when no Grbl answers.
-    """
+    """The protocol of Grbl 1.1; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`; axes X, Y, Z."""
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:
         check_grbl(axes)

@@ -67,11 +67,7 @@ def error_words(code: int) -> str:
 
 @dataclass(frozen=True)
 class Report:
-    """A status report.
-
-    state: ``Idle``, ``Run``, ``Hold:0``, ``Alarm``, …
-    position: Machine position of X, Y, Z (and more) [mm, or whatever $100 counts steps per].
-    """
+    """A status report: state (``Idle``, ``Run``, ``Hold:0``, …) and machine position of X, Y, Z [units of $100]."""
 
     state: str
     position: tuple[float, ...]

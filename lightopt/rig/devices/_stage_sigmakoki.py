@@ -39,13 +39,7 @@ _GSC_FARTHEST = 16_777_214  # longest relative move [pulses]
 
 @dataclass(frozen=True)
 class Status:
-    """The answer to ``Q:``.
-
-    positions: Count of each axis [pulses].
-    accepted: Whether the last command was taken (ACK1).
-    limit: Which axis was stopped by its limit switch (ACK2), in words; None where none was.
-    busy: Whether an axis moves (ACK3).
-    """
+    """The answer to ``Q:``: positions [pulses], command accepted (ACK1), axis at its limit (ACK2), busy (ACK3)."""
 
     positions: tuple[int, ...]
     accepted: bool
@@ -116,10 +110,7 @@ def parse_status(line: bytes) -> Status:
 
 
 def reading_of(status: Status, axes: Sequence[Axis]) -> Reading:
-    """A status as a reading of the axes that the rig uses.
-
-    Raises ValueError when the controller has fewer axes than that.
-    """
+    """A status as a reading of the axes that the rig uses; a ValueError when the controller has fewer."""
     needed = max(int(axis.device) for axis in axes)
     if len(status.positions) < needed:
         raise ValueError(f"tells of {len(status.positions)} axes, and the rig uses axis {needed}")
@@ -134,10 +125,7 @@ def reading_of(status: Status, axes: Sequence[Axis]) -> Reading:
 
 
 def check_axes(axes: Sequence[Axis], *, slowest: int, fastest: int) -> None:
-    """Check the names of the axes and that the controller can be set to their speeds [pulses/s].
-
-    Raises InputError for an axis other than 1 and 2, the same axis twice, or a speed that the command set cannot say.
-    """
+    """Raise an InputError for axes other than 1 and 2, or speeds [pulses/s] that the controller does not have."""
     wrong: list[str] = []
     for axis in axes:
         if axis.device not in ("1", "2"):

@@ -72,12 +72,10 @@ _REPLY = re.compile(
 
 @dataclass(frozen=True)
 class Reply:
-    """A reply of a device.
+    """A reply of a device or axis.
 
-    device, axis: Who answers.
     number: Number of the message that it answers; None when it has none.
     accepted: OK rather than RJ.
-    busy: Whether it moves.
     warning: Flag of the gravest warning; empty without one.
     data: The answer, or why it was rejected.
     """
@@ -173,9 +171,7 @@ def check_zaber(axes: Sequence[Axis]) -> None:
 class ZaberDialogue:
     """The Zaber ASCII protocol; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
-    axes: The axes, called ``2`` (axis 2 of device 1) or ``2/1`` (axis 1 of device 2).
-
-    Raises InputError for an axis with another kind of name, or the same axis twice.
+    Axes are called ``2`` (axis 2 of device 1) or ``2/1`` (axis 1 of device 2).
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:

@@ -25,11 +25,7 @@ class _Fault:
 
 
 class SimulatedAxis:
-    """One axis.
-
-    stands: Where it really stands at power-up.
-    low, high: Where its limit switches are.
-    count: What the controller believes at power-up.
+    """One axis: where it really `stands` and what its controller believes (`count`) at power-up; its limit switches.
 
     at_limit: Whether the last move ended at a switch.
     homed: Whether it has found its origin since power-up.
@@ -156,14 +152,11 @@ class SimulatedAxis:
 
 
 class Axes:
-    """The axes of a stage by name.
+    """The axes of a stage by name, from the arguments of :class:`SimulatedAxis`.
 
     Faults, of an ``axis`` or of all: ``stall`` (the axis stops after a ``share`` of a move, and reports that it stands
-    still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with ``after``, ``count``,
-    ``probability`` and ``seed`` counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
-
-    axes: Arguments of :class:`SimulatedAxis` by the axis' name.
-    count: What the controller believes at power-up.
+    still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with the options of :class:`Trigger`
+    counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
     """
 
     def __init__(self, axes: Mapping[str, Mapping[str, float]], *, count: float = 0.0) -> None:

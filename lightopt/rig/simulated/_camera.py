@@ -27,7 +27,6 @@ Positions = Callable[[str], Mapping[str, float]]
 class BenchCamera:
     """Takes frames of what the devices do at the moment.
 
-    setup: What it looks at.
     levels: Brightness of a device's channels at this moment, as a share of its highest intensity.
     positions: Where a device's axes stand at this moment, in device units.
     """
@@ -77,9 +76,6 @@ class BenchCamera:
     def expose(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
         """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
 
-        exposure_us: Exposure time [µs].
-        gain_db: Gain [dB].
-        triggered: Whether it begins now.
         counted: False for a frame that is lost on its way: the next has the noise that it would have had.
         """
         now = self._state()
@@ -95,11 +91,10 @@ class BenchCamera:
         return pixels
 
     def _prepare(self, _: Mapping[str, Any]) -> Response:
-        """Say whether what will be seen where the stage stands is rendered, and see to it that it will be.
+        """Answer whether the view at the stage's position is rendered, and start to render it if not.
 
-        A camera on a network does not answer while a frame is made, and one that is silent for seconds counts as gone;
-        so rendering is waited for before a frame is asked for, and by asking again, which a process that hangs does not
-        answer.
+        A camera on a network does not answer while a frame is made, and one that is silent for seconds counts as gone.
+        So the client waits before it asks for a frame, by asking again, which a hung process does not answer.
         """
         posture = self._state()[1]
         with self._preparing:

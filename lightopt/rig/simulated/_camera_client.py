@@ -11,12 +11,7 @@ from lightopt.rig.simulated._process import BenchProcess
 
 
 class VirtualCamera:
-    """A camera that takes its frames from the virtual bench, over a loopback socket.
-
-    bench: With a camera. It stays open when the camera is closed.
-
-    Raises HardwareError when the bench does not answer.
-    """
+    """A camera that takes its frames from the virtual bench, which stays open when the camera is closed."""
 
     def __init__(self, bench: BenchProcess) -> None:
         self._bench = bench
@@ -56,12 +51,7 @@ class VirtualCamera:
         return self._exposure_us
 
     def grab(self, *, timeout_s: float) -> Frame:
-        """Take a frame.
-
-        What has yet to be rendered is waited for first, as long as the bench answers: that is not the camera's time.
-
-        Raises HardwareError when the bench does not deliver in time, or hangs.
-        """
+        """Take a frame; rendering is waited for first, as long as the bench answers: that is not the camera's time."""
         try:
             self._bench.prepare()
             head, data = self._bench.request("frame", timeout_s=timeout_s, exposure_us=self._exposure_us)

@@ -12,9 +12,9 @@ EXPOSURE_RANGE_US = (10.0, 10e6)
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTruth:
-    """The world behind the devices.
+    """Where the bench differs from the files: the ground truth of tests.
 
-    seed: Of the noise.
+    seed: Seed of the noise.
     gains: Factor on the brightness of a light, by its name; 1 where none is given.
     part_offset_mm: How far from its place the part lies, world frame at posture (0, 0) [mm].
     dark_level: Added to the sensor's black level [sensor level].
@@ -74,13 +74,10 @@ class AxisWire:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSetup:
-    """What the camera looks at.
+    """What the camera looks at: files of rig and part, the wiring of lights and axes, and where the bench differs.
 
-    rig, part: Files.
     exposure_us: Exposure time of exposure 1 [µs].
-    lights: Where they are plugged in.
     elevation, rotation: Axes; None: fixed at 0.
-    truth: How the bench differs from the files.
     gige: Whether the camera is a GigE Vision camera on the loopback.
     """
 

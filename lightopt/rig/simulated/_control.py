@@ -58,7 +58,7 @@ def handlers(devices: SimulatedDevices) -> dict[str, Handler]:
 
 
 class ControlServer:
-    """Responses requests on a loopback port, one thread per connection.
+    """Answers requests on a loopback port, one thread per connection.
 
     The first line of a connection is the token. Each request is a line ``{"do": name, …}``; each answer is a line
     ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``.

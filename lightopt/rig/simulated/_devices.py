@@ -110,8 +110,6 @@ class SimulatedDevices:
 
     devices: By name: ``kind`` and, optionally, ``options`` of the firmware, ``tcp`` and ``wedges`` of the wire.
     tcp: Whether devices that do not say are on TCP; by default where there are no pseudo-terminals.
-
-    Raises ValueError for firmware that does not exist, or options that it refuses.
     """
 
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool = not have_ptys) -> None:
@@ -140,10 +138,7 @@ class SimulatedDevices:
             return _TICK_S if any(one.is_awake(now) for one in self.devices.values()) else _ASLEEP_S
 
     def serve(self, now: float, ready: Collection[int]) -> None:
-        """Let each device receive and send once that has something to.
-
-        ready: Of the file descriptors that wait, those with something to read.
-        """
+        """Let each device receive and send that has something to; `ready`: file descriptors with something to read."""
         with self.lock:
             for device in self.devices.values():
                 called = any(fd in ready for fd in device.wire.waiting)
@@ -175,10 +170,7 @@ class SimulatedDevices:
             self._record_lights(now)
 
     def pull(self, name: str) -> None:
-        """Pull the cable of a device, and wait until nobody holds its end any more.
-
-        Raises KeyError for a device that is not there.
-        """
+        """Pull the cable of a device, and wait until nobody holds its end any more."""
         with self.lock:
             self.devices[name].wire.pull()
             self._served.clear()

@@ -16,9 +16,7 @@ class Trigger:
 
     after: Occasions that pass unharmed first.
     count: Occasions that it strikes; None: all that follow.
-    seed: Seed of the chance.
-
-    Raises ValueError for numbers out of range.
+    probability, seed: Chance that it strikes at an occasion that `after` and `count` leave to it.
     """
 
     struck = 0
@@ -79,22 +77,19 @@ class _Fault:
 
 
 class Line:
-    """What becomes of the bytes that a device sends.
+    """Transmits the bytes that a device sends, with faults.
 
-    Faults, each with ``after``, ``count``, ``probability`` and ``seed``: ``drop``; ``delay`` (by ``delay_s``);
-    ``truncate`` (to ``keep`` bytes); ``garbage_before`` and ``garbage_instead`` (so many ``bytes``); ``vanish`` (the
-    cable is pulled when a command arrives; ``obeyed``: whether the device still hears it). Occasions of ``vanish`` are
-    deliveries of bytes to the device, those of the others are replies.
+    Faults, each with the options of :class:`Trigger`: ``drop``; ``delay`` (by ``delay_s``); ``truncate`` (to ``keep``
+    bytes); ``garbage_before`` and ``garbage_instead`` (so many ``bytes``); ``vanish`` (the cable is pulled when a
+    command arrives; ``obeyed``: whether the device still hears it). Occasions of ``vanish`` are deliveries of bytes to
+    the device, those of the others are replies.
     """
 
     def __init__(self) -> None:
         self._faults: list[_Fault] = []
 
     def inject(self, kind: str, options: Mapping[str, Any]) -> None:
-        """Suffer a fault from now on; ``clear`` ends all.
-
-        Raises ValueError for an option that the fault does not have.
-        """
+        """Set a fault from now on; ``clear`` ends all."""
         if kind == "clear":
             self._faults.clear()
             return

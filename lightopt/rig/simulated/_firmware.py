@@ -22,11 +22,9 @@ class Firmware(Protocol):
         ...
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Suffer a fault of the device from a time [s] on: a stalled axis, a light that stays dark.
+        """Set a fault of the device from a time [s] on: a stalled axis, a light that stays dark; ``clear`` ends all.
 
-        Faults of the line (replies dropped, late, cut short) are the host's and never come here.
-
-        Raises ValueError for a fault or an option that the device does not know; the message lists those that it does.
+        Faults of the line are the host's and never come here. Raises a ValueError that lists the faults that there are.
         """
         ...
 
@@ -60,12 +58,7 @@ FIRMWARE = {
 
 
 def build(kind: str, options: dict[str, Any]) -> Firmware:
-    """Power up the firmware of a protocol.
-
-    kind: Name of the protocol.
-
-    Raises ValueError for an unknown protocol, or options that its firmware refuses.
-    """
+    """Power up the firmware of a protocol; a ValueError for an unknown one, or options that it refuses."""
     if kind not in FIRMWARE:
         raise ValueError(f'no firmware called "{kind}"; there is {", ".join(FIRMWARE)}')
     module, name = FIRMWARE[kind]

@@ -69,10 +69,7 @@ _TRIGGER_US = 1_000  # between two looks for a trigger
 
 
 class GigeCamera:
-    """A GigE Vision camera at 127.0.0.1, the only one at a time on a computer.
-
-    expose: Delivers right-aligned levels, shape (H, W).
-    resolution_px: Width and height of its sensor.
+    """A GigE Vision camera at 127.0.0.1, one at a time on a computer; `expose` delivers right-aligned levels (H, W).
 
     Raises ValueError when Aravis is not there, another such camera runs, or no pixel format has the bit depth.
     """

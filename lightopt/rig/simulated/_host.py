@@ -28,8 +28,6 @@ def run(spec: Mapping[str, Any]) -> None:
     """Serve a bench: print one JSON line with its ports, and return when standard input ends.
 
     spec: ``devices`` (see :class:`SimulatedDevices`), ``tcp``, and ``camera`` (see :class:`CameraSetup`).
-
-    Raises ValueError for devices that cannot be built; nothing is served then.
     """
     devices = SimulatedDevices(spec["devices"], tcp=bool(spec.get("tcp", not have_ptys)))
     requests = handlers(devices)

@@ -17,7 +17,6 @@ class Lamps:
     each for one channel; ``power_cycle`` (the channels are as at power-up).
 
     levels: Intensities at power-up by channel, 0 where absent. Keys may be text, as in JSON.
-    on: Whether the channels are switched on at power-up.
     """
 
     FAULTS = ("dark", "lit", "deaf", "aged", "swapped", "power_cycle")
@@ -104,11 +103,7 @@ class Lamps:
 
 
 class LampFirmware:
-    """What the firmware of light controllers shares: lamps, and the fault ``ng``.
-
-    ``ng``: a command is refused and not obeyed, with ``after``, ``count``, ``probability`` and ``seed``. The faults of
-    the lamps come with it.
-    """
+    """What the firmware of light controllers shares: lamps with their faults, and ``ng``, which refuses commands."""
 
     def __init__(self, lamps: Lamps) -> None:
         self._lamps = lamps

@@ -22,11 +22,9 @@ _MODES = 10  # S00 is on/off, S01 … S10 are strobes
 class CcsFirmware:
     """A controller with CCS ``@`` frames.
 
-    Faults besides those of its lamps: ``ng`` (option ``code``: 1 command, 2 checksum, 3 value; the frame is refused and
-    not obeyed) and ``checksum`` (the reply's checksum is wrong), with ``after``, ``count``, ``probability`` and
-    ``seed``.
+    Faults besides those of its lamps, with the options of :class:`Trigger`: ``ng`` (option ``code``: 1 command,
+    2 checksum, 3 value; the frame is refused and not obeyed) and ``checksum`` (the reply's checksum is wrong).
 
-    on: Whether the channels are switched on at power-up.
     gap_s: Time [s] that must pass after a frame; a frame that comes earlier is not heard.
     """
 

@@ -17,10 +17,7 @@ _ACKS = ("upper", "lower", "!")
 
 
 class SaFirmware(LampFirmware):
-    """A controller of the ``SA0255#`` family.
-
-    ack: How a set is acknowledged: the channel's letter in ``upper`` or ``lower`` case, or ``!``.
-    """
+    """A controller of the ``SA0255#`` family; `ack` is how it acknowledges: ``upper`` or ``lower`` letter, or ``!``."""
 
     def __init__(
         self,

@@ -14,11 +14,7 @@ _LONGEST = 256
 class TemplateFirmware(LampFirmware):
     """A controller that understands the commands of a template, and replies with what their patterns match.
 
-    Faults besides those of its lamps: ``ng`` (the command is answered ``?`` with the end of replies and not obeyed),
-    with ``after``, ``count``, ``probability`` and ``seed``.
-
-    template: Commands and patterns as in the rig file: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``,
-        ``read_reply``, ``end``; those that are None or absent do not exist.
+    Commands and patterns are as in the rig file. A command that fault ``ng`` refuses is answered ``?`` with the end.
     """
 
     def __init__(
@@ -92,14 +88,11 @@ _WIDEST = 8
 
 
 def example(pattern: str, level: int | None = None) -> str:
-    """Make up the plainest text that a pattern matches wholly.
+    """The plainest text that a pattern matches wholly.
 
     Alternatives are resolved to the first, repetitions to the fewest; a group named ``level`` becomes the level, with
-    as many leading zeros as the pattern wants.
-
-    pattern: Regular expression.
-
-    Raises ValueError when none can be made up: the pattern looks around, refers back, or is conditional.
+    as many leading zeros as the pattern wants. Raises a ValueError for a pattern that looks around, refers back, or is
+    conditional.
     """
     for width in range(1, _WIDEST + 1):
         text = _Maker(pattern, "" if level is None else f"{level:0{width}d}").make()

@@ -29,9 +29,6 @@ class BenchOptics:
     """Renders the part as the light levels and the stage have it.
 
     Images add linearly, so that one linear layer per light and posture serves every level and exposure; they are kept.
-
-    scene: Rig and part as their files have them.
-    truth: How the bench differs from them.
     """
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
@@ -67,8 +64,7 @@ class BenchOptics:
 
         The noise depends on the seed, on what is seen, and on how many frames of it were taken before.
 
-        shares: Brightness of the lights by name, as a share of the one that the rig describes; those that burn.
-        posture: Where the stage stands.
+        shares: Brightness of the lights by name, as a share of the one that the rig describes; those that are lit.
         exposure: Relative exposure.
         gain_db: Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
         counted: Whether it counts among the frames that were taken before the next.

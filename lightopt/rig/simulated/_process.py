@@ -51,10 +51,7 @@ class BenchProcess:
     tcp: Whether devices that do not say are on TCP instead of pseudo-terminals; None: where there are none.
     **more: Further keys of the description that the process gets.
 
-    ports: What a driver opens, by device.
-
-    Raises InputError when a device cannot be as described.
-    Raises HardwareError when the process does not start.
+    `ports` is what a driver opens, by device. Raises InputError when a device cannot be as described.
     """
 
     def __init__(
@@ -87,8 +84,7 @@ class BenchProcess:
     ) -> tuple[dict[str, Any], bytes]:
         """Send a request to the bench; returns the answer and the bytes that came with it.
 
-        Raises ValueError when the bench says that the request is wrong.
-        Raises HardwareError when the bench is gone, or did not answer in time.
+        Raises ValueError for a wrong request, HardwareError when the bench is gone, or did not answer in time.
         """
         with self._lock:
             try:
@@ -113,10 +109,7 @@ class BenchProcess:
         return answer, data
 
     def prepare(self) -> None:
-        """Wait until what the camera will see is rendered, however long that takes; meanwhile the bench has to answer.
-
-        Raises HardwareError when it cannot be rendered, or the bench is gone or hangs.
-        """
+        """Wait until the camera's view is rendered, however long that takes; meanwhile the bench has to answer."""
         try:
             while not self.request("prepare", timeout_s=_ANSWER_S)[0]["ready"]:
                 time.sleep(_LOOK_S)

@@ -31,11 +31,9 @@ class GrblFirmware:
     """A Grbl 1.1h with three axes.
 
     Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
-    (option ``code``: lines are answered by ``error:code``, with ``after``, ``count``, ``probability`` and ``seed``),
-    ``power_cycle``.
+    (option ``code``: lines are answered by ``error:code``, with the options of :class:`Trigger`), ``power_cycle``.
 
-    axes: Where each axis really stands at power-up, and its switches; see :class:`Axes`.
-    home_speed: Speed of the search for the switches [mm/s].
+    settings: Settings other than the usual ones by number: ``{"22": 1}``.
     """
 
     def __init__(

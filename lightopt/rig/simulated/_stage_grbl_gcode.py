@@ -22,12 +22,7 @@ class GcodeError(Exception):
 
 @dataclass
 class Modes:
-    """What one line leaves to the next.
-
-    rapid: G0 rather than G1.
-    relative: G91 rather than G90.
-    feed: F [mm/min].
-    """
+    """What one line leaves to the next: G0 rather than G1, G91 rather than G90, and F [mm/min]."""
 
     rapid: bool = True
     relative: bool = False
@@ -36,12 +31,7 @@ class Modes:
 
 @dataclass(frozen=True)
 class Move:
-    """What a line asks for.
-
-    words: Axis words by letter [mm].
-    relative, rapid, feed: How to read and go them.
-    dwell_s: G4: time [s] to wait when all moves are done; None without one.
-    """
+    """What a line asks for: axis words by letter [mm], how to read and go them, the time that G4 waits at the end."""
 
     words: dict[str, float] = field(default_factory=dict[str, float])
     relative: bool = False
@@ -51,10 +41,7 @@ class Move:
 
 
 def parse_line(text: str, modes: Modes, *, jog: bool = False) -> Move:
-    """Read a line, and change the modes as it says; a jog changes none.
-
-    Raises GcodeError when Grbl would refuse it; the modes are then as they were.
-    """
+    """Read a line and change the modes; a jog, and a line that raises a GcodeError, leave them as they were."""
     line = re.sub(r"\s", "", text).upper()
     words: dict[str, float] = {}
     commands: list[tuple[str, float]] = []
@@ -105,10 +92,7 @@ _SOFT_LIMITS, _HOMING = 20, 22
 
 
 class Settings:
-    """The settings by number.
-
-    changed: Those that are not as new, by their numbers as text.
-    """
+    """The settings by number; `changed` are those that are not as new, by their numbers as text."""
 
     def __init__(self, changed: Mapping[str, float]) -> None:
         self._values: dict[int, float] = {}
@@ -133,10 +117,7 @@ class Settings:
         )
 
     def set_from(self, line: str) -> None:
-        """Obey ``$number=value``.
-
-        Raises GcodeError when Grbl refuses it.
-        """
+        """Obey ``$number=value``; a GcodeError when Grbl refuses it."""
         match = re.fullmatch(r"\$(\d+)=(\d+(?:\.\d+)?)", line)
         if match is None or int(match[1]) not in self._values:
             raise GcodeError(_UNKNOWN)

@@ -34,14 +34,11 @@ def position_text(pulses: int, *, detached: bool) -> str:
 
 
 class _SigmakokiFirmware:
-    """A controller with one or two axes.
+    """A controller with axis 1, or axes 1 and 2; speeds in pulses/s.
 
-    Faults besides those of its axes: ``refuse`` (a command is refused and not obeyed), with ``after``, ``count``,
-    ``probability`` and ``seed`` counting commands other than questions; ``power_cycle``.
+    Faults besides those of its axes: ``refuse`` (a command is refused and not obeyed), with the options of
+    :class:`Trigger` counting commands other than questions; ``power_cycle``.
 
-    axes: Arguments of each axis by its number, ``"1"`` or ``"1"`` and ``"2"``; see :class:`Axes`. None: two of them.
-    speed: Speed at power-up [pulses/s].
-    home_speed: Speed of the search for the origin [pulses/s].
     detached: Whether a sign stands at the left edge of its column rather than before the digits.
     """
 

@@ -25,14 +25,12 @@ class ZaberFirmware:
 
     Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
     FS unless told, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
-    BADDATA unless told), ``checksum`` (a reply's checksum is wrong), both with ``after``, ``count``, ``probability``
-    and ``seed``; ``power_cycle``.
+    BADDATA unless told), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`;
+    ``power_cycle``.
 
-    axes: Arguments of each axis by its number; see :class:`Axes`. None: two of them.
     limits: ``limit.min`` and ``limit.max`` of each axis by its number.
     maxspeed: Speed at first, in the unit of the setting.
     home_speed: Speed of the search for the home sensor [microsteps/s].
-    checksums: Whether replies carry a checksum.
     """
 
     def __init__(
