@@ -1,6 +1,13 @@
-"""Devices of a rig behind three small roles, one module per protocol.
+"""Devices of a rig behind three roles (``_roles.py``): light controller, stage, camera. One module per protocol.
 
-The one home of pyserial, of Aravis and of harvesters; the latter two are loaded where a camera is looked for.
+A new driver is a module ``_light_NAME.py``, ``_stage_NAME.py`` or ``_camera_NAME.py``, and a line in ``_drivers.py``:
+
+- light: derives from ``LightDriver`` (``_lights.py``);
+- stage: a ``Dialogue`` (``_stage_dialogue.py``), which ``MovingStage`` (``_stage.py``) checks, watches and verifies;
+- camera: a ``CameraSdk`` (``_camera_sdk.py``), which ``MachineCamera`` (``_camera.py``) sets, triggers and checks.
+
+Its simulated counterpart is the module of the same name in ``lightopt.rig.simulated``. Drivers have a ``SerialLink``
+(``_link.py``), the one home of pyserial. Aravis and harvesters are loaded where a camera is looked for.
 """
 
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings

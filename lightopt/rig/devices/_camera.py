@@ -133,7 +133,7 @@ class MachineCamera:
         return Identity(driver=self._driver, port=self._settings.port or "the only one", details=details)
 
     def set_exposure(self, exposure_us: float) -> float:
-        return self._exposure.tell_us(exposure_us)
+        return self._exposure.set_us(exposure_us)
 
     def grab(self, *, timeout_s: float) -> Frame:
         """Take one frame, or the next that is completed where there is no trigger.

@@ -181,7 +181,7 @@ class ExposureTime:
             return self.held_us
         return self._sdk.number(self._feature) * self._unit_us
 
-    def tell_us(self, exposure_us: float) -> float:
+    def set_us(self, exposure_us: float) -> float:
         """Set the exposure time [µs] and return what the camera then holds; out of range is an InputError."""
         low, high = self.range_us
         if not low * (1 - _TOLERANCE) <= exposure_us <= high * (1 + _TOLERANCE):

@@ -189,13 +189,10 @@ class ZaberDialogue:
         """Kind, serial number and firmware of each device."""
         details: dict[str, str] = {}
         for device in sorted({address.device for address in self._addresses.values()}):
-            for key, setting in (
-                ("deviceid", "deviceid"),
-                ("serial", "system.serial"),
-                ("version", "version"),
-            ):
+            for setting in ("deviceid", "system.serial", "version"):
                 reply = self._retry.ask(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
                 if reply.accepted:
+                    key = setting.removeprefix("system.")
                     details[f"{key}{device if device > 1 else ''}"] = reply.data
         return details
 

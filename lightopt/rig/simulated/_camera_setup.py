@@ -92,16 +92,7 @@ class CameraSetup:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {
-            "rig": self.rig,
-            "part": self.part,
-            "exposure_us": self.exposure_us,
-            "lights": [vars(wire) for wire in self.lights],
-            "elevation": None if self.elevation is None else vars(self.elevation),
-            "rotation": None if self.rotation is None else vars(self.rotation),
-            "truth": self.truth.as_dict(),
-            "gige": self.gige,
-        }
+        return asdict(self)
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> CameraSetup:
