@@ -93,7 +93,7 @@ def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
 
 
 def set_trigger(sdk: CameraSdk, settings: CameraSettings) -> bool:
-    """Let frames begin when a software trigger says so, or follow one another; whether the former."""
+    """Let frames begin at a software trigger, or follow one another; returns whether the former."""
     where, wanted = settings.where, settings.trigger
     if sdk.has("AcquisitionMode"):
         _choose(sdk, where, "AcquisitionMode", "Continuous")
@@ -123,9 +123,9 @@ def _choose(sdk: CameraSdk, where: str, feature: str, word: str) -> None:
     _verify(where, feature, word, sdk.word(feature))
 
 
-def _verify(where: str, feature: str, told: object, held: object) -> None:
-    if told != held:
-        raise HardwareError(f"{where}: {feature} was set to {told}, and the camera holds {held}")
+def _verify(where: str, feature: str, wanted: object, held: object) -> None:
+    if wanted != held:
+        raise HardwareError(f"{where}: {feature} was set to {wanted}, and the camera holds {held}")
 
 
 _FEATURES = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
@@ -165,7 +165,7 @@ class ExposureTime:
                 f"{self._where}: this camera is told its exposure time ({self._feature}); leave out fixed_exposure_us"
             )
         self.held_us = fixed if fixed is not None else self.read_us()
-        """What the camera held when it was last told or asked [µs]."""
+        """What the camera held when it was last set or read [µs]."""
 
     @property
     def range_us(self) -> tuple[float, float]:
@@ -195,7 +195,7 @@ class ExposureTime:
 
 
 def _unit_us(sdk: CameraSdk, feature: str) -> float | None:
-    """How many microseconds a camera's number stands for; None where it does not say."""
+    """How many microseconds a camera's number stands for; None where that is unknown."""
     unit = sdk.unit(feature)
     if unit:
         return _MICROSECONDS.get(unit.lower())

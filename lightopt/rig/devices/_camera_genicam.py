@@ -19,8 +19,8 @@ from lightopt.rig.devices._errors import LinkLostError
 _BUFFERS = 4
 _SLICE_S = 0.1  # signals are heard between two waits
 
+# What reading a register fails with when nobody answers; others (no such address) are an answer.
 _GONE = ("IoException", "TimeoutException", "InvalidHandleException", "ClosedException")
-"""What reading a register fails with when nobody answers; others (no such address) are an answer."""
 
 Value = TypeVar("Value")
 

@@ -98,7 +98,7 @@ def open_stage(
     clock: Time between two looks at a moving stage, for tests.
 
     Raises InputError for an unknown driver, axes that it cannot have, or a port that is not there or in use.
-    Raises HardwareError when the device does not answer where the protocol has it speak first.
+    Raises HardwareError when the device does not answer where it has to when it is opened.
     """
     check_stage(driver, axes)
     kind = stage_drivers()[driver]

@@ -84,7 +84,7 @@ class CcsController(LightDriver):
         return int(level[1:]), int(mode[1:]), on[1] == "1"
 
     def _ask(self, channel: int, instruction: str, expected: str = r"\d{0,4}") -> str:
-        """Say an instruction that may be repeated; the data of the reply."""
+        """Send an instruction that may be repeated; the data of the reply."""
         return self._retry.ask(lambda: self._ask_once(channel, instruction, expected))
 
     def _frame(self, channel: int, instruction: str) -> bytes:

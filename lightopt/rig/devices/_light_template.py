@@ -56,7 +56,7 @@ class TemplateController(LightDriver):
     def _send_level(self, channel: int, level: int) -> None:
         """Set the intensity, or darken by the template's own command."""
         verb = "off" if level == 0 and "off" in self._words else "set"
-        self._retry.ask(lambda: self._say(verb, channel, level))
+        self._retry.ask(lambda: self._exchange(verb, channel, level))
 
     def _query_level(self, channel: int) -> int:
         return self._retry.ask(lambda: self._read_once(channel))
@@ -84,13 +84,13 @@ class TemplateController(LightDriver):
         return text.encode("latin-1")
 
     def _read_once(self, channel: int) -> int:
-        digits = self._say("read", channel, 0)["level"]
+        digits = self._exchange("read", channel, 0)["level"]
         try:
             return int(digits)
         except ValueError:
             raise ReplyError(self._link.words("the reply's level is no number", reply=digits)) from None
 
-    def _say(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
+    def _exchange(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
         """Send a command and match its reply; the pattern's groups."""
         frame = self._command(verb, channel, level)
         pattern = self._patterns.get(verb)

@@ -20,8 +20,7 @@ from lightopt.rig.devices._parallel import run_in_parallel
 from lightopt.rig.devices._retry import Retry
 from lightopt.rig.devices._roles import Identity, LightController
 
-_ATTEMPTS = 3
-"""A channel is told to go dark so often where its driver fails in a way of which it knows nothing."""
+_ATTEMPTS = 3  # to darken a channel whose driver fails in a way that it does not know
 
 
 class LightsStillOnError(HardwareError):

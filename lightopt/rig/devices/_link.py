@@ -247,7 +247,7 @@ class SerialLink:
                 raise self._preempted(b"")
 
     def discard(self) -> None:
-        """Throw away what already lies in the input, without waiting; it is logged and told as an event."""
+        """Throw away what already lies in the input, without waiting; it is logged and reported as an event."""
         with self.lock:
             entry = LogEntry(self._log, self.port)
             stale = 0
@@ -262,7 +262,7 @@ class SerialLink:
             self._note_stale(stale)
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Tell of something out of the ordinary: in `events`, and to the log."""
+        """Report something out of the ordinary: in `events`, and to the log."""
         event = Event(now(), self.port, what, retry)
         self.events.append(event)
         if self._log is not None:

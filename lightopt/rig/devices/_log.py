@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TextIO
@@ -24,7 +24,7 @@ class Event:
 
     def as_dict(self) -> dict[str, str | bool]:
         """JSON form."""
-        return {"time": self.time, "port": self.port, "what": self.what, "retry": self.retry}
+        return asdict(self)
 
 
 class SerialLog:
@@ -66,12 +66,12 @@ class SerialLog:
                 problem = self._end(error)
             else:
                 return
-        self._say(problem)
+        self._report(problem)
 
     def note(self, event: Event) -> None:
-        """Tell of something out of the ordinary, and write it down."""
+        """Report something out of the ordinary, and write it down."""
         self.write(event.port, "note", event.what, event.time)
-        self._say(f"{event.port}: {event.what}")
+        self._report(f"{event.port}: {event.what}")
 
     def close(self) -> None:
         """Close the file; later entries are dropped. Never raises."""
@@ -79,13 +79,13 @@ class SerialLog:
             if self._file is not None:
                 self._file.close()
 
-    def _say(self, what: str) -> None:
+    def _report(self, what: str) -> None:
         if self._warn is not None:
             with suppress(OSError, ValueError):  # a terminal that is gone keeps no light on
                 self._warn(what)
 
     def _end(self, error: OSError | ValueError) -> str:
-        """Give the file up; what to say of it."""
+        """Give the file up; the message about it."""
         reason = getattr(error, "strerror", None) or error
         problem = f"{self._path}: the serial log ends here, it can no longer be written: {reason}"
         self.events.append(Event(now(), str(self._path), problem))

@@ -1,4 +1,4 @@
-"""Commands sent again: only such as may be repeated, a bounded number of times, each told."""
+"""Commands sent again: only such as may be repeated, a bounded number of times, each reported."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Value = TypeVar("Value")
 
 
 class Repeatable(Protocol):
-    """What is asked again: a serial link, a camera."""
+    """What can be asked again: a serial link, a camera."""
 
     def drain(self) -> None:
         """Throw away what is still on its way, so that it is not taken for the answer to the next question."""
         ...
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Tell of something out of the ordinary."""
+        """Report something out of the ordinary."""
         ...
 
 

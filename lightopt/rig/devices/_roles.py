@@ -37,7 +37,7 @@ class LightController(Protocol):
     """Panels behind one controller; channels are counted from 1, as printed on the device.
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
-    holds something else than it was told.
+    does not hold what was set.
     """
 
     @property
@@ -47,7 +47,7 @@ class LightController(Protocol):
 
     @property
     def top_level(self) -> int:
-        """Highest intensity that the protocol can say."""
+        """Highest intensity."""
         ...
 
     def identify(self) -> Identity:
@@ -57,7 +57,7 @@ class LightController(Protocol):
     def set_level(self, channel: int, level: int) -> int | None:
         """Light a channel at an intensity in 1 … top_level, or darken it with 0.
 
-        Returns the intensity that the device then holds, read back; None where the protocol cannot tell.
+        Returns the intensity that the device then holds, read back; None where it cannot be read back.
         """
         ...
 
@@ -67,7 +67,7 @@ class LightController(Protocol):
         ...
 
     def read_level(self, channel: int) -> int | None:
-        """Intensity that the device holds, 0 when it is off; None where the protocol cannot tell."""
+        """Intensity that the device holds, 0 when it is off; None where it cannot be read back."""
         ...
 
     def close(self) -> None:
@@ -80,7 +80,7 @@ class StageState:
     """State of a stage.
 
     posture: Where it stands [°]; an axis that the stage lacks stands at 0.
-    referenced: Whether it knows where its origin is; None where it cannot tell.
+    referenced: Whether it knows where its origin is; None where that is unknown.
     alarm: The device's alarm in words; None without one.
     """
 
@@ -114,7 +114,7 @@ class Stage(Protocol):
 
         Raises InputError when the posture lies outside the limits or between steps by more than half of one; nothing
         was sent.
-        Raises HardwareError when it cannot get there; it is then told to stop.
+        Raises HardwareError when it cannot get there; it is then stopped.
         """
         ...
 

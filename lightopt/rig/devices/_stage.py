@@ -296,7 +296,7 @@ class MovingStage:
         return type(error)(*error.messages, self._stop_after(str(error)))
 
     def _stop_after(self, reported: str = "") -> str:
-        """Stop the stage after a failure, and say in words what that led to."""
+        """Stop the stage after a failure; a message about what that led to."""
         self._lost = "the last move failed"
         try:
             alarm = self._halt().alarm

@@ -97,7 +97,7 @@ class Reading:
     """State of a device at one moment.
 
     units: Position of each axis by the device's name of it [device units].
-    referenced: Whether it knows its origin; None where it cannot tell.
+    referenced: Whether it knows its origin; None where that is unknown.
     alarm: The alarm in words; None without one.
     """
 

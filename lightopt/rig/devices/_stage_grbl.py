@@ -8,7 +8,7 @@ get no ``ok``. What a driver must know:
 - After ALARM:1 and ALARM:2 nothing is answered, not even ``?``, until a reset. The driver then asks no more, reports
   it, and does not reset: a person looks first.
 - The homed machine's space is negative, from 0 down to −$130; ``G53`` moves in it whatever offsets are set.
-- Opening the port resets most boards, which then say ``Grbl`` within two seconds.
+- Opening the port resets most boards, which then report ``Grbl`` within two seconds.
 - ``$H`` is known only with ``$22=1``, and no report is given while it lasts.
 """
 
@@ -101,7 +101,7 @@ class GrblDialogue:
         )
 
     def step(self, axis: Axis) -> float:
-        """A motor step, but no finer than reports tell."""
+        """A motor step, but no finer than reports resolve."""
         number = 100 + _AXES.index(axis.device)
         return max(1.0 / self._setting(number), _FINEST)
 
@@ -178,7 +178,7 @@ class GrblDialogue:
         self._restarted = False
 
     def _moves(self) -> bool:
-        """Whether it says that it moves; an alarm stops it, and what answers nothing is not waited for."""
+        """Whether it reports that it moves; an alarm stops it, and what answers nothing is not waited for."""
         try:
             return self._report().moving
         except LinkLostError:

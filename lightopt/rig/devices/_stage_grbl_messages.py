@@ -76,7 +76,7 @@ class Report:
 def parse_report(line: bytes) -> Report | None:
     r"""Read a status report; None when the line is none.
 
-    Raises ValueError when it is one, but tells no machine position.
+    Raises ValueError for a status report without a machine position.
 
     Examples
     --------

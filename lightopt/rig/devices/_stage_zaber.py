@@ -183,7 +183,7 @@ class ZaberDialogue:
         self._addresses = {axis.device: _address(axis) for axis in axes}
         self._number = 0
         self._limits: dict[str, tuple[int, int]] = {}
-        self._told: set[str] = set()
+        self._noted: set[str] = set()
 
     def identify(self) -> dict[str, str]:
         """Kind, serial number and firmware of each device."""
@@ -210,8 +210,8 @@ class ZaberDialogue:
                     f"axis {axis.device}: {warning_words(reply.warning)}; when the cause is found, clear it with "
                     f"/{self._addresses[axis.device].device} warnings clear, and home it"
                 )
-            elif reply.warning and reply.warning not in NOT_HOMED and reply.warning not in self._told:
-                self._told.add(reply.warning)
+            elif reply.warning and reply.warning not in NOT_HOMED and reply.warning not in self._noted:
+                self._noted.add(reply.warning)
                 self.link.note(f"axis {axis.device} warns {warning_words(reply.warning)}")
         return Reading(units=units, moving=moving, referenced=homed, alarm="; ".join(alarms) or None)
 
@@ -295,7 +295,7 @@ class ZaberDialogue:
         return reply
 
     def _exchange(self, device: int, axis: int, command: str) -> Reply:
-        """Send a numbered command and return the reply with its number, passing over what else the devices say."""
+        """Send a numbered command and return the reply with its number, passing over other messages of the devices."""
         with self.link.lock:
             self._number = (self._number + 1) % 100
             sent = frame(device, axis, self._number, command)

@@ -1,6 +1,6 @@
 """Axes that move at constant speed, and what can go wrong with them, for simulated stage firmware.
 
-An axis has a count, which its controller believes, and a place where it really stands, told from its mechanical origin;
+An axis has a count, which its controller believes, and a place where it really stands, from its mechanical origin;
 both in device units. They agree once it has been homed and while no step is lost.
 """
 

@@ -1,4 +1,4 @@
-"""The camera of the virtual bench, in the process of the firmware: it looks at what the firmware does.
+"""The camera of the virtual bench, in the process of the firmware: it sees what the firmware does.
 
 A frame is asked for over the control socket; its pixels follow the answer row by row, little end first.
 """
@@ -112,7 +112,7 @@ class BenchCamera:
         try:
             self._build().prepare(posture)
             self._prepared = posture
-        except Exception as error:  # noqa: BLE001  (told to whoever asks next)
+        except Exception as error:  # noqa: BLE001  (reported to the next request)
             self._unprepared = str(error) or type(error).__name__
 
     def sensor(self) -> tuple[tuple[int, int], int]:

@@ -58,7 +58,7 @@ class GigeFaults:
         self._triggers = {**self._triggers, fault: trigger(fault, options)}
 
     def begin(self, buffer: int, number: int, exposure_us: int) -> float:
-        """Say which faults strike at this frame; returns how long it is really exposed [µs]."""
+        """Apply the faults that strike at this frame; returns how long it is really exposed [µs]."""
         self._now = {fault for fault, one in self._triggers.items() if one.strikes()}
         if "lost" in self._now:
             self._lose(1.0)

@@ -1,7 +1,7 @@
 """Simulated firmware of Zaber controllers in the ASCII protocol.
 
 A command is ``/``, optionally device, axis and message number, words, optionally ``:`` and a checksum, and a line feed.
-A command with a wrong checksum is not answered. Each reply tells whether the axis moves, and its gravest warning.
+A command with a wrong checksum is not answered. Each reply reports whether the axis moves, and its gravest warning.
 """
 
 from __future__ import annotations
