@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
-from lightopt.rig.simulated._faults import LINE_FAULTS, Line, Sent
+from lightopt.rig.simulated._faults import LINE_FAULTS, FaultyLine, Transmission
 from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware, build
 from lightopt.rig.simulated._wires import PtyWire, TcpWire, Wire, have_ptys
 
@@ -40,8 +40,8 @@ class Device:
         self.firmware: Firmware = build(kind, options)
         self.wire = wire
         self.deliveries = 0
-        self._line = Line()
-        self._out: list[Sent] = []
+        self._line = FaultyLine()
+        self._out: list[Transmission] = []
         self._received_at = -math.inf
         self._polled_at = -math.inf
 
@@ -75,7 +75,7 @@ class Device:
             first = self._out.pop(0)
             taken = self.wire.send(first.data)
             if taken < len(first.data):
-                self._out.insert(0, Sent(first.due, first.data[taken:]))
+                self._out.insert(0, Transmission(first.due, first.data[taken:]))
                 return
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:

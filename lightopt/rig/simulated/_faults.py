@@ -62,7 +62,7 @@ LINE_FAULTS = ("drop", "delay", "truncate", "garbage_before", "garbage_instead",
 
 
 @dataclass(frozen=True)
-class Sent:
+class Transmission:
     """Bytes on their way to the client, and when [s] they arrive."""
 
     due: float
@@ -76,7 +76,7 @@ class _Fault:
     options: dict[str, Any]
 
 
-class Line:
+class FaultyLine:
     """Transmits the bytes that a device sends, with faults.
 
     Faults, each with the options of :class:`Trigger`: ``drop``; ``delay`` (by ``delay_s``); ``truncate`` (to ``keep``
@@ -112,7 +112,7 @@ class Line:
                 return bool(fault.options["obeyed"])
         return None
 
-    def carry(self, data: bytes, now: float) -> list[Sent]:
+    def carry(self, data: bytes, now: float) -> list[Transmission]:
         """What arrives at the client of a reply that the device sends at a time [s]."""
         due = now
         for fault in self._faults:
@@ -127,7 +127,7 @@ class Line:
             else:
                 noise = _garbage(int(fault.options["bytes"]), int(fault.options["seed"]))
                 data = noise + (data if fault.kind == "garbage_before" else b"")
-        return [Sent(due, data)] if data else []
+        return [Transmission(due, data)] if data else []
 
 
 def _garbage(count: int, seed: int) -> bytes:

@@ -15,7 +15,7 @@ from typing import Any
 
 from lightopt.rig.simulated._axes import Axes
 from lightopt.rig.simulated._faults import Trigger, trigger
-from lightopt.rig.simulated._stage_grbl_gcode import GcodeError, Modes, Move, Settings, parse_line
+from lightopt.rig.simulated._stage_grbl_gcode import GcodeError, GrblSettings, Modes, Move, parse_line
 
 _NAMES = ("X", "Y", "Z")
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
@@ -47,7 +47,7 @@ class GrblFirmware:
         if not set(given) <= set(_NAMES):
             raise ValueError(f"the axes are X, Y and Z, found {', '.join(given)}")
         self._axes = Axes({name: given.get(name, {}) for name in _NAMES})
-        self._settings = Settings(settings or {})
+        self._settings = GrblSettings(settings or {})
         self._home_speed = home_speed
         self._refuse: tuple[Trigger, int] | None = None
         self._power_up()
@@ -62,7 +62,7 @@ class GrblFirmware:
             elif self._critical:
                 continue
             elif byte == b"?":
-                out += self._asked(now)
+                out += self._answer_status(now)
             elif byte == b"!":
                 self._hold(now)
             elif byte == b"~":
@@ -199,7 +199,7 @@ class GrblFirmware:
             if self._going is not None:
                 self._start(*self._going, now)
 
-    def _asked(self, now: float) -> bytes:
+    def _answer_status(self, now: float) -> bytes:
         if self._homing:
             self._status_wanted = True
             return b""

@@ -91,7 +91,7 @@ _UNKNOWN, _NEEDS_HOMING = 3, 10
 _SOFT_LIMITS, _HOMING = 20, 22
 
 
-class Settings:
+class GrblSettings:
     """The settings by number; `changed` are those that are not as new, by their numbers as text."""
 
     def __init__(self, changed: Mapping[str, float]) -> None:
