@@ -95,7 +95,7 @@ def _with_reflectance(scene, coefficient, sigma, posture):
     return replace(scene, reflectance=reflectance, postures=(posture,))
 
 
-def run_in_parallel(target: Path, images: list[np.ndarray], gain: float = 1.0) -> None:
+def side_by_side(target: Path, images: list[np.ndarray], gain: float = 1.0) -> None:
     """Crops of linear images next to each other, as the camera would show them."""
     tiles = [np.clip(np.floor(image * gain + 0.5), 0, 255).astype(np.uint8) for image in images]
     gap = np.full((tiles[0].shape[0], 12), 255, np.uint8)
@@ -225,7 +225,7 @@ def main() -> None:
                 "--light", "light2", "--posture", "0,0", "--points", points,
             )  # fmt: skip
             crops.append(read_exr(target / "posture_0_0" / "light2.exr")["Y"][100:1100, 200:1400][::2, ::2])
-        run_in_parallel(PICTURES / "spout-4-auto.png", crops, gain=3.0)
+        side_by_side(PICTURES / "spout-4-auto.png", crops, gain=3.0)
         defects_picture(PICTURES / "defects.png", out)
         report_picture(PICTURES / "report.png", out)
         plan_pictures(PICTURES / "blind-spots.png", PICTURES / "plan.png", out)
