@@ -15,7 +15,7 @@ from lightopt.core.errors import HardwareError, InputError, LightoptError
 if TYPE_CHECKING:
     from lightopt.config import CameraDeviceConfig, RigConfig
     from lightopt.rig.capture import Devices
-    from lightopt.rig.devices import CameraHere
+    from lightopt.rig.devices import CameraInfo
 
 
 bench = typer.Typer(
@@ -61,7 +61,7 @@ def light(
         )
     loaded, _ = load_inputs(rig, None)
     wiring = wiring_of(loaded)
-    asked = check_level(wiring, loaded, name, level)
+    chosen = check_level(wiring, loaded, name, level)
     if seconds is not None:
         check_on_time(wiring, loaded, name, seconds)
     longest = wiring.light(name).max_on_s
@@ -69,10 +69,10 @@ def light(
     loaded, devices = _open(rig, serial_log)
     with devices:
         say(
-            f"{name} burns at level {asked}"
+            f"{name} burns at level {chosen}"
             + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
         )
-        held = hold_light(devices, name, asked, seconds=seconds, wait=_wait)
+        held = hold_light(devices, name, chosen, seconds=seconds, wait=_wait)
     say(
         f"{name} is off; "
         + ("its level cannot be read back" if held is None else f"the controller held level {held}")
@@ -204,13 +204,9 @@ def list_devices(
     """List the serial ports of this computer and the cameras that answer; no port is opened or written to."""
     from lightopt.rig.devices import serial_ports
 
-    ports = serial_ports()
+    ports = [(port.name, " ".join(filter(None, (port.description, port.usb)))) for port in serial_ports()]
     if ports:
-        show_table(
-            ("port", "is"),
-            [(port.name, " ".join(filter(None, (port.description, port.usb)))) for port in ports],
-            numbers_from=2,
-        )
+        show_table(("port", "is"), ports, numbers_from=2)
     else:
         say("no serial ports on this computer")
     if rig is None:
@@ -224,41 +220,35 @@ def list_devices(
     producer = hardware.camera.producer
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
 
-    def here(port: str) -> str:
+    def port_state(port: str) -> str:
         if port == "virtual":
             return "simulated"
         if "://" in port:
             return "not tried"
-        return (
-            "there, not opened"
-            if (problem := port_problem(port)) is None
-            else f"NO: {problem.partition('; ')[0]}"
-        )
+        problem = port_problem(port)
+        return "there, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
 
     rows = [
-        (f"controller {name}", config.driver, config.port, here(config.port))
+        (f"controller {name}", config.driver, config.port, port_state(config.port))
         for name, config in hardware.controllers.items()
     ]
     if hardware.stage is not None:
-        rows.append(("stage", hardware.stage.driver, hardware.stage.port, here(hardware.stage.port)))
+        rows.append(("stage", hardware.stage.driver, hardware.stage.port, port_state(hardware.stage.port)))
     camera = hardware.camera
-    rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_here(camera, cameras)))
+    rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
     say("")
     show_table(("device", "driver", "port", "there"), rows, numbers_from=4)
 
 
-def _show_cameras(producer: Path | None) -> list[CameraHere]:
+def _show_cameras(producer: Path | None) -> list[CameraInfo]:
     """List the cameras that answer, and say what could not be asked."""
-    from lightopt.rig.devices import cameras_here
+    from lightopt.rig.devices import find_cameras
 
-    cameras, problems = cameras_here(producer)
+    cameras, problems = find_cameras(producer)
     say("")
     if cameras:
-        show_table(
-            ("camera", "driver", "names"),
-            [(camera.model, camera.driver, ", ".join(camera.names)) for camera in cameras],
-            numbers_from=3,
-        )
+        rows = [(camera.model, camera.driver, ", ".join(camera.names)) for camera in cameras]
+        show_table(("camera", "driver", "names"), rows, numbers_from=3)
     else:
         say("no cameras answer")
     for problem in problems:
@@ -266,7 +256,7 @@ def _show_cameras(producer: Path | None) -> list[CameraHere]:
     return cameras
 
 
-def _camera_here(config: CameraDeviceConfig, cameras: list[CameraHere]) -> str:
+def _camera_state(config: CameraDeviceConfig, cameras: list[CameraInfo]) -> str:
     """Whether the camera of a rig is among those that answer."""
     if config.driver not in ("aravis", "genicam"):
         return "simulated" if config.driver == "virtual" else ""

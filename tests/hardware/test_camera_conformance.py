@@ -188,7 +188,7 @@ def test_levels_of_every_packing_arrive_over_the_network(pixel_format: str) -> N
         frame = opened.grab(timeout_s=5)
         assert np.array_equal(frame.levels, image)
         assert frame.levels.dtype == np.uint16
-        assert frame.says["pixel_format"] == pixel_format
+        assert frame.details["pixel_format"] == pixel_format
     finally:
         opened.close()
         server.close()

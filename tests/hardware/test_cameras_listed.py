@@ -13,11 +13,11 @@ from fault_cases import make_rig
 
 from lightopt.cli._main import run
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices import CameraSettings, cameras_here, check_camera_driver, open_camera
-from lightopt.rig.devices._cameras import camera_drivers
-from lightopt.rig.devices._genicam import GenicamSdk
-from lightopt.rig.devices._pixels import PIXEL_FORMATS, levels_of
-from lightopt.rig.simulated._gige_formats import FORMATS, packed
+from lightopt.rig.devices import CameraSettings, check_camera_driver, find_cameras, open_camera
+from lightopt.rig.devices._camera_genicam import GenicamSdk
+from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, levels_of
+from lightopt.rig.devices._drivers import camera_drivers
+from lightopt.rig.simulated._gige import FORMATS, packed
 
 SETTINGS = {"where": "rig.yaml:3: camera", "resolution_px": (160, 120), "bit_depth": 8}
 
@@ -31,14 +31,14 @@ def rig_with(folder: Path, camera: str) -> Path:
 
 def test_cameras_of_a_producer_are_listed() -> None:
     needs("genicam")
-    cameras, _ = cameras_here(viky())
+    cameras, _ = find_cameras(viky())
     assert [camera.serial for camera in cameras if camera.driver == "genicam"] == ["0", "1", "2"]
 
 
 def test_producers_that_installers_have_named_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     needs("genicam")
     monkeypatch.setenv("GENICAM_GENTL64_PATH", str(viky().parent))
-    cameras, _ = cameras_here()
+    cameras, _ = find_cameras()
     assert "VikyTL_DEV_red" in [camera.identifier for camera in cameras]
 
 
@@ -84,7 +84,7 @@ def test_software_that_is_not_there_is_named_with_how_to_install_it(
             raise ImportError(f"No module named '{name}'")
         return import_module(name)
 
-    monkeypatch.setattr(f"lightopt.rig.devices._{driver}.import_module", lacking)
+    monkeypatch.setattr(f"lightopt.rig.devices._camera_{driver}.import_module", lacking)
     with pytest.raises(InputError) as raised:
         check_camera_driver(driver, None)
     assert f"pip install 'lightopt[{driver}]'" in str(raised.value)

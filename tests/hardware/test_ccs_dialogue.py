@@ -12,9 +12,9 @@ from scripted import scripted_link
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
-from lightopt.rig.devices._ccs import CcsController
 from lightopt.rig.devices._errors import RefusedError, ReplyError
-from lightopt.rig.simulated._ccs import CcsFirmware
+from lightopt.rig.devices._light_ccs import CcsController
+from lightopt.rig.simulated._light_ccs import CcsFirmware
 
 GOLDEN = {
     "intensity 255 of channel 1": b"@00F25582",
@@ -268,7 +268,7 @@ def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_told(
     controller = CcsController(link)
     controller.set_level(1, 255)
     assert controller.read_level(1) is None
-    assert controller.identify().says["read_back"] == "no"
+    assert controller.identify().details["read_back"] == "no"
     assert any("cannot be read back" in e.what for e in controller.events)
     assert port.dialogue == []
 

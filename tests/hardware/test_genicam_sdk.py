@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from lightopt.core.errors import HardwareError
+from lightopt.rig.devices._camera_genicam import GenicamSdk
 from lightopt.rig.devices._errors import LinkLostError
-from lightopt.rig.devices._genicam import GenicamSdk
 
 
 class IoException(Exception):  # noqa: N818  (the library calls it so)

@@ -196,14 +196,14 @@ def test_lamps_age_are_swapped_and_lose_what_they_held() -> None:
     lamps = Lamps(3, 200, {"3": 50})
     lamps.set_level(1, 100)
     lamps.inject("aged", {"channel": 1, "share": 0.8})
-    assert lamps.shine() == {1: 0.4, 2: 0.0, 3: 0.25}
+    assert lamps.brightness() == {1: 0.4, 2: 0.0, 3: 0.25}
     lamps.inject("swapped", {"channel": 1, "other": 2})
-    assert lamps.shine() == {1: 0.0, 2: 0.5, 3: 0.25}
+    assert lamps.brightness() == {1: 0.0, 2: 0.5, 3: 0.25}
     lamps.inject("power_cycle", {})
     assert (lamps.level(1), lamps.level(3)) == (0, 50)
     lamps.inject("clear", {})
     lamps.set_level(1, 100)
-    assert lamps.shine() == {1: 0.5, 2: 0.0, 3: 0.25}
+    assert lamps.brightness() == {1: 0.5, 2: 0.0, 3: 0.25}
     for fault, options in (
         ("swapped", {"channel": 1}),
         ("swapped", {"channel": 1, "other": 9}),

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices import CameraHere, CameraSettings, Event, frame_limit_s
-from lightopt.rig.devices._camera_settings import choose_camera
+from lightopt.rig.devices import CameraInfo, CameraSettings, Event, frame_limit_s
+from lightopt.rig.devices._camera import FrameOrder, MachineCamera
+from lightopt.rig.devices._camera_sdk import RawFrame, choose_camera
 from lightopt.rig.devices._errors import LinkLostError
-from lightopt.rig.devices._frame_order import FrameOrder, RawFrame
-from lightopt.rig.devices._machine_camera import MachineCamera
 
 SETTINGS = CameraSettings(where="rig.yaml:7: camera", resolution_px=(4, 2), bit_depth=8)
 
@@ -60,7 +59,7 @@ class Sdk:
         self.queue: list[RawFrame] = []
         self.count = 0
         self.log: list[str] = []
-        self.says = {"model": "scripted"}
+        self.details = {"model": "scripted"}
 
     def has(self, feature: str) -> bool:
         return feature in self.features
@@ -132,7 +131,7 @@ class InjectedTime:
 @pytest.fixture(autouse=True)
 def injected_time(monkeypatch: pytest.MonkeyPatch) -> None:
     passes = InjectedTime()
-    monkeypatch.setattr("lightopt.rig.devices._machine_camera.time", passes)
+    monkeypatch.setattr("lightopt.rig.devices._camera.time", passes)
     monkeypatch.setitem(globals(), "time", passes)
 
 
@@ -151,7 +150,7 @@ def frame(number: int, **changed: Any) -> RawFrame:
 def opened(sdk: Sdk | None = None, **changed: Any) -> tuple[MachineCamera, Sdk, list[Event]]:
     told: list[Event] = []
     sdk = sdk or Sdk()
-    return MachineCamera("aravis", sdk, replace(SETTINGS, **changed), tell=told.append), sdk, told
+    return MachineCamera("aravis", sdk, replace(SETTINGS, **changed), on_event=told.append), sdk, told
 
 
 def test_it_is_set_as_a_measuring_instrument() -> None:
@@ -171,7 +170,7 @@ def test_it_is_set_as_a_measuring_instrument() -> None:
     assert {name: sdk.features[name] for name in wanted} == wanted
     assert (camera.triggered, camera.resolution_px, camera.bit_depth) == (True, (4, 2), 8)
     assert camera.exposure_range_us == (20.0, 1e6)
-    assert camera.identify().says["gain"] == "1.5"
+    assert camera.identify().details["gain"] == "1.5"
     assert "start" not in sdk.log
     assert told == []
 
@@ -345,7 +344,7 @@ def test_an_exposure_in_units_that_nobody_knows_is_not_told(sdk) -> None:
 
 def test_a_frame_is_asked_for_once_there_can_be_one() -> None:
     sdk = Sdk()
-    camera = MachineCamera("aravis", sdk, SETTINGS, ready=lambda: sdk.log.append("ready"))
+    camera = MachineCamera("aravis", sdk, SETTINGS, wait_ready=lambda: sdk.log.append("ready"))
     sdk.log.clear()
     camera.grab(timeout_s=1)
     assert sdk.log == ["ready", "start", "TriggerSoftware"]
@@ -470,7 +469,7 @@ def test_frames_that_the_camera_counted_and_that_never_came_are_told() -> None:
     camera, sdk, told = opened()
     camera.grab(timeout_s=1)
     sdk.count = 3
-    assert camera.grab(timeout_s=1).says["frames_lost"] == 2
+    assert camera.grab(timeout_s=1).details["frames_lost"] == 2
     assert "and 2 before it never did" in told[0].what
 
 
@@ -545,8 +544,8 @@ def test_frames_of_a_camera_that_does_not_number_them_are_told_apart_by_their_ti
 
 
 HERE = [
-    CameraHere(driver="aravis", identifier="A-1", serial="1", address="10.0.0.1"),
-    CameraHere(driver="aravis", identifier="B-2", serial="2"),
+    CameraInfo(driver="aravis", identifier="A-1", serial="1", address="10.0.0.1"),
+    CameraInfo(driver="aravis", identifier="B-2", serial="2"),
 ]
 
 

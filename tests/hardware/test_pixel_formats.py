@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._pixels import PIXEL_FORMATS, choose_format, levels_of
-from lightopt.rig.simulated._gige_formats import FORMATS, packed
+from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, choose_format, levels_of
+from lightopt.rig.simulated._gige import FORMATS, packed
 
 SIZES = st.tuples(st.integers(1, 9), st.integers(1, 5))
 

@@ -13,11 +13,10 @@ from scripted import scripted_link
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
 from lightopt.rig.devices._errors import RefusedError, ReplyError
-from lightopt.rig.devices._sa import SaController
-from lightopt.rig.devices._template import TemplateController
-from lightopt.rig.simulated._reply_patterns import example
-from lightopt.rig.simulated._sa import SaFirmware
-from lightopt.rig.simulated._template import TemplateFirmware
+from lightopt.rig.devices._light_sa import SaController
+from lightopt.rig.devices._light_template import TemplateController
+from lightopt.rig.simulated._light_sa import SaFirmware
+from lightopt.rig.simulated._light_template import TemplateFirmware, example
 
 READ_A = (b"SA#", b"a0000")
 
@@ -94,7 +93,7 @@ def test_sa_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
     controller = SaController(link)
     controller.set_level(1, 100)
     assert controller.read_level(1) is None
-    assert controller.identify().says == {"read_back": "no"}
+    assert controller.identify().details == {"read_back": "no"}
     assert port.dialogue == []
 
 

@@ -71,7 +71,7 @@ def test_it_plays_the_role(world: World) -> None:
     stage: Stage = world.stage
     identity = stage.identify()
     assert (identity.driver, identity.port) == (world.kind, world.port)
-    assert identity.says
+    assert identity.details
     json.dumps(identity.as_dict())
     state = stage.state()
     assert state.moving is False

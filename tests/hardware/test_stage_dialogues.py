@@ -10,7 +10,7 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.rig.devices import Axis, open_stage
 from lightopt.rig.devices._stage import MovingStage
-from lightopt.rig.devices._zaber_messages import frame
+from lightopt.rig.devices._stage_zaber import frame
 
 TILT = (-45.0, 45.0)
 TURN = (0.0, 360.0)
@@ -374,8 +374,8 @@ def test_grbl_refuses_a_target_outside_its_travel_before_it_is_sent(monkeypatch:
 
 
 def test_grbl_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lightopt.rig.devices._grbl._BANNER_S", 0.05)
-    monkeypatch.setattr("lightopt.rig.devices._grbl._LISTEN_S", 0.02)
+    monkeypatch.setattr("lightopt.rig.devices._stage_grbl._BANNER_S", 0.05)
+    monkeypatch.setattr("lightopt.rig.devices._stage_grbl._LISTEN_S", 0.02)
     script = play(monkeypatch, [(b"?", b"")] * 99)
     with pytest.raises(HardwareError, match="no Grbl answers: wrong port or baud rate"):
         stage("grbl", degrees())

@@ -36,7 +36,7 @@ def pool() -> Iterator[Pool]:
 @pytest.fixture(autouse=True)
 def banner(monkeypatch: pytest.MonkeyPatch) -> None:
     """No one waits three seconds for a board that will not say its name."""
-    monkeypatch.setattr("lightopt.rig.devices._grbl._BANNER_S", 0.6)
+    monkeypatch.setattr("lightopt.rig.devices._stage_grbl._BANNER_S", 0.6)
 
 
 @contextmanager

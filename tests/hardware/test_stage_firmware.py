@@ -8,12 +8,11 @@ from typing import Any
 import pytest
 from grbl_recordings import ALARMS, BANNER, LOCKED, MOTION
 
-from lightopt.rig.simulated._catalogue import build
-from lightopt.rig.simulated._grbl import GrblFirmware
-from lightopt.rig.simulated._gsc import GscFirmware
-from lightopt.rig.simulated._shot import ShotFirmware
-from lightopt.rig.simulated._travel import Travel
-from lightopt.rig.simulated._zaber import ZaberFirmware
+from lightopt.rig.simulated._axes import SimulatedAxis
+from lightopt.rig.simulated._firmware import build
+from lightopt.rig.simulated._stage_grbl import GrblFirmware
+from lightopt.rig.simulated._stage_sigmakoki import GscFirmware, ShotFirmware
+from lightopt.rig.simulated._stage_zaber import ZaberFirmware
 
 
 def masked(report: bytes) -> bytes:
@@ -252,7 +251,7 @@ def test_faults_and_options_that_are_not_known(kind: str) -> None:
 
 
 def test_travel_at_constant_speed() -> None:
-    axis = Travel(stands=10.0)
+    axis = SimulatedAxis(stands=10.0)
     axis.move(100.0, 50.0, 1.0)
     assert [axis.count(now) for now in (0.0, 1.0, 2.0, 3.0, 9.0)] == [0.0, 0.0, 50.0, 100.0, 100.0]
     assert [axis.real(9.0), axis.moving(9.0)] == [110.0, False]

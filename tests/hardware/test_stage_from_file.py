@@ -101,7 +101,7 @@ def test_the_longest_time_of_homing_is_the_file_s(wired, monkeypatch):
     seeking = [(b"Q:\r\n", at(-5, 5, b"B"))] * 500
     rig, _, _ = wired([*still, *seeking], stage=f"{GSC}\n    home_timeout_s: 0.2")
     with opened(rig) as devices:
-        monkeypatch.setattr(devices.stage, "_rest", lambda: devices.stage._dialogue.read())
+        monkeypatch.setattr(devices.stage, "_halt", lambda: devices.stage._dialogue.read())
         begun = time.monotonic()
         with pytest.raises(HardwareError, match=r"has not found its origin after 0\.2 s"):
             devices.home()
@@ -157,7 +157,7 @@ def test_a_capture_is_refused_before_anything_is_lit(wired, home):
 
 
 def test_one_that_says_that_it_is_not_homed_is_not_vouched_for(wired):
-    from lightopt.rig.devices._zaber_messages import frame
+    from lightopt.rig.devices._stage_zaber import frame
 
     said = b"@01 1 %02d OK IDLE WR 0\r\n"
     turn = 'rotation: {axis: "1", steps_per_deg: 20}\n    assume_referenced: true'

@@ -13,7 +13,7 @@ from stage_worlds import AXES, KINDS, firmware
 
 from lightopt.core.errors import HardwareError
 from lightopt.rig.devices import open_stage
-from lightopt.rig.simulated._catalogue import build
+from lightopt.rig.simulated._firmware import build
 
 SAID = (
     rb"\r\n|\n|Q:|G:|A:1+P5|M:W+P1-P1|H:W-+|L:E|?|!|~|\x18|$$|$H|$X|G1X-1F5|/1 1 |home|move abs 5|:2C"

@@ -9,7 +9,7 @@ import pytest
 
 from lightopt.core.errors import HardwareError
 from lightopt.rig.capture._watchdog import LightWatchdog
-from lightopt.rig.devices import LightSettings, LightsStillOnError, all_off, light_drivers, side_by_side
+from lightopt.rig.devices import LightSettings, LightsStillOnError, all_off, light_drivers, run_in_parallel
 from lightopt.rig.simulated import BenchProcess
 
 LONGEST_S = 0.3
@@ -75,7 +75,7 @@ class Controller:
 def test_what_burns_goes_dark_first_whatever_the_other_controllers_do():
     left, right = Controller(mute=True), Controller()
     with pytest.raises(LightsStillOnError) as raised:
-        all_off({"left": left, "right": right}, burning={"right": [4], "left": [3]})
+        all_off({"left": left, "right": right}, lit={"right": [4], "left": [3]})
     assert [channel for channel, _ in right.dark] == [4, 1, 2, 3]
     assert [channel for channel, _ in left.dark] == [3, 1, 2, 4]
     assert right.dark[-1][1] < left.dark[-1][1]  # it did not wait for the three before
@@ -109,7 +109,7 @@ def test_all_of_it_is_done_although_some_fails_and_no_thread_can_be_started(monk
 
     work = {"a": fail, "b": lambda: done.append("b"), "c": lambda: done.append("c")}
     with pytest.raises(KeyboardInterrupt, match="SIGINT"):
-        side_by_side(work)
+        run_in_parallel(work)
     assert sorted(done) == ["b", "c"]
 
     def none_left(_self):
@@ -117,6 +117,6 @@ def test_all_of_it_is_done_although_some_fails_and_no_thread_can_be_started(monk
 
     monkeypatch.setattr(threading.Thread, "start", none_left)
     with pytest.raises(KeyboardInterrupt, match="SIGINT"):
-        side_by_side(work)
+        run_in_parallel(work)
     assert done[2:] == ["b", "c"]
-    assert side_by_side({}) == {}
+    assert run_in_parallel({}) == {}

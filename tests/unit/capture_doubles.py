@@ -10,7 +10,7 @@ from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture import CapturePlan, Devices
 from lightopt.rig.devices import Frame, Identity, StageState
-from lightopt.rig.simulated._deviations import BenchTruth
+from lightopt.rig.simulated._camera_setup import BenchTruth
 from lightopt.rig.simulated._optics import BenchOptics
 
 
@@ -50,7 +50,7 @@ class Lights:
     def set_level(self, channel, level):
         self.world.note("level", self.name, channel, level)
         self.world.levels[self.name, channel] = level
-        self.told_s = time.monotonic()
+        self.level_set_s = time.monotonic()
         return self.read_level(channel)
 
     def read_level(self, channel):

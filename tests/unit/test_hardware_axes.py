@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from lightopt.core.errors import InputError
 from lightopt.rig.devices import Axis
-from lightopt.rig.devices._grbl_messages import parse_report, parse_setting
-from lightopt.rig.devices._sigmakoki import axis_words, parse_status, signed
-from lightopt.rig.devices._zaber_messages import checksum, frame, parse_reply
+from lightopt.rig.devices._stage_grbl_messages import parse_report, parse_setting
+from lightopt.rig.devices._stage_sigmakoki import axis_words, parse_status, signed
+from lightopt.rig.devices._stage_zaber import checksum, frame, parse_reply
 
 steps = st.floats(1e-3, 1e6) | st.floats(-1e6, -1e-3)
 angles = st.floats(-720, 720)

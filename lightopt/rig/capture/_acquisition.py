@@ -210,8 +210,8 @@ class AcquisitionEngine:
                 facts["events"] = [event.as_dict() for event in events]
         if first.timestamp_ns is not None:
             facts["camera_time_ns"] = first.timestamp_ns
-        if first.says:
-            facts["camera"] = first.says
+        if first.details:
+            facts["camera"] = first.details
 
         def finish() -> ExposureImage:
             for frame in counted:

@@ -268,8 +268,8 @@ def _open_rig_camera(
     return open_camera(
         config.driver,
         settings,
-        tell=log.note,
-        ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
+        on_event=log.note,
+        wait_ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
     )
 
 

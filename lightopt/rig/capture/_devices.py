@@ -146,7 +146,7 @@ class Devices:
 
     def level_sent_s(self, name: str) -> float:
         """When [s, monotonic clock] the controller of a panel got its last level, before it was read back."""
-        return self.controllers[self.wiring.light(name).controller].told_s
+        return self.controllers[self.wiring.light(name).controller].level_set_s
 
     def light_off(self, name: str) -> None:
         """Darken a panel.
@@ -177,7 +177,7 @@ class Devices:
         for channel in map(self.wiring.light, tuple(self._lit)):
             burning.setdefault(channel.controller, []).append(channel.channel)
         try:
-            all_off(self.controllers, burning=burning)
+            all_off(self.controllers, lit=burning)
         except LightsStillOnError as error:
             lights = lights_on(self.wiring, error.channels)
             return [*error.messages, f"lights that may still burn: {', '.join(lights) or NONE_OF_THE_RIG}"]

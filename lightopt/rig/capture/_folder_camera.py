@@ -58,7 +58,9 @@ class FolderCamera:
 
     def identify(self) -> Identity:
         """The folder, and the kind of its set."""
-        return Identity(driver="folder", port=str(self._set.folder), says={"kind": self._set.manifest.kind})
+        return Identity(
+            driver="folder", port=str(self._set.folder), details={"kind": self._set.manifest.kind}
+        )
 
     def set_exposure(self, exposure_us: float) -> float:
         """Hold what the set's camera held of it, or any other; whether the set has it is known at the frame."""

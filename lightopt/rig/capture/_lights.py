@@ -20,7 +20,7 @@ from lightopt.rig.devices import (
     SerialLog,
     all_off,
     light_drivers,
-    side_by_side,
+    run_in_parallel,
 )
 
 NONE_OF_THE_RIG = "none that the rig has a name for"
@@ -88,7 +88,7 @@ def open_lights(
         return controller, None
 
     result = OpenedLights()
-    for name, (controller, problem) in side_by_side({n: partial(open_one, n) for n in names}).items():
+    for name, (controller, problem) in run_in_parallel({n: partial(open_one, n) for n in names}).items():
         if controller is not None:
             result.controllers[name] = controller
         if problem is not None:

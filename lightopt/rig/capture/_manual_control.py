@@ -180,8 +180,8 @@ def _status(name: str, ask: Callable[[], str], problem: LightoptError | None = N
 
 def _controller_state(devices: Devices, name: str) -> str:
     config = devices.wiring.hardware.controllers[name]
-    says = devices.controllers[name].identify().says
-    return f"{config.driver} on {config.port}" + "".join(f", {key} {value}" for key, value in says.items())
+    details = devices.controllers[name].identify().details
+    return f"{config.driver} on {config.port}" + "".join(f", {key} {value}" for key, value in details.items())
 
 
 def _light_state(devices: Devices, channel: ChannelConfig) -> str:

@@ -1,24 +1,36 @@
-"""Devices of a rig behind three small roles, one module per protocol.
+"""Devices of a rig behind three roles (``_roles.py``): light controller, stage, camera. One module per protocol.
 
-The one home of pyserial, of Aravis and of harvesters; the latter two are loaded where a camera is looked for.
+A new driver is a module ``_light_NAME.py``, ``_stage_NAME.py`` or ``_camera_NAME.py``, and a line in ``_drivers.py``:
+
+- light: derives from ``LightDriver`` (``_lights.py``);
+- stage: a ``Dialogue`` (``_stage_dialogue.py``), which ``MovingStage`` (``_stage.py``) checks, watches and verifies;
+- camera: a ``CameraSdk`` (``_camera_sdk.py``), which ``MachineCamera`` (``_camera.py``) sets, triggers and checks.
+
+Its simulated counterpart is the module of the same name in ``lightopt.rig.simulated``. Drivers have a ``SerialLink``
+(``_link.py``), the one home of pyserial. Aravis and harvesters are loaded where a camera is looked for.
 """
 
-from lightopt.rig.devices._axes import Axis
-from lightopt.rig.devices._camera_settings import CameraHere, CameraSettings
-from lightopt.rig.devices._cameras import cameras_here, check_camera_driver, open_camera
-from lightopt.rig.devices._drivers import light_drivers
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings
+from lightopt.rig.devices._drivers import (
+    check_camera_driver,
+    check_stage,
+    find_cameras,
+    light_drivers,
+    open_camera,
+    open_stage,
+)
 from lightopt.rig.devices._lights import LightSettings, LightsStillOnError, all_off
 from lightopt.rig.devices._log import Event, SerialLog
-from lightopt.rig.devices._parallel import side_by_side
+from lightopt.rig.devices._parallel import run_in_parallel
 from lightopt.rig.devices._ports import port_problem, serial_ports
 from lightopt.rig.devices._retry import frame_limit_s
 from lightopt.rig.devices._roles import Camera, Frame, Identity, LightController, Stage, StageState
-from lightopt.rig.devices._stages import check_stage, open_stage
+from lightopt.rig.devices._stage_dialogue import Axis
 
 __all__ = [
     "Axis",
     "Camera",
-    "CameraHere",
+    "CameraInfo",
     "CameraSettings",
     "Event",
     "Frame",
@@ -30,14 +42,14 @@ __all__ = [
     "Stage",
     "StageState",
     "all_off",
-    "cameras_here",
     "check_camera_driver",
     "check_stage",
+    "find_cameras",
     "frame_limit_s",
     "light_drivers",
     "open_camera",
     "open_stage",
     "port_problem",
+    "run_in_parallel",
     "serial_ports",
-    "side_by_side",
 ]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_sdk import CameraSdk, first_of
-from lightopt.rig.devices._camera_settings import CameraSettings, offset_of
-from lightopt.rig.devices._pixels import PixelFormat, choose_format
+from lightopt.rig.devices._camera_pixels import PixelFormat, choose_format
+from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, first_of, offset_of
 
 _AUTOMATIC = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto", "TargetBrightnessAuto")
 _ENABLED = ("GammaEnable", "LUTEnable", "ReverseX", "ReverseY")
@@ -94,7 +93,7 @@ def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
 
 
 def set_trigger(sdk: CameraSdk, settings: CameraSettings) -> bool:
-    """Let frames begin when a software trigger says so, or follow one another; whether the former."""
+    """Let frames begin at a software trigger, or follow one another; returns whether the former."""
     where, wanted = settings.where, settings.trigger
     if sdk.has("AcquisitionMode"):
         _choose(sdk, where, "AcquisitionMode", "Continuous")
@@ -124,6 +123,83 @@ def _choose(sdk: CameraSdk, where: str, feature: str, word: str) -> None:
     _verify(where, feature, word, sdk.word(feature))
 
 
-def _verify(where: str, feature: str, told: object, held: object) -> None:
-    if told != held:
-        raise HardwareError(f"{where}: {feature} was set to {told}, and the camera holds {held}")
+def _verify(where: str, feature: str, wanted: object, held: object) -> None:
+    if wanted != held:
+        raise HardwareError(f"{where}: {feature} was set to {wanted}, and the camera holds {held}")
+
+
+_FEATURES = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
+_RAW = "ExposureTimeRaw"
+_BASE = "ExposureTimeBaseAbs"
+_MICROSECONDS = {"us": 1.0, "µs": 1.0, "\u03bcs": 1.0, "usec": 1.0, "ns": 1e-3, "ms": 1e3, "s": 1e6}
+_TOLERANCE = 1e-6
+
+
+class ExposureTime:
+    """The exposure time of a camera, set and read back in microseconds.
+
+    ``ExposureTime`` and ``ExposureTimeAbs`` are microseconds unless the camera names another unit. ``ExposureTimeRaw``
+    counts units that only the camera knows: it names them, or ``ExposureTimeBaseAbs`` is their length [µs]. On a camera
+    that gives neither it cannot be set, and is `fixed_exposure_us`.
+    """
+
+    def __init__(self, sdk: CameraSdk, settings: CameraSettings) -> None:
+        self._sdk = sdk
+        self._where = settings.where
+        feature = first_of(sdk, *_FEATURES)
+        unit_us = None if feature is None else _unit_us(sdk, feature)
+        self._feature = None if unit_us is None else feature
+        self._unit_us = unit_us or 1.0
+        fixed = settings.fixed_exposure_us
+        if self._feature is None and fixed is None:
+            why = (
+                "cannot be told an exposure time"
+                if feature is None
+                else f"counts its exposure time ({feature}) in units of which it does not say how long they are"
+            )
+            raise InputError(
+                f"{self._where}: this camera {why}; write fixed_exposure_us, the time that it is set to otherwise"
+            )
+        if self._feature is not None and fixed is not None:
+            raise InputError(
+                f"{self._where}: this camera is told its exposure time ({self._feature}); leave out fixed_exposure_us"
+            )
+        self.held_us = fixed if fixed is not None else self.read_us()
+        """What the camera held when it was last set or read [µs]."""
+
+    @property
+    def range_us(self) -> tuple[float, float]:
+        """Shortest and longest exposure time [µs]."""
+        if self._feature is None:
+            return self.held_us, self.held_us
+        low, high, _ = self._sdk.bounds(self._feature)
+        return low * self._unit_us, high * self._unit_us
+
+    def read_us(self) -> float:
+        """What the camera holds [µs]."""
+        if self._feature is None:
+            return self.held_us
+        return self._sdk.number(self._feature) * self._unit_us
+
+    def set_us(self, exposure_us: float) -> float:
+        """Set the exposure time [µs] and return what the camera then holds; out of range is an InputError."""
+        low, high = self.range_us
+        if not low * (1 - _TOLERANCE) <= exposure_us <= high * (1 + _TOLERANCE):
+            raise InputError(
+                f"{self._where}: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs"
+            )
+        if self._feature is not None:
+            self._sdk.set_number(self._feature, min(max(exposure_us, low), high) / self._unit_us)
+            self.held_us = self.read_us()
+        return self.held_us
+
+
+def _unit_us(sdk: CameraSdk, feature: str) -> float | None:
+    """How many microseconds a camera's number stands for; None where that is unknown."""
+    unit = sdk.unit(feature)
+    if unit:
+        return _MICROSECONDS.get(unit.lower())
+    if feature != _RAW:
+        return 1.0
+    # https://www.easymanua.ls/basler/scout-gige/manual?p=152
+    return sdk.number(_BASE) if sdk.has(_BASE) else None

@@ -1,83 +1,170 @@
-"""What the machine-vision camera needs of the software of a camera: features by their standard names, and frames."""
+"""What the driver of a camera implements (:class:`CameraSdk`): features by their standard names, and frames."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
-from lightopt.rig.devices._frame_order import RawFrame
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSettings:
+    """What the rig wants of a camera.
+
+    where: What messages call it, with file and line.
+    port: Serial number, address or identifier; None: the only camera that there is.
+    producer: genicam: GenTL producer of the maker (a .cti file).
+    pixel_format: Name; None: the camera's that has the bit depth.
+    offset_px: Corner of the image on the sensor, from the left and from the top; None: centred.
+    gain: In the camera's units (mostly dB); None: as the camera has it.
+    trigger: ``software``, ``none``, or ``auto``: software where the camera has it.
+    fixed_exposure_us: Exposure time [µs] of a camera on which it cannot be set; None: it is set.
+    packet_size, packet_delay_ns: GigE: size of packets [bytes] and pause between them [ns]; None: as the camera has it.
+    """
+
+    where: str
+    resolution_px: tuple[int, int]
+    bit_depth: int
+    port: str | None = None
+    producer: str | None = None
+    pixel_format: str | None = None
+    offset_px: tuple[int, int] | None = None
+    gain: float | None = None
+    trigger: str = "auto"
+    fixed_exposure_us: float | None = None
+    packet_size: int | None = None
+    packet_delay_ns: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraInfo:
+    """A camera that answered; `identifier`, `serial` or `address` name it in a rig file, empty where it has none."""
+
+    driver: str
+    identifier: str
+    serial: str = ""
+    address: str = ""
+    model: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it may be called."""
+        return tuple(name for name in (self.serial, self.address, self.identifier) if name)
+
+    def __str__(self) -> str:
+        return f"{self.model or self.identifier} ({', '.join(dict.fromkeys(self.names))})"
+
+
+def choose_camera(here: list[CameraInfo], settings: CameraSettings) -> CameraInfo:
+    """The camera that the settings name; an InputError when it is not there, or which of several is unclear."""
+    there = "; there is " + (", ".join(map(str, here)) or "none") + " (lightopt bench devices lists them)"
+    if settings.port is None:
+        if len(here) == 1:
+            return here[0]
+        many = "which of the cameras is meant is not said: write its serial number as `port`"
+        raise InputError(f"{settings.where}: {many if here else 'no camera answers'}{there}")
+    found = [camera for camera in here if settings.port in camera.names]
+    if len(found) != 1:
+        raise InputError(f"{settings.where}: no camera {settings.port}{there}")
+    return found[0]
+
+
+def offset_of(
+    settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px: tuple[int, int]
+) -> tuple[int, int]:
+    """Corner of the rig's image on the sensor [pixels], from the left and from the top, in multiples of `steps_px`."""
+    size, where = settings.resolution_px, settings.where
+    if size[0] > sensor_px[0] or size[1] > sensor_px[1]:
+        raise InputError(
+            f"{where}: the rig's image of {size[0]} × {size[1]} pixels is larger than the camera's sensor of "
+            f"{sensor_px[0]} × {sensor_px[1]}; change camera.resolution_px"
+        )
+    if settings.offset_px is None:
+        x, y = ((sensor_px[i] - size[i]) // 2 // steps_px[i] * steps_px[i] for i in (0, 1))
+        return x, y
+    for name, offset, length, whole, step in zip(
+        ("left", "top"), settings.offset_px, size, sensor_px, steps_px, strict=True
+    ):
+        if offset + length > whole:
+            raise InputError(
+                f"{where}: {offset} pixels from the {name} and {length} of the image are more than the sensor's {whole}"
+            )
+        if offset % step:
+            raise InputError(
+                f"{where}: the image begins {offset} pixels from the {name}, and this camera can do multiples "
+                f"of {step} only"
+            )
+    return settings.offset_px
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawFrame:
+    """A frame as it came over the cable.
+
+    data: Its bytes, shape (n,).
+    code: Its pixel format as a number of the naming convention; None where the camera does not report it.
+    number, timestamp_ns: The camera's own; None where it has none.
+    problem: Why it is unusable; None when it is whole.
+    """
+
+    data: NDArray[np.uint8]
+    width: int
+    height: int
+    number: int | None
+    code: int | None = None
+    timestamp_ns: int | None = None
+    problem: str | None = None
+
+    @classmethod
+    def unusable(cls, number: int | None, problem: str) -> RawFrame:
+        """A frame of which there are no pixels."""
+        return cls(data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem=problem)
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return "a frame without a number" if self.number is None else f"frame {self.number}"
 
 
 class CameraSdk(Protocol):
     """An opened camera. Features have the names of GenICam's Standard Features Naming Convention (SFNC).
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not answer or refuses, and
-    :class:`~lightopt.rig.devices.LinkLostError` when it is gone.
+    :class:`~lightopt.rig.devices.LinkLostError` when it is gone; `close` never raises.
+
+    details: Maker, model, serial number, address, as far as they are known.
+    has: Whether the camera has a feature and it can be used as things are.
+    number, set_number: Read or write a number; it is rounded where the feature is whole.
+    bounds: Lowest and highest number, and the step between them (0: any).
+    unit: Unit of a number (us, dB); empty where the camera gives none.
+    word, set_word, words: Read or choose the entry of an enumeration; those that can be chosen.
+    is_on, switch_off: Read a truth value, or set it to false.
+    do: Execute a command.
+    start: Begin an acquisition; no frame of an earlier one is delivered afterwards.
+    pop: The next frame, whole or not; None when none came in time.
     """
 
     @property
-    def says(self) -> dict[str, str]:
-        """What the camera says of itself: maker, model, serial number, address."""
-        ...
-
-    def has(self, feature: str) -> bool:
-        """Whether the camera has a feature and it can be used as things are."""
-        ...
-
-    def number(self, feature: str) -> float:
-        """Read a number."""
-        ...
-
-    def set_number(self, feature: str, value: float) -> None:
-        """Write a number, rounded where the feature is whole."""
-        ...
-
-    def bounds(self, feature: str) -> tuple[float, float, float]:
-        """Lowest and highest number, and the step between them (0: any)."""
-        ...
-
-    def unit(self, feature: str) -> str:
-        """What the camera says that a number counts (us, dB); empty where it says nothing."""
-        ...
-
-    def word(self, feature: str) -> str:
-        """Read the entry of an enumeration."""
-        ...
-
-    def set_word(self, feature: str, word: str) -> None:
-        """Choose an entry of an enumeration."""
-        ...
-
-    def words(self, feature: str) -> tuple[str, ...]:
-        """Entries of an enumeration that can be chosen."""
-        ...
-
-    def is_on(self, feature: str) -> bool:
-        """Read a truth value."""
-        ...
-
-    def switch_off(self, feature: str) -> None:
-        """Set a truth value to false."""
-        ...
-
-    def do(self, feature: str) -> None:
-        """Execute a command."""
-        ...
-
-    def start(self) -> None:
-        """Begin an acquisition; no frame of an earlier one is delivered afterwards."""
-        ...
-
-    def stop(self) -> None:
-        """End the acquisition."""
-        ...
-
-    def pop(self, timeout_s: float) -> RawFrame | None:
-        """The next frame, whole or not; None when none came in time."""
-        ...
-
-    def close(self) -> None:
-        """Give the camera up; never raises."""
-        ...
+    def details(self) -> dict[str, str]: ...
+    def has(self, feature: str) -> bool: ...
+    def number(self, feature: str) -> float: ...
+    def set_number(self, feature: str, value: float) -> None: ...
+    def bounds(self, feature: str) -> tuple[float, float, float]: ...
+    def unit(self, feature: str) -> str: ...
+    def word(self, feature: str) -> str: ...
+    def set_word(self, feature: str, word: str) -> None: ...
+    def words(self, feature: str) -> tuple[str, ...]: ...
+    def is_on(self, feature: str) -> bool: ...
+    def switch_off(self, feature: str) -> None: ...
+    def do(self, feature: str) -> None: ...
+    def start(self) -> None: ...
+    def stop(self) -> None: ...
+    def pop(self, timeout_s: float) -> RawFrame | None: ...
+    def close(self) -> None: ...
 
 
 def first_of(sdk: CameraSdk, *names: str) -> str | None:

@@ -1,17 +1,166 @@
-"""The drivers by the names that rig files use."""
+"""Registry of drivers by the name that rig files use, and how one is opened. Add a new driver here.
+
+Lights: `light_drivers`; stages: `stage_drivers`; cameras: `camera_drivers`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
-from lightopt.rig.devices._ccs import open_ccs
+from lightopt.core.errors import InputError, LightoptError
+from lightopt.rig.devices._camera import MachineCamera
+from lightopt.rig.devices._camera_aravis import AravisSdk, find_aravis_cameras, load_aravis
+from lightopt.rig.devices._camera_genicam import (
+    GenicamSdk,
+    find_genicam_cameras,
+    find_producers,
+    load_harvester,
+)
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSdk, CameraSettings
+from lightopt.rig.devices._light_ccs import CcsController
+from lightopt.rig.devices._light_sa import SaController
+from lightopt.rig.devices._light_template import TemplateController
 from lightopt.rig.devices._lights import LightSettings
-from lightopt.rig.devices._log import SerialLog
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._log import Event, SerialLog
 from lightopt.rig.devices._roles import LightController
-from lightopt.rig.devices._sa import open_sa
-from lightopt.rig.devices._template import open_template
+from lightopt.rig.devices._stage import Clock, MovingStage
+from lightopt.rig.devices._stage_dialogue import Axis, Dialogue
+from lightopt.rig.devices._stage_grbl import GrblDialogue, check_grbl
+from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue, check_gsc, check_shot
+from lightopt.rig.devices._stage_zaber import ZaberDialogue, check_zaber
 
 
 def light_drivers() -> dict[str, Callable[[LightSettings, SerialLog | None], LightController]]:
     """What opens a light controller, by the name of its protocol."""
-    return {"ccs": open_ccs, "sa": open_sa, "template": open_template}
+    return {driver.NAME: driver.open for driver in (CcsController, SaController, TemplateController)}
+
+
+@dataclass(frozen=True)
+class StageDriver:
+    """A protocol of stages.
+
+    rtscts: Whether the device paces the line by RTS/CTS.
+    check: Refuses axes and speeds that it cannot have, as far as that is known without the device.
+    speak: Makes the dialogue from link, axes, and the longest time [s] that homing may take.
+    """
+
+    baud: int
+    check: Callable[[Sequence[Axis]], None]
+    speak: Callable[[SerialLink, Sequence[Axis], float], Dialogue]
+    rtscts: bool = False
+
+
+def stage_drivers() -> dict[str, StageDriver]:
+    """The protocols of stages by name."""
+    return {
+        "shot": StageDriver(9600, check_shot, lambda link, axes, _: ShotDialogue(link, axes), rtscts=True),
+        "gsc": StageDriver(9600, check_gsc, lambda link, axes, _: GscDialogue(link, axes)),
+        "grbl": StageDriver(
+            115200, check_grbl, lambda link, axes, s: GrblDialogue(link, axes, home_timeout_s=s)
+        ),
+        "zaber": StageDriver(115200, check_zaber, lambda link, axes, _: ZaberDialogue(link, axes)),
+    }
+
+
+def camera_drivers() -> dict[str, Callable[[CameraSettings], CameraSdk]]:
+    """What opens a camera, by the name of the driver."""
+    return {"aravis": AravisSdk, "genicam": GenicamSdk}
+
+
+def check_stage(driver: str, axes: Sequence[Axis]) -> None:
+    """Check axes and speeds against what the driver of a stage can do; nothing is opened. Raises an InputError."""
+    known = stage_drivers()
+    if driver not in known:
+        raise InputError(f"unknown stage driver {driver}; there are: {', '.join(known)}")
+    if not axes:
+        raise InputError("the stage has no axis: hardware.stage needs elevation, rotation, or both")
+    known[driver].check(axes)
+
+
+def open_stage(
+    driver: str,
+    *,
+    port: str,
+    axes: Sequence[Axis],
+    baud: int | None = None,
+    timeout_s: float = 1.0,
+    home_timeout_s: float = 180.0,
+    log: SerialLog | None = None,
+    clock: Clock | None = None,
+) -> MovingStage:
+    """Open a stage; nothing moves.
+
+    baud: Baud rate; the protocol's usual one if None.
+    clock: Time between two looks at a moving stage, for tests.
+
+    Raises InputError for an unknown driver, axes that it cannot have, or a port that is not there or in use.
+    Raises HardwareError when the device does not answer where it has to when it is opened.
+    """
+    check_stage(driver, axes)
+    kind = stage_drivers()[driver]
+    link = SerialLink(
+        port,
+        device=f"stage ({driver})",
+        baud=kind.baud if baud is None else baud,
+        rtscts=kind.rtscts,
+        timeout_s=timeout_s,
+        log=log,
+    )
+    try:
+        dialogue = kind.speak(link, axes, home_timeout_s)
+    except LightoptError:
+        link.close()
+        raise
+    return MovingStage(
+        driver=driver, dialogue=dialogue, axes=axes, home_timeout_s=home_timeout_s, clock=clock
+    )
+
+
+def open_camera(
+    driver: str,
+    settings: CameraSettings,
+    *,
+    on_event: Callable[[Event], None] | None = None,
+    wait_ready: Callable[[], object] | None = None,
+) -> MachineCamera:
+    """Open a camera and set it as the rig wants it; no frame is taken.
+
+    on_event: Called with what is out of the ordinary, as it happens.
+    wait_ready: Called before each frame is asked for; returns when one can be.
+
+    Raises InputError when software or camera are not there, or it cannot be as the rig wants it.
+    Raises HardwareError when it does not answer.
+    """
+    return MachineCamera(
+        driver, camera_drivers()[driver](settings), settings, on_event=on_event, wait_ready=wait_ready
+    )
+
+
+def check_camera_driver(driver: str, producer: Path | None) -> None:
+    """Check that a camera's software is there, or raise an InputError with how to install it; no camera is asked."""
+    if driver == "aravis":
+        load_aravis()
+    else:
+        load_harvester()
+        if producer is not None and not producer.is_file():
+            raise InputError(f"no GenTL producer {producer}; it is a .cti file of the camera's maker")
+
+
+def find_cameras(producer: Path | None = None) -> tuple[list[CameraInfo], list[str]]:
+    """Cameras that answer, through whatever software is there, and what could not be asked; none is opened.
+
+    producer: GenTL producer to ask beside those that installers have named.
+    """
+    producers = {*find_producers(), *([] if producer is None else [producer])}
+    cameras: list[CameraInfo] = []
+    problems: list[str] = []
+    for find in (find_aravis_cameras, *(partial(find_genicam_cameras, path) for path in sorted(producers))):
+        try:
+            cameras += find()
+        except LightoptError as error:  # noqa: PERF203
+            problems += error.messages
+    return cameras, problems

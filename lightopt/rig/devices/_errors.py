@@ -1,4 +1,4 @@
-"""The ways in which a dialogue with a device fails: a reply that may be asked for again, or a device that is gone."""
+"""The ways in which a dialogue with a device fails: a lost or broken reply, a refusal, a device that is gone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class RefusedError(HardwareError):
     """The device heard the command and said no. Asking again cannot help."""
 
 
-class OvertakenError(HardwareError):
+class PreemptedError(HardwareError):
     """A dialogue was broken off, because something that cannot wait needed the wire."""
 
 

@@ -1,28 +1,30 @@
-"""Light controllers whatever their protocol: what opens them, and all lights off."""
+"""Light controllers whatever their protocol: settings, the base class of the drivers, and all lights off.
+
+A driver (``_light_*.py``) derives from :class:`LightDriver` and only adds its protocol: how a level is set, and how the
+level that the device holds is asked for.
+"""
 
 from __future__ import annotations
 
+import time
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
-from lightopt.core.errors import HardwareError, LightoptError, error_text
-from lightopt.rig.devices._parallel import side_by_side
-from lightopt.rig.devices._roles import LightController
+from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
+from lightopt.rig.devices._errors import RefusedError
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._log import Event, SerialLog
+from lightopt.rig.devices._parallel import run_in_parallel
+from lightopt.rig.devices._retry import Retry
+from lightopt.rig.devices._roles import Identity, LightController
 
-_ATTEMPTS = 3
-"""A channel is told to go dark so often where its driver fails in a way of which it knows nothing."""
+_ATTEMPTS = 3  # to darken a channel whose driver fails in a way that it does not know
 
 
 class LightsStillOnError(HardwareError):
-    """Channels could not be switched off.
-
-    Parameters
-    ----------
-    *messages
-        What failed.
-    channels
-        Those that may still be lit, by the name of the controller.
-    """
+    """Channels could not be switched off; `channels` by the name of the controller."""
 
     def __init__(self, *messages: str, channels: Mapping[str, Sequence[int]]) -> None:
         super().__init__(*messages)
@@ -33,26 +35,13 @@ class LightsStillOnError(HardwareError):
 class LightSettings:
     """What a driver must know to open a light controller.
 
-    Attributes
-    ----------
-    name
-        Name of the controller in the rig file.
-    port
-        Serial port or pyserial URL.
-    baud
-        Baud rate; None is the protocol's usual one.
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    dialect
-        ccs: ``lan`` or ``serial``.
-    template
-        template: commands and patterns of replies, by the words of the rig file.
-    timeout_s
-        Longest wait for a reply [s].
-    max_levels
-        Intensities never exceeded, by channel; where none is given it is `top_level`.
+    name: Name of the controller in the rig file.
+    port: Serial port or pyserial URL.
+    baud: Baud rate; None is the protocol's usual one.
+    dialect: ccs: ``lan`` or ``serial``.
+    template: template: commands and patterns of replies, by the words of the rig file.
+    timeout_s: Longest wait for a reply [s].
+    max_levels: Intensities never exceeded, by channel; where none is given it is `top_level`.
     """
 
     name: str
@@ -65,26 +54,23 @@ class LightSettings:
     timeout_s: float = 1.0
     max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
 
+    @property
+    def limits(self) -> dict[str, Any]:
+        """Arguments that every driver has."""
+        return {"channels": self.channels, "top_level": self.top_level, "max_levels": self.max_levels}
+
 
 def all_off(
-    controllers: Mapping[str, LightController], *, burning: Mapping[str, Collection[int]] | None = None
+    controllers: Mapping[str, LightController], *, lit: Mapping[str, Collection[int]] | None = None
 ) -> None:
     """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
 
-    Parameters
-    ----------
-    controllers
-        By their names in the rig file.
-    burning
-        Channels that are known to burn, by controller: they come first.
+    lit: Channels that are known to be lit, by controller: they come first.
 
-    Raises
-    ------
-    LightsStillOnError
-        Once all were tried, with a message per controller and reason that names the channels that may still be lit.
+    Raises LightsStillOnError once all were tried, with a message per controller and reason.
     """
-    first = burning or {}
-    reasons = side_by_side(
+    first = lit or {}
+    reasons = run_in_parallel(
         {
             name: lambda name=name, controller=controller: _darken_all(controller, first.get(name, ()))
             for name, controller in controllers.items()
@@ -132,3 +118,138 @@ def _darken(controller: LightController, channel: int) -> str | None:
         else:
             return None
     return reason
+
+
+class LightDriver(ABC):
+    """A :class:`~lightopt.rig.devices.LightController` on a serial link: checks, sets, and reads back.
+
+    max_levels: Intensities never exceeded, by channel.
+    """
+
+    NAME: ClassVar[str]
+    """Name of the protocol, as in the rig file."""
+
+    BAUD: ClassVar[int]
+    """The protocol's usual baud rate."""
+
+    GAP_S: ClassVar[float] = 0.0
+    """Least time [s] that the controllers ask for between two commands."""
+
+    def __init__(
+        self,
+        link: SerialLink,
+        *,
+        channels: int = 4,
+        top_level: int = 255,
+        max_levels: Mapping[int, int] | None = None,
+    ) -> None:
+        self._link = link
+        self._channels = channels
+        self._top_level = top_level
+        self._max_levels = max_levels or {}
+        self._retry = Retry(link)
+        self._level_set_s = 0.0
+        self._reads = False  # whether levels can be read back, which each protocol finds out in its own way
+
+    @classmethod
+    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightDriver:
+        """Open the link of a controller and let its driver talk first; a link on which that fails is closed."""
+        link = SerialLink(
+            settings.port,
+            device=f"light controller {settings.name} ({cls.NAME})",
+            baud=settings.baud or cls.BAUD,
+            timeout_s=settings.timeout_s,
+            gap_s=cls.GAP_S,
+            log=log,
+        )
+        try:
+            return cls._on(link, settings)
+        except BaseException:
+            link.close()
+            raise
+
+    @classmethod
+    def _on(cls, link: SerialLink, settings: LightSettings) -> LightDriver:
+        return cls(link, **settings.limits)
+
+    @property
+    def channels(self) -> int:
+        return self._channels
+
+    @property
+    def top_level(self) -> int:
+        return self._top_level
+
+    @property
+    def level_set_s(self) -> float:
+        return self._level_set_s
+
+    @property
+    def events(self) -> list[Event]:
+        """What was out of the ordinary on the wire."""
+        return self._link.events
+
+    def identify(self) -> Identity:
+        details = {**self._query_identity(), "read_back": "yes" if self._reads else "no"}
+        return Identity(self.NAME, self._link.port, details)
+
+    def set_level(self, channel: int, level: int) -> int | None:
+        """Set the intensity and read it back where that can be; returns what is held, None where that is unknown.
+
+        Darkening has priority: a dialogue under way on the wire is broken off for it, retries included.
+        """
+        self._check(channel, level)
+        lock = self._link.lock
+        with lock if level > 0 else lock.priority():
+            self._send_level(channel, level)
+            self._level_set_s = time.monotonic()
+            if not self._reads:
+                return None
+            self._verify(channel, level)
+            return level
+
+    def read_level(self, channel: int) -> int | None:
+        self._check(channel, 0)
+        return self._query_level(channel) if self._reads else None
+
+    def close(self) -> None:
+        self._link.close()
+
+    @abstractmethod
+    def _query_identity(self) -> dict[str, str]:
+        """Ask the device something that changes nothing; what it answers about itself."""
+
+    @abstractmethod
+    def _send_level(self, channel: int, level: int) -> None:
+        """Light a channel at an intensity, or darken it with 0."""
+
+    @abstractmethod
+    def _query_level(self, channel: int) -> int:
+        """Ask for the intensity of a channel; only where levels can be read back."""
+
+    def _can_read_levels(self) -> bool:
+        """Whether the controller reports what it holds; one that refuses that is noted, one that is silent fails."""
+        try:
+            self._query_level(1)
+        except RefusedError as error:  # a lost reply does not show what the controller can do
+            self._link.note(f"lights cannot be read back: {error}")
+            return False
+        return True
+
+    def _verify(self, channel: int, level: int) -> None:
+        """Raise unless the controller holds what was set."""
+        if (held := self._query_level(channel)) != level:
+            raise self._link.failure(f"channel {channel} was set to {level} but holds {held}")
+
+    def _check(self, channel: int, level: int) -> None:
+        """Refuse what the controller does not have or a channel may not be set to, before anything is sent."""
+        device = self._link.device
+        if not 1 <= channel <= self._channels:
+            raise InputError(f"{device}: expected a channel from 1 to {self._channels}, found {channel}")
+        if not 0 <= level <= self._top_level:
+            raise InputError(f"{device}: expected an intensity from 0 to {self._top_level}, found {level}")
+        if level > self._max_levels.get(channel, level):
+            raise InputError(
+                f"{device}: channel {channel} may have an intensity of {self._max_levels[channel]} at most "
+                f"(max_level), found {level}; nothing was sent"
+            )

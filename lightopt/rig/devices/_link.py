@@ -1,7 +1,7 @@
 """The serial link that drivers have: frames out, replies in, each within a total deadline.
 
 The one home of pyserial. A reply is read byte by byte against one deadline for all of it, because a time limit per byte
-lets a device that dribbles hold up the caller for ever.
+would let a device that sends slowly hold up the caller for ever.
 """
 
 from __future__ import annotations
@@ -9,17 +9,18 @@ from __future__ import annotations
 import os
 import re
 import select
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import TypeVar
 
 import serial
 
 from lightopt.core.errors import HardwareError
-from lightopt.rig.devices._errors import LinkLostError, OvertakenError, ReplyError, printable
+from lightopt.rig.devices._errors import LinkLostError, PreemptedError, ReplyError, printable
 from lightopt.rig.devices._log import Event, LogEntry, SerialLog, now
 from lightopt.rig.devices._ports import cannot_open
-from lightopt.rig.devices._priority_lock import Turns
 
 try:
     from termios import error as _termios_error  # not an OSError
@@ -37,40 +38,57 @@ _USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 4608
 Value = TypeVar("Value")
 
 
+class PriorityLock:
+    """A re-entrant lock that gives way to what cannot wait.
+
+    As a context manager it waits for its turn. Who enters by :meth:`priority` takes the next turn, and the holder sees
+    :attr:`preempted` and breaks off what it waits for. Of several with priority, none preempts another.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._urgent: set[object] = set()
+        self._held_urgent = 0
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self._lock.release()
+
+    @contextmanager
+    def priority(self) -> Generator[None]:
+        """Take the next turn, for what cannot wait, such as darkening a light."""
+        mark = object()
+        self._urgent.add(mark)
+        try:
+            with self._lock:
+                self._urgent.discard(mark)
+                self._held_urgent += 1
+                try:
+                    yield
+                finally:
+                    self._held_urgent -= 1
+        finally:
+            self._urgent.discard(mark)
+
+    @property
+    def preempted(self) -> bool:
+        """Whether the holder, who asks this, should break off because something that cannot wait does."""
+        return bool(self._urgent) and not self._held_urgent
+
+
 class SerialLink:
     """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
 
-    Parameters
-    ----------
-    port
-        Serial port (``/dev/serial/by-id/…``, ``COM3``) or pyserial URL (``socket://host:port``, ``rfc2217://…``).
-    device
-        What stands behind it, for messages: ``controller main (ccs)``.
-    baud
-        Baud rate; 8 data bits, no parity, 1 stop bit.
-    rtscts
-        Whether the device paces the line by RTS/CTS.
-    timeout_s
-        Deadline [s] of a whole reply where a call names none. A write has as long, or a second if that is longer.
-    gap_s
-        Least time [s] between the end of a dialogue and the next command.
-    log
-        Where every byte is written down.
+    device: What stands behind it, for messages: ``controller main (ccs)``.
+    timeout_s: Deadline [s] of a whole reply where a call names none. A write has as long, and a second at least.
+    gap_s: Least time [s] between the end of a dialogue and the next command.
+    lock: Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait breaks them
+        off by ``lock.priority()``; whoever waits for a reply then gets a :class:`PreemptedError`.
 
-    Attributes
-    ----------
-    events
-        What was out of the ordinary so far: retries, stale bytes thrown away, the device lost.
-    lock
-        Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait
-        breaks them off by ``lock.first()``; whoever waits for a reply then gets an :class:`OvertakenError`.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When the port is not there (the message lists those that are), is none, or may not be opened.
-    lightopt.core.errors.HardwareError
-        When another program has it, or nothing answers at its address.
+    Raises InputError when the port is not there (the message lists those that are), is none, or may not be opened.
+    Raises HardwareError when another program has it, or nothing answers at its address.
     """
 
     def __init__(
@@ -89,7 +107,7 @@ class SerialLink:
         self.timeout_s = timeout_s
         self._write_s = max(timeout_s, _WRITE_S)
         self.events: list[Event] = []
-        self.lock = Turns()
+        self.lock = PriorityLock()
         self._gap_s = gap_s
         self._log = log
         self._quiet_since = 0.0
@@ -137,11 +155,6 @@ class SerialLink:
 
         Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
         be on its way; the line is then first listened to until it is silent.
-
-        Raises
-        ------
-        LinkLostError
-            When the device is gone or does not take the bytes.
         """
         with self.lock:
             if self._owed:
@@ -175,26 +188,12 @@ class SerialLink:
     ) -> bytes:
         """Read a reply up to and with its end. What lies in the input at the deadline was in time and is read, too.
 
-        Parameters
-        ----------
-        end
-            Bytes that end it; or a pattern, which ends it where it is first found; or None: silence of `quiet_s` after
+        end: Bytes that end it; or a pattern, which ends it where it is first found; or None: silence of `quiet_s` after
             at least one byte.
-        deadline_s
-            Longest time [s] for the whole reply; the link's `timeout_s` if None.
-        after
-            The command that was sent, for messages.
-        quiet_s
-            Silence [s] that ends a reply without an end.
+        after: The command that was sent, for messages.
 
-        Raises
-        ------
-        ReplyError
-            When the deadline passes before the end; it says what had come.
-        OvertakenError
-            When something that cannot wait needs the wire.
-        LinkLostError
-            When the device is gone.
+        Raises ReplyError when the deadline passes before the end, PreemptedError when something that cannot wait needs
+        the wire, LinkLostError when the device is gone.
         """
         limit_s = self.timeout_s if deadline_s is None else deadline_s
         until = time.monotonic() + limit_s
@@ -217,8 +216,8 @@ class SerialLink:
                         entry.write()
                         if end is None and got and moment - heard >= quiet_s:
                             return bytes(got)
-                    if self.lock.overtaken:
-                        raise self._overtaken(after)
+                    if self.lock.preempted:
+                        raise self._preempted(after)
                     if moment >= until:
                         # a computer that was busy finds the reply there: it is the device that may be late
                         if late == _LATE_BYTES or not self._guarded(lambda: self._serial.in_waiting, after):
@@ -229,32 +228,26 @@ class SerialLink:
                 self._quiet_since = time.monotonic()
 
     def drain(self, quiet_s: float = 0.1, deadline_s: float = 1.0) -> None:
-        """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command.
-
-        Raises
-        ------
-        OvertakenError
-            When something that cannot wait needs the wire; it is then still owed the silence.
-        """
+        """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command."""
         with self.lock:
             until = time.monotonic() + deadline_s
             heard = time.monotonic()
             entry = LogEntry(self._log, self.port)
             stale = 0
-            while not (overtaken := self.lock.overtaken) and time.monotonic() < min(until, heard + quiet_s):
+            while not (preempted := self.lock.preempted) and time.monotonic() < min(until, heard + quiet_s):
                 data = self._guarded(lambda: self._serial.read(1), b"")
                 if data:
                     heard = time.monotonic()
                     stale += 1
                     entry.add(data)
             entry.write()
-            self._told_stale(stale)
-            if overtaken:
+            self._note_stale(stale)
+            if preempted:
                 self._owed = True
-                raise self._overtaken(b"")
+                raise self._preempted(b"")
 
     def discard(self) -> None:
-        """Throw away what already lies in the input, without waiting; it is logged and told as an event."""
+        """Throw away what already lies in the input, without waiting; it is logged and reported as an event."""
         with self.lock:
             entry = LogEntry(self._log, self.port)
             stale = 0
@@ -266,10 +259,10 @@ class SerialLink:
                 stale += 1
                 entry.add(data)
             entry.write()
-            self._told_stale(stale)
+            self._note_stale(stale)
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Tell of something out of the ordinary: in `events`, and to the log."""
+        """Report something out of the ordinary: in `events`, and to the log."""
         event = Event(now(), self.port, what, retry)
         self.events.append(event)
         if self._log is not None:
@@ -338,8 +331,8 @@ class SerialLink:
                 )
             ) from None
 
-    def _overtaken(self, sent: bytes) -> OvertakenError:
-        return OvertakenError(
+    def _preempted(self, sent: bytes) -> PreemptedError:
+        return PreemptedError(
             self.words("no longer waited for, because a light had to be switched off", sent=sent)
         )
 
@@ -347,7 +340,7 @@ class SerialLink:
         problem = "the reply is incomplete" if got else "no reply"
         return ReplyError(self.words(f"{problem} after {limit_s:g} s", sent=after, reply=got))
 
-    def _told_stale(self, count: int) -> None:
+    def _note_stale(self, count: int) -> None:
         if count:
             self.note(f"threw away {count} bytes that nothing had asked for")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TextIO
@@ -15,19 +15,7 @@ from lightopt.core.errors import InputError
 
 @dataclass(frozen=True)
 class Event:
-    """Something out of the ordinary on a link.
-
-    Attributes
-    ----------
-    time
-        When, UTC, ISO 8601.
-    port
-        On which port.
-    what
-        What, in words.
-    retry
-        Whether it is a command sent again.
-    """
+    """Something out of the ordinary on a link, at a time (UTC, ISO 8601); `retry`: a command was sent again."""
 
     time: str
     port: str
@@ -36,33 +24,19 @@ class Event:
 
     def as_dict(self) -> dict[str, str | bool]:
         """JSON form."""
-        return {"time": self.time, "port": self.port, "what": self.what, "retry": self.retry}
+        return asdict(self)
 
 
 class SerialLog:
-    """What happens on the wires of a run: what is out of the ordinary is told, and every byte is written down.
+    """What happens on the wires of a run: every byte is written down, and what is out of the ordinary is reported.
 
     The text file has time (UTC), port, direction, and bytes as a Python literal. Entries are appended and flushed one
     by one, so that the file is whole up to the moment of a crash. Links of several threads may share it. Once opened it
     never raises: a disk that is full must not keep a light from being switched off. The first entry that cannot be
-    written ends the file, which is told once.
+    written ends the file, which is reported once, and kept in `events`.
 
-    Parameters
-    ----------
-    path
-        The file; made if it is not there, continued if it is. None for none.
-    warn
-        Called with what is out of the ordinary, as it happens; from whichever thread it happens in.
-
-    Attributes
-    ----------
-    events
-        That the file ended early, if it did.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When it cannot be written.
+    path: Made if it is not there, continued if it is. None for none.
+    warn: Called with what is out of the ordinary; from whichever thread it happens in.
     """
 
     def __init__(self, path: Path | str | None = None, *, warn: Callable[[str], None] | None = None) -> None:
@@ -92,12 +66,12 @@ class SerialLog:
                 problem = self._end(error)
             else:
                 return
-        self._say(problem)
+        self._report(problem)
 
     def note(self, event: Event) -> None:
-        """Tell of something out of the ordinary, and write it down."""
+        """Report something out of the ordinary, and write it down."""
         self.write(event.port, "note", event.what, event.time)
-        self._say(f"{event.port}: {event.what}")
+        self._report(f"{event.port}: {event.what}")
 
     def close(self) -> None:
         """Close the file; later entries are dropped. Never raises."""
@@ -105,13 +79,13 @@ class SerialLog:
             if self._file is not None:
                 self._file.close()
 
-    def _say(self, what: str) -> None:
+    def _report(self, what: str) -> None:
         if self._warn is not None:
             with suppress(OSError, ValueError):  # a terminal that is gone keeps no light on
                 self._warn(what)
 
     def _end(self, error: OSError | ValueError) -> str:
-        """Give the file up; what to say of it."""
+        """Give the file up; the message about it."""
         reason = getattr(error, "strerror", None) or error
         problem = f"{self._path}: the serial log ends here, it can no longer be written: {reason}"
         self.events.append(Event(now(), str(self._path), problem))

@@ -9,21 +9,11 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-def side_by_side(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:
-    """Do what there is to do with each device, in a thread of its own; results in the order of the devices.
+def run_in_parallel(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:
+    """Run the work of each device in a thread of its own; results in the order of the devices.
 
-    All of it is done, whatever fails; Ctrl-C is raised once all has ended. While the interpreter shuts down, when no
-    thread can be started any more, one is done after the other.
-
-    Parameters
-    ----------
-    work
-        By device.
-
-    Raises
-    ------
-    Exception
-        The first, in the order of the devices, that any of it raised.
+    All of it is done, whatever fails; then the first error in the order of the devices is raised, and Ctrl-C once all
+    has ended. While the interpreter shuts down, when no thread can be started any more, one is done after the other.
     """
     results: dict[str, T] = {}
     errors: dict[str, BaseException] = {}

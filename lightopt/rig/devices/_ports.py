@@ -14,17 +14,7 @@ _NETWORK = ("socket://", "rfc2217://")
 
 @dataclass(frozen=True)
 class Port:
-    """A serial port of this computer.
-
-    Attributes
-    ----------
-    name
-        How it is opened.
-    description
-        What the operating system says of it.
-    usb
-        Vendor and product as ``0403:6001``, and the serial number; empty where it is not USB.
-    """
+    """A serial port of this computer; `usb` is ``vendor:product serial`` in hexadecimal digits, empty without USB."""
 
     name: str
     description: str
@@ -60,10 +50,7 @@ def port_problem(port: str) -> str | None:
 
 
 def cannot_open(port: str, device: str, error: BaseException) -> LightoptError:
-    """Why a port could not be opened, and what to do.
-
-    A :class:`HardwareError` where another program has it, or nothing answers at an address of the network.
-    """
+    """Why a port could not be opened: HardwareError where it is in use or out of reach, else InputError."""
     reason = str(error)
     number = getattr(error, "errno", None)
     head = f"{device}: port {port}"

@@ -1,4 +1,4 @@
-"""Commands sent again: only such as may be repeated, a bounded number of times, each told."""
+"""Commands sent again: only such as may be repeated, a bounded number of times, each reported."""
 
 from __future__ import annotations
 
@@ -13,31 +13,22 @@ Value = TypeVar("Value")
 
 
 class Repeatable(Protocol):
-    """What is asked again: a serial link, a camera."""
+    """What can be asked again: a serial link, a camera."""
 
     def drain(self) -> None:
         """Throw away what is still on its way, so that it is not taken for the answer to the next question."""
         ...
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Tell of something out of the ordinary."""
+        """Report something out of the ordinary."""
         ...
 
 
-class Persistence:
+class Retry:
     """Asks again when a reply is lost or spoilt. Only for what may be repeated: queries, intensities, absolute targets.
 
     A device that left all attempts unanswered gets one at a time until it answers: switching off the lights of a dead
     controller must not take a minute.
-
-    Parameters
-    ----------
-    link
-        Where retries are told.
-    attempts
-        Times that a command is sent at most.
-    verb
-        What is done again, in the past tense.
     """
 
     def __init__(self, link: Repeatable, attempts: int = ATTEMPTS, *, verb: str = "sent") -> None:
@@ -75,12 +66,8 @@ class Persistence:
 def frame_limit_s(exposure_us: float, wait_s: float) -> float:
     """How long a camera may take for one frame [s]: every attempt exposes anew, and the waits share `wait_s`.
 
-    Parameters
-    ----------
-    exposure_us
-        Exposure time that the camera holds [µs].
-    wait_s
-        Longest wait beyond the exposures [s].
+    exposure_us: Exposure time that the camera holds [µs].
+    wait_s: Longest wait beyond the exposures [s].
 
     Examples
     --------

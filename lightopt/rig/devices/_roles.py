@@ -17,32 +17,27 @@ from lightopt.core.transforms import Posture
 
 @dataclass(frozen=True)
 class Identity:
-    """What a device says of itself.
+    """Identity of a device.
 
-    Attributes
-    ----------
-    driver
-        Name of the driver, as in the rig file.
-    port
-        Where it is reached: serial port, URL, camera name or folder.
-    says
-        What the device answered when asked (version, serial number), by the field's name; empty where it cannot say.
+    driver: Name of the driver, as in the rig file.
+    port: Where it is reached: serial port, URL, camera name or folder.
+    details: What the device answered about itself (version, serial number), by name; may be empty.
     """
 
     driver: str
     port: str
-    says: dict[str, str] = field(default_factory=dict[str, str])
+    details: dict[str, str] = field(default_factory=dict[str, str])
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {"driver": self.driver, "port": self.port, **self.says}
+        return {"driver": self.driver, "port": self.port, **self.details}
 
 
 class LightController(Protocol):
     """Panels behind one controller; channels are counted from 1, as printed on the device.
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
-    holds something else than it was told.
+    does not hold what was set.
     """
 
     @property
@@ -52,7 +47,7 @@ class LightController(Protocol):
 
     @property
     def top_level(self) -> int:
-        """Highest intensity that the protocol can say."""
+        """Highest intensity."""
         ...
 
     def identify(self) -> Identity:
@@ -62,17 +57,17 @@ class LightController(Protocol):
     def set_level(self, channel: int, level: int) -> int | None:
         """Light a channel at an intensity in 1 … top_level, or darken it with 0.
 
-        Returns the intensity that the device then holds, read back; None where the protocol cannot tell.
+        Returns the intensity that the device then holds, read back; None where it cannot be read back.
         """
         ...
 
     @property
-    def told_s(self) -> float:
+    def level_set_s(self) -> float:
         """When [s, monotonic clock] the device had the last intensity; before it was read back."""
         ...
 
     def read_level(self, channel: int) -> int | None:
-        """Intensity that the device holds, 0 when it is off; None where the protocol cannot tell."""
+        """Intensity that the device holds, 0 when it is off; None where it cannot be read back."""
         ...
 
     def close(self) -> None:
@@ -82,18 +77,11 @@ class LightController(Protocol):
 
 @dataclass(frozen=True)
 class StageState:
-    """What a stage says of itself.
+    """State of a stage.
 
-    Attributes
-    ----------
-    posture
-        Where it stands [°]; an axis that the stage lacks stands at 0.
-    moving
-        Whether an axis moves.
-    referenced
-        Whether it knows where its origin is; None where it cannot tell.
-    alarm
-        The device's alarm in words; None without one.
+    posture: Where it stands [°]; an axis that the stage lacks stands at 0.
+    referenced: Whether it knows where its origin is; None where that is unknown.
+    alarm: The device's alarm in words; None without one.
     """
 
     posture: Posture
@@ -124,22 +112,16 @@ class Stage(Protocol):
     def move_to(self, posture: Posture) -> StageState:
         """Move, wait, and verify; returns where it stands.
 
-        Raises
-        ------
-        InputError
-            When the posture lies outside the limits or between steps by more than half of one; nothing was sent.
-        HardwareError
-            When it cannot get there; it is then told to stop.
+        Raises InputError when the posture lies outside the limits or between steps by more than half of one; nothing
+        was sent.
+        Raises HardwareError when it cannot get there; it is then stopped.
         """
         ...
 
     def confirm(self) -> StageState:
         """Ask whether it still stands where it was left; moves nothing.
 
-        Raises
-        ------
-        HardwareError
-            When it stands elsewhere, moves, or has an alarm or lost its origin.
+        Raises HardwareError when it stands elsewhere, moves, or has an alarm or lost its origin.
         """
         ...
 
@@ -156,25 +138,17 @@ class Stage(Protocol):
 class Frame:
     """A frame as the camera delivered it.
 
-    Attributes
-    ----------
-    levels
-        Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
-    exposure_us
-        Exposure time [µs] as read back for this frame.
-    number
-        The camera's own number of the frame; None where it has none.
-    timestamp_ns
-        The camera's own time stamp [ns]; None where it has none.
-    says
-        What else it says (gain, temperature, packets lost).
+    levels: Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
+    exposure_us: Exposure time [µs] as read back for this frame.
+    number, timestamp_ns: The camera's own number and time stamp [ns]; None where it has none.
+    details: Further properties (gain, temperature, packets lost).
     """
 
     levels: NDArray[np.uint8] | NDArray[np.uint16]
     exposure_us: float
     number: int | None
     timestamp_ns: int | None = None
-    says: dict[str, Any] = field(default_factory=dict[str, Any])
+    details: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
 class Camera(Protocol):
@@ -210,10 +184,7 @@ class Camera(Protocol):
     def set_exposure(self, exposure_us: float) -> float:
         """Set the exposure time [µs] and return what the camera holds.
 
-        Raises
-        ------
-        InputError
-            When it lies outside `exposure_range_us`; nothing was sent.
+        Raises InputError when it lies outside `exposure_range_us`; nothing was sent.
         """
         ...
 

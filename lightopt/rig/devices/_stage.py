@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._axes import Axis
-from lightopt.rig.devices._dialogue import Dialogue, Reading
 from lightopt.rig.devices._errors import ReplyError
 from lightopt.rig.devices._log import Event
 from lightopt.rig.devices._roles import Identity, StageState
+from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
 
@@ -32,24 +31,11 @@ class Clock:
 
 
 class MovingStage:
-    """The :class:`~lightopt.rig.devices.Stage` role over any stage language.
+    """The :class:`~lightopt.rig.devices.Stage` role over any :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
     A move is refused when the posture lies outside the range (before a command is sent), when the device has an alarm
     or knows that it is not referenced, when it moves already, and when it does not stand where it was left. After a
-    failed move it is refused until the stage has been homed.
-
-    Parameters
-    ----------
-    driver
-        Name of the driver.
-    dialogue
-        The device's language.
-    axes
-        The axes that the device moves; an axis of the rig that is not among them stands at 0.
-    home_timeout_s
-        Longest time [s] that seeking the origins may take.
-    clock
-        Time, for tests.
+    failed move it is refused until the stage has been homed. An axis that is not among `axes` stands at 0.
     """
 
     def __init__(
@@ -78,12 +64,10 @@ class MovingStage:
         return self._link.events
 
     def identify(self) -> Identity:
-        """Ask the device who it is, without moving it."""
         with self._link.lock:
-            return Identity(driver=self._driver, port=self._link.port, says=self._dialogue.says())
+            return Identity(driver=self._driver, port=self._link.port, details=self._dialogue.identify())
 
     def state(self) -> StageState:
-        """Ask where it stands and how it is."""
         with self._link.lock:
             return self._state(self._dialogue.read())
 
@@ -104,23 +88,20 @@ class MovingStage:
             raise InputError(*wrong)
 
     def move_to(self, posture: Posture) -> StageState:
-        """Move, wait and verify; returns where it stands, to the step.
-
-        Raises
-        ------
-        lightopt.core.errors.InputError
-            When the posture lies outside the limits; nothing was sent.
-        lightopt.core.errors.HardwareError
-            When it may not move (alarm, not referenced), or does not arrive; it is then told to stop.
-        """
+        """Move, wait and verify; returns where it stands, to the step."""
         self.check(posture)
         with self._link.lock:
             try:
                 reading = self._dialogue.read()
             except HardwareError as error:
                 raise type(error)(*error.messages, "No move had been sent to it") from None
-            self._may_move(reading)
-            targets = self._targets(posture)
+            if (trouble := self._trouble(reading)) is not None:
+                raise self._link.failure(f"was not moved: {trouble}")
+            angles = _angles(posture)
+            targets = {
+                axis.name: axis.target(angles[axis.name], step=self._dialogue.step(axis))
+                for axis in self._axes
+            }
             self._dialogue.check({axis.device: targets[axis.name] for axis in self._axes})
             far = {
                 axis.device: targets[axis.name]
@@ -130,19 +111,21 @@ class MovingStage:
             if not far:
                 self._left_at = dict(reading.units)
                 return self._state(reading)
-            self._tell_rounding(posture, targets)
+            self._note_rounding(posture, targets)
             longest_s = max(
                 abs(targets[axis.name] - reading.units[axis.device]) / axis.speed_units()
                 for axis in self._axes
             )
             try:
-                self._prepare()
+                if not self._prepared:
+                    self._dialogue.prepare()
+                    self._prepared = True
                 try:
                     self._dialogue.go(far)
                 except ReplyError as error:
                     # whether it was taken shows in where the stage goes; sent again it might move twice
                     self._link.note(f"{error}; not sent again, the position will tell")
-                reading = self._arrive(targets, longest_s)
+                reading = self._await_arrival(targets, longest_s)
             except HardwareError as error:
                 raise self._stopped(error) from error
             except BaseException:
@@ -154,10 +137,7 @@ class MovingStage:
     def confirm(self) -> StageState:
         """Ask whether it still stands where the last move left it; moves nothing.
 
-        Raises
-        ------
-        lightopt.core.errors.HardwareError
-            When it does not: moved by hand, or switched off and on, after which most devices count from elsewhere.
+        It does not after it was moved by hand, or switched off and on: then most devices count from elsewhere.
         """
         with self._link.lock:
             reading = self._dialogue.read()
@@ -178,7 +158,7 @@ class MovingStage:
                     self._dialogue.home()
                 except ReplyError as error:
                     self._link.note(f"{error}; not sent again, the state will tell")
-                reading = self._come_home()
+                reading = self._await_homing()
             except HardwareError as error:
                 raise self._stopped(error) from error
             except BaseException:
@@ -190,9 +170,9 @@ class MovingStage:
 
     def stop(self) -> None:
         """Stop all axes at once, and see that they stand still."""
-        self._rest()
+        self._halt()
 
-    def _rest(self) -> Reading:
+    def _halt(self) -> Reading:
         """Stop; the reading with which it stands still."""
         with self._link.lock:
             self._left_at = None
@@ -209,16 +189,9 @@ class MovingStage:
             return reading
 
     def close(self) -> None:
-        """Give up the link; never moves an axis, never raises."""
         self._link.close()
 
-    def _targets(self, posture: Posture) -> dict[str, float]:
-        angles = _angles(posture)
-        return {
-            axis.name: axis.target(angles[axis.name], step=self._dialogue.step(axis)) for axis in self._axes
-        }
-
-    def _tell_rounding(self, posture: Posture, targets: Mapping[str, float]) -> None:
+    def _note_rounding(self, posture: Posture, targets: Mapping[str, float]) -> None:
         angles = _angles(posture)
         for axis in self._axes:
             off = axis.angle_of(targets[axis.name]) - angles[axis.name]
@@ -227,10 +200,6 @@ class MovingStage:
                     f"{self._link.device}: {axis.name}: {angles[axis.name]:g}° lies between two steps, "
                     f"goes to {axis.angle_of(targets[axis.name]):.6g}°"
                 )
-
-    def _may_move(self, reading: Reading) -> None:
-        if (trouble := self._trouble(reading)) is not None:
-            raise self._link.failure(f"was not moved: {trouble}")
 
     def _trouble(self, reading: Reading) -> str | None:
         """Why it is not where it was left, or not to be moved, in words; None where nothing is the matter."""
@@ -254,12 +223,7 @@ class MovingStage:
                 return f"{self._lost}; {HOME_FIRST}"
         return None
 
-    def _prepare(self) -> None:
-        if not self._prepared:
-            self._dialogue.prepare()
-            self._prepared = True
-
-    def _arrive(self, targets: Mapping[str, float], travel_s: float) -> Reading:
+    def _await_arrival(self, targets: Mapping[str, float], travel_s: float) -> Reading:
         """Watch a move that should take so long until the stage stands at its targets."""
         started = self._clock.now()
         limit_s = 2 * travel_s + _MARGIN_S
@@ -278,7 +242,7 @@ class MovingStage:
                         f"still moves after {limit_s:.1f} s, twice the time of the way and {_MARGIN_S:g} s: "
                         f"jammed, or slower than speed_deg_per_s says{self._where(reading, targets)}"
                     )
-            elif self._there(reading, targets):
+            elif self._at_targets(reading, targets):
                 return reading
             else:
                 still_since = now if still_since is None else still_since
@@ -289,7 +253,7 @@ class MovingStage:
                     )
             self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
 
-    def _there(self, reading: Reading, targets: Mapping[str, float]) -> bool:
+    def _at_targets(self, reading: Reading, targets: Mapping[str, float]) -> bool:
         return all(
             abs(reading.units[axis.device] - targets[axis.name]) <= self._dialogue.step(axis) * (1 + 1e-6)
             for axis in self._axes
@@ -304,7 +268,7 @@ class MovingStage:
         ]
         return "; " + ", ".join(parts) if parts else ""
 
-    def _come_home(self) -> Reading:
+    def _await_homing(self) -> Reading:
         started = self._clock.now()
         moved = self._dialogue.homes_to_end
         wrong_since: float | None = None
@@ -331,16 +295,16 @@ class MovingStage:
         """Stop the stage after an error; the error, with what stopping led to."""
         return type(error)(*error.messages, self._stop_after(str(error)))
 
-    def _stop_after(self, told: str = "") -> str:
-        """Stop the stage after a failure, and say in words what that led to."""
+    def _stop_after(self, reported: str = "") -> str:
+        """Stop the stage after a failure; a message about what that led to."""
         self._lost = "the last move failed"
         try:
-            alarm = self._rest().alarm
+            alarm = self._halt().alarm
         except HardwareError as failed:
             return f"It was told to stop, which failed too, so it may still move: {failed}"
         finally:
             self._left_at = None
-        with_alarm = f", with an alarm: {alarm}" if alarm is not None and alarm not in told else ""
+        with_alarm = f", with an alarm: {alarm}" if alarm is not None and alarm not in reported else ""
         return f"It stands still now{with_alarm}. Before the next move, {HOME_FIRST}"
 
     def _state(self, reading: Reading) -> StageState:

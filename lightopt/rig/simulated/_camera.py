@@ -1,4 +1,4 @@
-"""The camera of the virtual bench, in the process of the firmware: it looks at what the firmware does.
+"""The camera of the virtual bench, in the process of the firmware: it sees what the firmware does.
 
 A frame is asked for over the control socket; its pixels follow the answer row by row, little end first.
 """
@@ -8,121 +8,27 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.simulated._deviations import BenchTruth
-from lightopt.rig.simulated._requests import Answer, Handler
+from lightopt.rig.simulated._camera_setup import CameraSetup
+from lightopt.rig.simulated._control import Handler, Response
 
 if TYPE_CHECKING:
     from lightopt.rig.simulated._optics import BenchOptics, Levels
 
 
-EXPOSURE_RANGE_US = (10.0, 10e6)
-"""Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""
-
 Brightness = Callable[[str], Mapping[int, float]]
 Positions = Callable[[str], Mapping[str, float]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LightWire:
-    """Where a light is plugged in, and the share of the highest intensity at which it is as the rig describes."""
-
-    light: str
-    device: str
-    channel: int
-    share: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class AxisWire:
-    """Which axis of a device is the tilt or the rotation, its units per degree, and where 0° is."""
-
-    device: str
-    axis: str
-    steps_per_deg: float
-    zero: float
-
-    def angle_deg(self, positions: Mapping[str, float]) -> float:
-        """Angle [°] at device positions."""
-        return (positions[self.axis] - self.zero) / self.steps_per_deg
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraSetup:
-    """What the camera looks at.
-
-    Attributes
-    ----------
-    rig, part
-        Files.
-    exposure_us
-        Exposure time of exposure 1 [µs].
-    lights
-        Where they are plugged in.
-    elevation, rotation
-        Axes; None: fixed at 0.
-    truth
-        How the bench differs from the files.
-    gige
-        Whether the camera is a GigE Vision camera on the loopback.
-    """
-
-    rig: str
-    part: str
-    exposure_us: float
-    lights: tuple[LightWire, ...]
-    elevation: AxisWire | None = None
-    rotation: AxisWire | None = None
-    truth: BenchTruth = field(default_factory=BenchTruth)
-    gige: bool = False
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "rig": self.rig,
-            "part": self.part,
-            "exposure_us": self.exposure_us,
-            "lights": [vars(wire) for wire in self.lights],
-            "elevation": None if self.elevation is None else vars(self.elevation),
-            "rotation": None if self.rotation is None else vars(self.rotation),
-            "truth": self.truth.as_dict(),
-            "gige": self.gige,
-        }
-
-    @classmethod
-    def of(cls, data: Mapping[str, Any]) -> CameraSetup:
-        """From its JSON form."""
-        axes = {
-            name: None if data.get(name) is None else AxisWire(**data[name])
-            for name in ("elevation", "rotation")
-        }
-        return cls(
-            rig=data["rig"],
-            part=data["part"],
-            exposure_us=data["exposure_us"],
-            lights=tuple(LightWire(**wire) for wire in data["lights"]),
-            truth=BenchTruth.of(data["truth"]),
-            gige=bool(data.get("gige", False)),
-            **axes,
-        )
 
 
 class BenchCamera:
     """Takes frames of what the devices do at the moment.
 
-    Parameters
-    ----------
-    setup
-        What it looks at.
-    levels
-        Brightness of a device's channels at this moment, as a share of its highest intensity.
-    positions
-        Where a device's axes stand at this moment, in device units.
+    levels: Brightness of a device's channels at this moment, as a share of its highest intensity.
+    positions: Where a device's axes stand at this moment, in device units.
     """
 
     def __init__(self, setup: CameraSetup, levels: Brightness, positions: Positions) -> None:
@@ -159,7 +65,7 @@ class BenchCamera:
                 self._optics = BenchOptics(scene, self._setup.truth)
             return self._optics
 
-    def _identity(self, _: Mapping[str, Any]) -> Answer:
+    def _identity(self, _: Mapping[str, Any]) -> Response:
         resolution_px, bit_depth = self.sensor()
         return {
             "resolution_px": resolution_px,
@@ -167,19 +73,10 @@ class BenchCamera:
             "triggered": self._setup.truth.triggered,
         }, b""
 
-    def look(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
+    def expose(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
         """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
 
-        Parameters
-        ----------
-        exposure_us
-            Exposure time [µs].
-        gain_db
-            Gain [dB].
-        triggered
-            Whether it begins now.
-        counted
-            False for a frame that is lost on its way: the next has the noise that it would have had.
+        counted: False for a frame that is lost on its way: the next has the noise that it would have had.
         """
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen
@@ -193,12 +90,11 @@ class BenchCamera:
         self._seen = self._state()
         return pixels
 
-    def _prepare(self, _: Mapping[str, Any]) -> Answer:
-        """Say whether what will be seen where the stage stands is rendered, and see to it that it will be.
+    def _prepare(self, _: Mapping[str, Any]) -> Response:
+        """Answer whether the view at the stage's position is rendered, and start to render it if not.
 
-        A camera on a network does not answer while a frame is made, and one that is silent for seconds counts as gone;
-        so rendering is waited for before a frame is asked for, and by asking again, which a process that hangs does not
-        answer.
+        A camera on a network does not answer while a frame is made, and one that is silent for seconds counts as gone.
+        So the client waits before it asks for a frame, by asking again, which a hung process does not answer.
         """
         posture = self._state()[1]
         with self._preparing:
@@ -216,7 +112,7 @@ class BenchCamera:
         try:
             self._build().prepare(posture)
             self._prepared = posture
-        except Exception as error:  # noqa: BLE001  (told to whoever asks next)
+        except Exception as error:  # noqa: BLE001  (reported to the next request)
             self._unprepared = str(error) or type(error).__name__
 
     def sensor(self) -> tuple[tuple[int, int], int]:
@@ -224,11 +120,11 @@ class BenchCamera:
         scene = self._build().scene
         return (scene.camera.width, scene.camera.height), scene.sensor.bit_depth
 
-    def _frame(self, request: Mapping[str, Any]) -> Answer:
+    def _frame(self, request: Mapping[str, Any]) -> Response:
         self._build()
         exposure_us = float(request["exposure_us"])
         begun, begun_ns = time.monotonic(), time.time_ns()
-        pixels = self.look(exposure_us, 0.0, self._setup.truth.triggered)
+        pixels = self.expose(exposure_us, 0.0, self._setup.truth.triggered)
         time.sleep(max(0.0, exposure_us / 1e6 - (time.monotonic() - begun)))
         self._seen = self._state()
         self._number += 1

@@ -6,23 +6,12 @@ import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import Frame, Identity
-from lightopt.rig.simulated._camera import EXPOSURE_RANGE_US
+from lightopt.rig.simulated._camera_setup import EXPOSURE_RANGE_US
 from lightopt.rig.simulated._process import BenchProcess
 
 
 class VirtualCamera:
-    """A camera that takes its frames from the virtual bench, over a loopback socket.
-
-    Parameters
-    ----------
-    bench
-        With a camera. It stays open when the camera is closed.
-
-    Raises
-    ------
-    HardwareError
-        When the bench does not answer.
-    """
+    """A camera that takes its frames from the virtual bench, which stays open when the camera is closed."""
 
     def __init__(self, bench: BenchProcess) -> None:
         self._bench = bench
@@ -34,37 +23,25 @@ class VirtualCamera:
 
     @property
     def triggered(self) -> bool:
-        """Whether a frame begins when it is asked for."""
         return bool(self._says["triggered"])
 
     @property
     def resolution_px(self) -> tuple[int, int]:
-        """Width and height [pixels]."""
         width, height = self._says["resolution_px"]
         return width, height
 
     @property
     def bit_depth(self) -> int:
-        """Bits of a level."""
         return int(self._says["bit_depth"])
 
     @property
     def exposure_range_us(self) -> tuple[float, float]:
-        """Shortest and longest exposure time [µs]."""
         return EXPOSURE_RANGE_US
 
     def identify(self) -> Identity:
-        """The bench's camera."""
-        return Identity(driver="virtual", port="virtual", says={"model": "lightopt virtual camera"})
+        return Identity(driver="virtual", port="virtual", details={"model": "lightopt virtual camera"})
 
     def set_exposure(self, exposure_us: float) -> float:
-        """Hold an exposure time [µs], to the nearest microsecond.
-
-        Raises
-        ------
-        InputError
-            When it lies outside the camera's range.
-        """
         low, high = EXPOSURE_RANGE_US
         if not low <= exposure_us <= high:
             raise InputError(
@@ -74,15 +51,7 @@ class VirtualCamera:
         return self._exposure_us
 
     def grab(self, *, timeout_s: float) -> Frame:
-        """Take a frame.
-
-        What has yet to be rendered is waited for first, as long as the bench answers: that is not the camera's time.
-
-        Raises
-        ------
-        HardwareError
-            When the bench does not deliver in time, or hangs.
-        """
+        """Take a frame; rendering is waited for first, as long as the bench answers: that is not the camera's time."""
         try:
             self._bench.prepare()
             head, data = self._bench.request("frame", timeout_s=timeout_s, exposure_us=self._exposure_us)

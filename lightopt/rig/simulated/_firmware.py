@@ -1,11 +1,13 @@
-"""What the simulated firmware of a device is, to the process that hosts it.
+"""What the simulated firmware of a device implements, and which there is. Add a new device here.
 
 Firmware is written from the tables of its protocol, not from the driver: the two meet on the wire only.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, Protocol, cast
 
 
 class Firmware(Protocol):
@@ -20,14 +22,9 @@ class Firmware(Protocol):
         ...
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Suffer a fault of the device from a time [s] on: a stalled axis, a light that stays dark.
+        """Set a fault of the device from a time [s] on: a stalled axis, a light that stays dark; ``clear`` ends all.
 
-        Faults of the line (replies dropped, late, cut short) are the host's and never come here.
-
-        Raises
-        ------
-        ValueError
-            For a fault or an option that the device does not know; the message lists those that it does.
+        Faults of the line are the host's and never come here. Raises a ValueError that lists the faults that there are.
         """
         ...
 
@@ -46,3 +43,27 @@ class StageFirmware(Firmware, Protocol):
     def positions(self, now: float) -> dict[str, float]:
         """Where each axis really stands at a time [s], in device units by the axis' name."""
         ...
+
+
+# Imported when asked for: a host of two devices need not load the others.
+FIRMWARE = {
+    "ccs": ("lightopt.rig.simulated._light_ccs", "CcsFirmware"),
+    "sa": ("lightopt.rig.simulated._light_sa", "SaFirmware"),
+    "template": ("lightopt.rig.simulated._light_template", "TemplateFirmware"),
+    "shot": ("lightopt.rig.simulated._stage_sigmakoki", "ShotFirmware"),
+    "gsc": ("lightopt.rig.simulated._stage_sigmakoki", "GscFirmware"),
+    "grbl": ("lightopt.rig.simulated._stage_grbl", "GrblFirmware"),
+    "zaber": ("lightopt.rig.simulated._stage_zaber", "ZaberFirmware"),
+}
+
+
+def build(kind: str, options: dict[str, Any]) -> Firmware:
+    """Power up the firmware of a protocol; a ValueError for an unknown one, or options that it refuses."""
+    if kind not in FIRMWARE:
+        raise ValueError(f'no firmware called "{kind}"; there is {", ".join(FIRMWARE)}')
+    module, name = FIRMWARE[kind]
+    make = cast("Callable[..., Firmware]", getattr(import_module(module), name))
+    try:
+        return make(**options)
+    except TypeError as error:
+        raise ValueError(f"firmware {kind}: {error}") from None

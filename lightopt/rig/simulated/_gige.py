@@ -21,9 +21,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.rig.simulated._gige_faults import GigeFaults
-from lightopt.rig.simulated._gige_formats import FORMATS, packed
 
-Look = Callable[[float, float, bool, bool], NDArray[np.integer[Any]]]
+FORMATS: dict[str, tuple[int, int]] = {
+    "Mono8": (0x01080001, 8),
+    "Mono10": (0x01100003, 10),
+    "Mono10p": (0x010A0046, 10),
+    "Mono10Packed": (0x010C0004, 10),
+    "Mono12": (0x01100005, 12),
+    "Mono12p": (0x010C0047, 12),
+    "Mono12Packed": (0x010C0006, 12),
+    "Mono16": (0x01100007, 16),
+}
+"""Number and bits by name."""
+
+_DENSE = {0x010A0046: 10, 0x010C0047: 12}
+_PAIRED = {0x010C0004: 2, 0x010C0006: 4}
+
+
+def packed(levels: NDArray[np.integer[Any]], code: int) -> bytes:
+    """Bytes of a frame in a pixel format, by the tables of the PFNC; `levels` are right-aligned, shape (H, W)."""
+    flat = levels.reshape(-1)
+    if code in _DENSE:
+        places = np.arange(_DENSE[code])
+        bits = (flat[:, None].astype(np.int64) >> places & 1).astype(np.uint8)
+        return np.packbits(bits.reshape(-1), bitorder="little").tobytes()
+    if code in _PAIRED:
+        low = _PAIRED[code]
+        pairs = np.zeros((-(-len(flat) // 2), 2), np.int64)
+        pairs.reshape(-1)[: len(flat)] = flat
+        first, second = pairs.T
+        mask = (1 << low) - 1
+        middle = (first & mask) | (second & mask) << 4
+        return np.stack((first >> low, middle, second >> low), axis=1).astype(np.uint8).tobytes()
+    return flat.astype(np.uint8 if code >> 16 & 0xFF == 8 else "<u2").tobytes()
+
+
+Expose = Callable[[float, float, bool, bool], NDArray[np.integer[Any]]]
 """What is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another; whether
 it will arrive, so that it counts."""
 
@@ -31,37 +64,17 @@ _ADDRESS = "127.0.0.1"
 _CONTROL_PORT = 3956
 _FREE_S = 100.0
 _LONGEST_US = 1_000_000
-_PERIOD_US = 10_000
-"""Frames of a camera that runs freely follow one another so."""
-
-_TRIGGER_US = 1_000
-"""Triggers are looked for so often."""
+_PERIOD_US = 10_000  # between two frames of a camera that runs freely
+_TRIGGER_US = 1_000  # between two looks for a trigger
 
 
 class GigeCamera:
-    """A GigE Vision camera at 127.0.0.1, the only one at a time on a computer.
+    """A GigE Vision camera at 127.0.0.1, one at a time on a computer; `expose` delivers right-aligned levels (H, W).
 
-    Parameters
-    ----------
-    look
-        Delivers right-aligned levels, shape (H, W).
-    resolution_px
-        Width and height of its sensor.
-    bit_depth
-        Of the levels; the camera offers the pixel formats that have it.
-
-    Attributes
-    ----------
-    serial
-        Its serial number.
-
-    Raises
-    ------
-    ValueError
-        When Aravis is not there, another such camera runs, or no pixel format has the bit depth.
+    Raises ValueError when Aravis is not there, another such camera runs, or no pixel format has the bit depth.
     """
 
-    def __init__(self, look: Look, *, resolution_px: tuple[int, int], bit_depth: int) -> None:
+    def __init__(self, expose: Expose, *, resolution_px: tuple[int, int], bit_depth: int) -> None:
         formats = [name for name, (_, bits) in FORMATS.items() if bits == bit_depth]
         if not formats:
             raise ValueError(f"a simulated GigE camera has 8, 10, 12 or 16 bits, not {bit_depth}")
@@ -71,8 +84,8 @@ class GigeCamera:
             self._c = ctypes.CDLL(ctypes.util.find_library("aravis-0.8") or "libaravis-0.8.so.0")
         except (ImportError, ValueError, OSError) as error:
             raise ValueError(f"a simulated GigE camera needs Aravis, which is not there ({error})") from None
-        self._look = look
-        self._taken = _the_only_one()
+        self._expose = expose
+        self._port = _reserve_port()
         self.serial = "LIGHTOPT1"
         self._faults = GigeFaults(self)
         self._folder = tempfile.TemporaryDirectory()
@@ -80,16 +93,15 @@ class GigeCamera:
         described.write_text(self._description(formats), encoding="utf-8")
         self._server: Any = self._library.GvFakeCamera.new_full(_ADDRESS, self.serial, str(described))
         self._device: Any = self._server.get_fake_camera()
-        registers = self._library
         for register, value in (
-            (registers.FAKE_CAMERA_REGISTER_SENSOR_WIDTH, resolution_px[0]),
-            (registers.FAKE_CAMERA_REGISTER_SENSOR_HEIGHT, resolution_px[1]),
-            (registers.FAKE_CAMERA_REGISTER_WIDTH, resolution_px[0]),
-            (registers.FAKE_CAMERA_REGISTER_HEIGHT, resolution_px[1]),
-            (registers.FAKE_CAMERA_REGISTER_PIXEL_FORMAT, FORMATS[formats[0]][0]),
-            (registers.FAKE_CAMERA_REGISTER_ACQUISITION_FRAME_PERIOD_US, _PERIOD_US),
+            ("SENSOR_WIDTH", resolution_px[0]),
+            ("SENSOR_HEIGHT", resolution_px[1]),
+            ("WIDTH", resolution_px[0]),
+            ("HEIGHT", resolution_px[1]),
+            ("PIXEL_FORMAT", FORMATS[formats[0]][0]),
+            ("ACQUISITION_FRAME_PERIOD_US", _PERIOD_US),
         ):
-            self._device.write_register(register, value)
+            self.write(register, value)
         self._device.set_trigger_frequency(1e6 / _TRIGGER_US)
         kind = ctypes.CFUNCTYPE(
             None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
@@ -107,7 +119,7 @@ class GigeCamera:
         self._c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
 
     def inject(self, fault: str, options: dict[str, Any]) -> None:
-        """Let the camera suffer a fault; ``clear`` ends all."""
+        """Set a fault; ``clear`` ends all."""
         self._faults.inject(fault, options)
 
     def unplug(self) -> None:
@@ -122,7 +134,10 @@ class GigeCamera:
     def write(self, register: str, value: int) -> None:
         """Write a register of the camera, as a fault of the camera itself would."""
         if self._device is not None:
-            self._device.write_register(getattr(self._library, f"FAKE_CAMERA_REGISTER_{register}"), value)
+            self._device.write_register(self._register(register), value)
+
+    def _register(self, name: str) -> int:
+        return getattr(self._library, f"FAKE_CAMERA_REGISTER_{name}")
 
     def stamp(self, buffer: int, *, number: int | None = None, timestamp_ns: int | None = None) -> None:
         """Give a frame another number or time."""
@@ -135,7 +150,7 @@ class GigeCamera:
         """End it."""
         self._faults.wake()
         self.unplug()
-        self._taken.close()
+        self._port.close()
         self._folder.cleanup()
 
     def _fill(self, buffer: int, _: int | None, exposure_us: int, gain: int, code: int) -> None:
@@ -145,7 +160,7 @@ class GigeCamera:
         held_us = self._faults.begin(buffer, number, exposure_us)
         device = self._device
         triggered = device is not None and not device.is_in_free_running_mode()
-        levels = self._faults.seen(self._look(held_us, float(gain), triggered, self._faults.arrives))
+        levels = self._faults.seen(self._expose(held_us, float(gain), triggered, self._faults.arrives))
         top, left, height, width = self._region()
         data = packed(levels[top : top + height, left : left + width], code)
         size = ctypes.c_size_t()
@@ -153,21 +168,16 @@ class GigeCamera:
         room = width * height * (code >> 16 & 0xFF) // 8  # what the buffer says of itself is 0 at this moment
         ctypes.memmove(where, data, min(len(data), room))
         time.sleep(max(0.0, held_us / 1e6 - (time.monotonic() - begun)))
-        self._faults.end(buffer, number, int(self._c.arv_buffer_get_timestamp(buffer)))
+        self._faults.end(buffer, int(self._c.arv_buffer_get_timestamp(buffer)))
 
     def _region(self) -> tuple[int, int, int, int]:
         """Top, left, height and width of the part of the sensor that a frame has [pixels]; nothing when unplugged."""
-        device, names = self._device, self._library
+        device = self._device
         if device is None:
             return 0, 0, 0, 0
         top, left, height, width = (
-            int(device.read_register(register)[1])
-            for register in (
-                names.FAKE_CAMERA_REGISTER_Y_OFFSET,
-                names.FAKE_CAMERA_REGISTER_X_OFFSET,
-                names.FAKE_CAMERA_REGISTER_HEIGHT,
-                names.FAKE_CAMERA_REGISTER_WIDTH,
-            )
+            int(device.read_register(self._register(name))[1])
+            for name in ("Y_OFFSET", "X_OFFSET", "HEIGHT", "WIDTH")
         )
         return top, left, height, width
 
@@ -196,7 +206,7 @@ def _address(gobject: Any) -> int:
     return int(pointer_of(gobject.__gpointer__, None) or 0)
 
 
-def _the_only_one() -> socket.socket:
+def _reserve_port() -> socket.socket:
     """A socket that nobody else can have while this camera runs: GigE Vision has one control port per address."""
     end = time.monotonic() + _FREE_S
     while True:

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._faults import Trigger, trigger
+
+if TYPE_CHECKING:
+    from lightopt.rig.simulated._gige import GigeCamera
 
 Image = NDArray[np.integer[Any]]
 
 FAULTS = (
-    "lost",
-    "incomplete",
-    "duplicate",
-    "order",
-    "stale",
-    "old_image",
-    "exposure",
-    "format",
-    "hang",
-    "vanish",
+    "lost",  # no packet of a frame arrives
+    "incomplete",  # some packets do not arrive
+    "duplicate",  # the frame has the number of the one before
+    "order",  # its number is lower than that of the one before
+    "stale",  # its time is before that of the one before
+    "old_image",  # its image is that of the one before
+    "exposure",  # it is exposed half as long
+    "format",  # the camera holds another pixel format from here on, as after a power cycle
+    "hang",  # the camera neither sends nor answers any more
+    "vanish",  # its cable is pulled
 )
-"""No packet of a frame arrives; some do not; its number is that of the frame before; it is lower; its time is before
-that of the frame before; its image is that of the frame before; it is exposed half as long; the camera holds another
-pixel format from here on, as after a power cycle; it neither sends nor answers any more; its cable is pulled."""
 
 _UNSOUND = {"lost", "incomplete", "duplicate", "order", "stale", "hang", "vanish"}
 _BACK = 3
@@ -36,23 +36,10 @@ _INCOMPLETE = 0.5
 _OTHER_FORMAT = 0x0108000B  # BayerBG8
 
 
-class _Camera(Protocol):
-    def unplug(self) -> None: ...
-    def lose(self, share: float) -> None: ...
-    def write(self, register: str, value: int) -> None: ...
-    def stamp(self, buffer: int, *, number: int | None = None, timestamp_ns: int | None = None) -> None: ...
-
-
 class GigeFaults:
-    """Decides at each frame which faults strike, and lets the camera suffer them.
+    """Decides at each frame which faults strike, and lets the camera suffer them."""
 
-    Parameters
-    ----------
-    camera
-        That suffers.
-    """
-
-    def __init__(self, camera: _Camera) -> None:
+    def __init__(self, camera: GigeCamera) -> None:
         self._camera = camera
         self._triggers: dict[str, Trigger] = {}
         self._now: set[str] = set()
@@ -62,13 +49,7 @@ class GigeFaults:
         self._awake = threading.Event()
 
     def inject(self, fault: str, options: dict[str, Any]) -> None:
-        """Let a fault strike as its options say; ``clear`` ends all.
-
-        Raises
-        ------
-        ValueError
-            For a fault or an option that there is not.
-        """
+        """Set a fault; ``clear`` ends all. Raises a ValueError for a fault or an option that there is not."""
         if fault == "clear":
             self._triggers = {}
             return
@@ -77,7 +58,7 @@ class GigeFaults:
         self._triggers = {**self._triggers, fault: trigger(fault, options)}
 
     def begin(self, buffer: int, number: int, exposure_us: int) -> float:
-        """Say which faults strike at this frame; returns how long it is really exposed [µs]."""
+        """Apply the faults that strike at this frame; returns how long it is really exposed [µs]."""
         self._now = {fault for fault, one in self._triggers.items() if one.strikes()}
         if "lost" in self._now:
             self._lose(1.0)
@@ -116,9 +97,8 @@ class GigeFaults:
         old, self._image = self._image, image
         return old if "old_image" in self._now and old is not None else image
 
-    def end(self, buffer: int, number: int, timestamp_ns: int) -> None:
+    def end(self, buffer: int, timestamp_ns: int) -> None:
         """Stamp the frame."""
-        del number
         if "stale" in self._now:
             self._camera.stamp(buffer, timestamp_ns=(self._stamp_ns or time.time_ns()) - _BACK_NS)
         else:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from lightopt.rig.simulated._faults import Trigger, trigger
+
 
 class Lamps:
     """Intensity and switch of each channel, counted from 1.
@@ -14,16 +16,7 @@ class Lamps:
     ``share`` of its light), ``swapped`` (its plug is where that of channel ``other`` belongs, and the other way round),
     each for one channel; ``power_cycle`` (the channels are as at power-up).
 
-    Parameters
-    ----------
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    levels
-        Intensities at power-up by channel, 0 where absent. Keys may be text, as in JSON.
-    on
-        Whether the channels are switched on at power-up.
+    levels: Intensities at power-up by channel, 0 where absent. Keys may be text, as in JSON.
     """
 
     FAULTS = ("dark", "lit", "deaf", "aged", "swapped", "power_cycle")
@@ -93,7 +86,7 @@ class Lamps:
             return
         self._faults[options["channel"]] = fault
 
-    def shine(self, *, lit: bool = True) -> dict[int, float]:
+    def brightness(self, *, lit: bool = True) -> dict[int, float]:
         """Brightness of each channel as a share of the highest; `lit` is False where a master switch is off."""
         return {
             lamp: self._share(channel, lit=lit) * self._aged.get(lamp, 1.0)
@@ -107,3 +100,31 @@ class Lamps:
         if fault == "lit":
             return 1.0
         return self._level[channel] / self.top_level if lit and self._on[channel] else 0.0
+
+
+class LampFirmware:
+    """What the firmware of light controllers shares: lamps with their faults, and ``ng``, which refuses commands."""
+
+    def __init__(self, lamps: Lamps) -> None:
+        self._lamps = lamps
+        self._ng: Trigger | None = None
+
+    def poll(self, now: float) -> bytes:  # noqa: ARG002
+        """Nothing: it answers only."""
+        return b""
+
+    def levels(self) -> dict[int, float]:
+        """Brightness of each channel."""
+        return self._lamps.brightness()
+
+    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
+        """Set a fault, or ``clear`` all."""
+        if fault == "ng":
+            self._ng = trigger(fault, options)
+            return
+        if fault == "clear":
+            self._ng = None
+        self._lamps.inject(fault, options, ("ng",))
+
+    def _refuses(self) -> bool:
+        return self._ng is not None and self._ng.strikes()

@@ -16,7 +16,7 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.simulated._deviations import BenchTruth
+from lightopt.rig.simulated._camera_setup import BenchTruth
 from lightopt.scene import Scene, move_part
 
 Float32 = NDArray[np.float32]
@@ -29,13 +29,6 @@ class BenchOptics:
     """Renders the part as the light levels and the stage have it.
 
     Images add linearly, so that one linear layer per light and posture serves every level and exposure; they are kept.
-
-    Parameters
-    ----------
-    scene
-        Rig and part as their files have them.
-    truth
-        How the bench differs from them.
     """
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
@@ -71,18 +64,10 @@ class BenchOptics:
 
         The noise depends on the seed, on what is seen, and on how many frames of it were taken before.
 
-        Parameters
-        ----------
-        shares
-            Brightness of the lights by name, as a share of the one that the rig describes; those that burn.
-        posture
-            Where the stage stands.
-        exposure
-            Relative exposure.
-        gain_db
-            Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
-        counted
-            Whether it counts among the frames that were taken before the next.
+        shares: Brightness of the lights by name, as a share of the one that the rig describes; those that are lit.
+        exposure: Relative exposure.
+        gain_db: Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
+        counted: Whether it counts among the frames that were taken before the next.
         """
         gain = 10.0 ** (gain_db / 20.0)
         electrons = self._scene.sensor.electrons_per_level

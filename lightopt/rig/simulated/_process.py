@@ -1,4 +1,4 @@
-"""The virtual bench from outside: its process, its ports, and what its world is asked."""
+"""The virtual bench from outside: its process, its ports, and the requests to it."""
 
 from __future__ import annotations
 
@@ -46,27 +46,12 @@ def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
 class BenchProcess:
     """A virtual bench in a process of its own, which ends with this object or with this process.
 
-    Parameters
-    ----------
-    devices
-        By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
+    devices: By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
         ``tcp`` and ``wedges`` of the wire.
-    tcp
-        Whether devices that do not say are on TCP instead of pseudo-terminals; None: where there are none.
-    **more
-        Further keys of the description that the process gets.
+    tcp: Whether devices that do not say are on TCP instead of pseudo-terminals; None: where there are none.
+    **more: Further keys of the description that the process gets.
 
-    Attributes
-    ----------
-    ports
-        What a driver opens, by device.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When a device cannot be as described.
-    lightopt.core.errors.HardwareError
-        When the process does not start.
+    `ports` is what a driver opens, by device. Raises InputError when a device cannot be as described.
     """
 
     def __init__(
@@ -97,23 +82,9 @@ class BenchProcess:
     def request(
         self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any
     ) -> tuple[dict[str, Any], bytes]:
-        """Ask the bench; returns the answer and the bytes that came with it.
+        """Send a request to the bench; returns the answer and the bytes that came with it.
 
-        Parameters
-        ----------
-        do
-            What is asked.
-        timeout_s
-            Longest wait for the answer [s]. A bench that leaves a question unanswered is asked nothing more.
-        **arguments
-            Of the question.
-
-        Raises
-        ------
-        ValueError
-            When the bench says that the request is wrong.
-        lightopt.core.errors.HardwareError
-            When the bench is gone, or did not answer in time.
+        Raises ValueError for a wrong request, HardwareError when the bench is gone, or did not answer in time.
         """
         with self._lock:
             try:
@@ -138,13 +109,7 @@ class BenchProcess:
         return answer, data
 
     def prepare(self) -> None:
-        """Wait until what the camera will see is rendered, however long that takes; meanwhile the bench has to answer.
-
-        Raises
-        ------
-        lightopt.core.errors.HardwareError
-            When it cannot be rendered, or the bench is gone or hangs.
-        """
+        """Wait until the camera's view is rendered, however long that takes; meanwhile the bench has to answer."""
         try:
             while not self.request("prepare", timeout_s=_ANSWER_S)[0]["ready"]:
                 time.sleep(_LOOK_S)
@@ -152,7 +117,7 @@ class BenchProcess:
             raise self._gone(f"cannot render what its camera sees ({error})") from None
 
     def state(self) -> dict[str, Any]:
-        """World now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
+        """State now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
         return self.request("state")[0]
 
     def levels(self, device: str) -> dict[int, float]:
@@ -168,7 +133,7 @@ class BenchProcess:
         return [(t, name, channel, level) for t, name, channel, level in self.request("trace")[0]["changes"]]
 
     def set_fault(self, device: str, fault: str, **options: Any) -> None:
-        """Let a device suffer a fault, of its line or its own; ``clear`` ends them."""
+        """Set a fault of a device or of its line; ``clear`` ends them."""
         self.request("fault", device=device, fault=fault, options=options)
 
     def unplug(self, device: str) -> None:

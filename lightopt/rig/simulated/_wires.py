@@ -12,29 +12,22 @@ have_ptys = sys.platform != "win32"
 
 
 class Wire(Protocol):
-    """One end of a wire; everything on it is done without waiting."""
+    """One end of a wire; everything on it is done without waiting.
+
+    port: What a client opens.
+    waiting: File descriptors to watch for something to read; none once the cable is pulled.
+    receive: Take what has come, a connection included; often nothing.
+    send: Send, and return how many bytes the wire took; without a client they are lost.
+    pull: Pull the cable, for good.
+    """
 
     @property
-    def port(self) -> str:
-        """What a client opens."""
-        ...
-
+    def port(self) -> str: ...
     @property
-    def waiting(self) -> tuple[int, ...]:
-        """What to watch for something to read: file descriptors; none once the cable is pulled."""
-        ...
-
-    def receive(self) -> bytes:
-        """Take what has come, a connection included; often nothing."""
-        ...
-
-    def send(self, data: bytes) -> int:
-        """Send and return how many bytes the wire took."""
-        ...
-
-    def pull(self) -> None:
-        """Pull the cable, for good."""
-        ...
+    def waiting(self) -> tuple[int, ...]: ...
+    def receive(self) -> bytes: ...
+    def send(self, data: bytes) -> int: ...
+    def pull(self) -> None: ...
 
 
 class PtyWire:
@@ -53,22 +46,18 @@ class PtyWire:
 
     @property
     def port(self) -> str:
-        """What a client opens."""
         return self._name
 
     @property
     def waiting(self) -> tuple[int, ...]:
-        """What to watch for something to read."""
         return (self._ours,) if self._open else ()
 
     def receive(self) -> bytes:
-        """Take what has come."""
         with contextlib.suppress(BlockingIOError):
             return os.read(self._ours, 4096) if self._open else b""
         return b""
 
     def send(self, data: bytes) -> int:
-        """Send and return how many bytes the wire took."""
         if not self._open:
             return len(data)
         with contextlib.suppress(BlockingIOError):
@@ -76,7 +65,6 @@ class PtyWire:
         return 0
 
     def pull(self) -> None:
-        """Pull the cable, for good."""
         if self._open:
             self._open = False
             os.close(self._theirs)
@@ -86,10 +74,7 @@ class PtyWire:
 class TcpWire:
     """A TCP socket on the loopback that serves one client at a time, as controllers with Ethernet do.
 
-    Parameters
-    ----------
-    wedges
-        Whether a client that connects and leaves without a word puts the device out of order, as the PD3-EI does.
+    wedges: Whether a client that connects and leaves without a word puts the device out of order, as the PD3-EI does.
     """
 
     def __init__(self, *, wedges: bool = False) -> None:
@@ -104,16 +89,13 @@ class TcpWire:
 
     @property
     def port(self) -> str:
-        """What a client opens."""
         return f"socket://127.0.0.1:{self._number}"
 
     @property
     def waiting(self) -> tuple[int, ...]:
-        """What to watch for something to read."""
         return tuple(s.fileno() for s in (self._client, self._listener) if s is not None)
 
     def receive(self) -> bytes:
-        """Take what has come, or a client."""
         if self._client is None:
             self._accept()
             return b""
@@ -130,7 +112,6 @@ class TcpWire:
         return b"" if self._wedged else data
 
     def send(self, data: bytes) -> int:
-        """Send and return how many bytes the wire took; without a client they are lost."""
         if self._client is None:
             return len(data)
         try:
@@ -141,7 +122,6 @@ class TcpWire:
             return len(data)
 
     def pull(self) -> None:
-        """Pull the cable, for good."""
         self._pulled = True
         for s in (self._client, self._listener):
             if s is not None:

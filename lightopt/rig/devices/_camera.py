@@ -1,4 +1,4 @@
-"""A camera of an inspection machine: set as the rig wants it, triggered, and asked again when a frame is not sound."""
+"""A machine-vision camera on any SDK: configured for measurement, triggered, frames checked and taken again."""
 
 from __future__ import annotations
 
@@ -7,49 +7,77 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from lightopt.core.errors import HardwareError, LightoptError
-from lightopt.rig.devices._camera_features import set_gain, set_image, set_trigger, switch_off_corrections
-from lightopt.rig.devices._camera_sdk import CameraSdk
-from lightopt.rig.devices._camera_settings import CameraSettings
+from lightopt.rig.devices._camera_features import (
+    ExposureTime,
+    set_gain,
+    set_image,
+    set_trigger,
+    switch_off_corrections,
+)
+from lightopt.rig.devices._camera_pixels import levels_of
+from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._errors import ReplyError
-from lightopt.rig.devices._exposure_time import ExposureTime
-from lightopt.rig.devices._frame_order import FrameOrder, RawFrame
 from lightopt.rig.devices._log import Event, now
-from lightopt.rig.devices._pixels import levels_of
-from lightopt.rig.devices._retry import ATTEMPTS, Persistence
+from lightopt.rig.devices._retry import ATTEMPTS, Retry
 from lightopt.rig.devices._roles import Frame, Identity
+
+_LAST_ID = 0xFFFF
+_NEAR = 0x1000  # numbers so near to the end and the beginning of the count are a wrap, not a step back
+
+
+class FrameOrder:
+    """Compares each frame with the one before; `lost` counts frames that the camera numbered and that never came."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._last: RawFrame | None = None
+
+    def begin(self) -> None:
+        """A new acquisition: cameras may count from the beginning again."""
+        self._last = None
+
+    def passed(self, frame: RawFrame) -> None:
+        """A frame that nobody asked for went by."""
+        self._last = frame
+
+    def check(self, frame: RawFrame) -> None:
+        """Raise a ReplyError for a frame that is incomplete, came before, or is older than the one before."""
+        if frame.problem is not None:
+            raise ReplyError(f"{frame.name} is incomplete: {frame.problem}")
+        last = self._last
+        if last is not None:
+            step = _step(last.number, frame.number)
+            if step == 0:
+                raise ReplyError(f"{frame.name} came a second time")
+            if step < 0:
+                raise ReplyError(f"{frame.name} came after {last.name}")
+            if frame.timestamp_ns and last.timestamp_ns and frame.timestamp_ns <= last.timestamp_ns:
+                raise ReplyError(
+                    f"{frame.name} is stale: it was taken {(last.timestamp_ns - frame.timestamp_ns) / 1e6:.3g} "
+                    f"ms before {last.name}"
+                )
+            self.lost += step - 1
+        self._last = frame
+
+
+def _step(last: int | None, number: int | None) -> int:
+    """Frames from one to the next as they are numbered; 1 where they are not."""
+    if last is None or number is None or last == number == 0:  # a count that stays at its beginning is none
+        return 1
+    step = number - last
+    if step < 0 and last > _LAST_ID - _NEAR and number < _NEAR:
+        return 1  # the count of GigE Vision 1 ends at 65535
+    return step
 
 
 class MachineCamera:
-    """A camera of which the levels are to be a measure of light.
+    """A camera whose levels measure light, as a :class:`~lightopt.rig.devices.Camera`.
 
-    What would make them something else is switched off: automatic exposure, gain and black level, gamma and look-up
-    table, mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are
-    checked for being whole, new and in order; what is not is taken again, a bounded number of times, each told.
+    What would falsify them is switched off: automatic exposure, gain and black level, gamma and look-up table,
+    mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are checked for
+    being whole, new and in order; others are taken again, a bounded number of times, each with an event.
 
-    Parameters
-    ----------
-    driver
-        Name of the driver, as in the rig file.
-    sdk
-        The opened camera; closed with this one.
-    settings
-        How it is to be.
-    tell
-        Called with what is out of the ordinary, as it happens.
-    ready
-        Called before each frame is asked for; returns when one can be: a simulated camera has to render first.
-
-    Attributes
-    ----------
-    events
-        What was out of the ordinary.
-
-    Raises
-    ------
-    InputError
-        When the camera cannot be as the rig wants it.
-    HardwareError
-        When it does not answer, or holds something else than it was told.
+    wait_ready: Called before each frame; returns when one can be taken: a simulated camera has to render first.
     """
 
     def __init__(
@@ -58,17 +86,17 @@ class MachineCamera:
         sdk: CameraSdk,
         settings: CameraSettings,
         *,
-        tell: Callable[[Event], None] | None = None,
-        ready: Callable[[], object] | None = None,
+        on_event: Callable[[Event], None] | None = None,
+        wait_ready: Callable[[], object] | None = None,
     ) -> None:
         self.events: list[Event] = []
         self._driver = driver
         self._sdk = sdk
         self._settings = settings
-        self._tell = tell
-        self._ready = ready
+        self._on_event = on_event
+        self._wait_ready = wait_ready
         self._order = FrameOrder()
-        self._persistence = Persistence(self, verb="taken")
+        self._retry = Retry(self, verb="taken")
         self._running = False
         try:
             switch_off_corrections(sdk, settings)
@@ -82,70 +110,53 @@ class MachineCamera:
 
     @property
     def triggered(self) -> bool:
-        """Whether a frame begins at the call of `grab`."""
         return self._triggered
 
     @property
     def resolution_px(self) -> tuple[int, int]:
-        """Width and height [pixels]."""
         return self._settings.resolution_px
 
     @property
     def bit_depth(self) -> int:
-        """Bits of a level."""
         return self._format.bits
 
     @property
     def exposure_range_us(self) -> tuple[float, float]:
-        """Shortest and longest exposure time [µs]."""
         return self._exposure.range_us
 
     def identify(self) -> Identity:
         """What the camera said of itself when it was opened, and how it was set."""
-        says = {**self._sdk.says, "pixel_format": self._format.name}
-        says["trigger"] = "software" if self._triggered else "none"
+        details = {**self._sdk.details, "pixel_format": self._format.name}
+        details["trigger"] = "software" if self._triggered else "none"
         if self._gain is not None:
-            says["gain"] = f"{self._sdk.number(self._gain):g}"
-        return Identity(driver=self._driver, port=self._settings.port or "the only one", says=says)
+            details["gain"] = f"{self._sdk.number(self._gain):g}"
+        return Identity(driver=self._driver, port=self._settings.port or "the only one", details=details)
 
     def set_exposure(self, exposure_us: float) -> float:
-        """Set the exposure time [µs] and return what the camera holds.
-
-        Raises
-        ------
-        InputError
-            When it lies outside the camera's range.
-        """
-        return self._exposure.tell_us(exposure_us)
+        return self._exposure.set_us(exposure_us)
 
     def grab(self, *, timeout_s: float) -> Frame:
         """Take one frame, or the next that is completed where there is no trigger.
 
         All attempts together take no longer than `timeout_s`, of which each has an equal part, and no less than the
         exposure time: fewer attempts where there is no time for as many exposures.
-
-        Raises
-        ------
-        HardwareError
-            When no sound frame came in time or in the attempts that there are.
         """
-        if self._ready is not None:
-            self._ready()
+        if self._wait_ready is not None:
+            self._wait_ready()
         end = time.monotonic() + timeout_s
         fit = int(timeout_s / max(1e-6, self._exposure.held_us / 1e6))
         each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
-        raw = self._persistence.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
+        raw = self._retry.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
         levels = levels_of(raw.data, self._format, width=raw.width, height=raw.height)
         return Frame(
             levels=levels,
             exposure_us=self._exposure.read_us(),
             number=raw.number,
             timestamp_ns=raw.timestamp_ns,
-            says={"pixel_format": self._format.name, "frames_lost": self._order.lost},
+            details={"pixel_format": self._format.name, "frames_lost": self._order.lost},
         )
 
     def close(self) -> None:
-        """Stop and give up the camera; never raises."""
         with suppress(LightoptError):  # it is given up in any case
             self._stop()
         self._sdk.close()
@@ -155,11 +166,10 @@ class MachineCamera:
         self._stop()
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Tell of something out of the ordinary."""
         event = Event(now(), f"camera {self._settings.port or self._driver}", what, retry)
         self.events.append(event)
-        if self._tell is not None:
-            self._tell(event)
+        if self._on_event is not None:
+            self._on_event(event)
 
     def _take(self, end: float) -> RawFrame:
         if not self._running:

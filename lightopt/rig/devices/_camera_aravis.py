@@ -10,9 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_settings import CameraHere, CameraSettings, choose_camera
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings, RawFrame, choose_camera
 from lightopt.rig.devices._errors import LinkLostError
-from lightopt.rig.devices._frame_order import RawFrame
 
 _BUFFERS = 4
 _SLICE_S = 0.1  # signals are heard between two waits
@@ -26,13 +25,7 @@ Value = TypeVar("Value")
 
 
 def load_aravis() -> Any:
-    """The library.
-
-    Raises
-    ------
-    InputError
-        When it is not there, with how to install it.
-    """
+    """The library; an InputError with how to install it when it is not there."""
     try:
         import_module("gi").require_version("Aravis", "0.8")
         return import_module("gi.repository.Aravis")
@@ -40,18 +33,12 @@ def load_aravis() -> Any:
         raise InputError(f"camera driver aravis: Aravis is not there ({error}); {_INSTALL}") from None
 
 
-def aravis_cameras() -> list[CameraHere]:
-    """Cameras on the networks and USB ports of this computer; none is opened.
-
-    Raises
-    ------
-    InputError
-        When Aravis is not there.
-    """
+def find_aravis_cameras() -> list[CameraInfo]:
+    """Cameras on the networks and USB ports of this computer; none is opened."""
     library = load_aravis()
     library.update_device_list()
     return [
-        CameraHere(
+        CameraInfo(
             driver="aravis",
             identifier=library.get_device_id(i) or "",
             serial=library.get_device_serial_nbr(i) or "",
@@ -63,25 +50,12 @@ def aravis_cameras() -> list[CameraHere]:
 
 
 class AravisSdk:
-    """A camera opened with Aravis.
-
-    Parameters
-    ----------
-    settings
-        Which camera, and the packets of its stream.
-
-    Raises
-    ------
-    InputError
-        When Aravis or the camera is not there.
-    HardwareError
-        When it does not let itself be opened.
-    """
+    """A camera opened with Aravis, as a :class:`~lightopt.rig.devices._camera_sdk.CameraSdk`."""
 
     def __init__(self, settings: CameraSettings) -> None:
         self._library = load_aravis()
         self._failure: Any = import_module("gi.repository.GLib").Error
-        chosen = choose_camera(aravis_cameras(), settings)
+        chosen = choose_camera(find_aravis_cameras(), settings)
         self._where = settings.where
         self._lost: str | None = None
         self._stream: Any = None
@@ -89,15 +63,8 @@ class AravisSdk:
             f"opening {chosen}", lambda: self._library.Camera.new(chosen.identifier)
         )
         self._device: Any = self._camera.get_device()
-        self.says = {
-            name: value
-            for name, value in (
-                ("model", chosen.model),
-                ("serial", chosen.serial),
-                ("address", chosen.address),
-            )
-            if value
-        }
+        known = {"model": chosen.model, "serial": chosen.serial, "address": chosen.address}
+        self.details = {name: value for name, value in known.items() if value}
         if self._camera.is_gv_device():
             self._set_packets(settings)
         elif settings.packet_size is not None or settings.packet_delay_ns is not None:
@@ -106,24 +73,20 @@ class AravisSdk:
             )
 
     def has(self, feature: str) -> bool:
-        """Whether the camera has a feature."""
         return self._try(feature, lambda: bool(self._camera.is_feature_available(feature)))
 
     def number(self, feature: str) -> float:
-        """Read a number."""
         if self._is_float(feature):
             return self._try(f"reading {feature}", lambda: float(self._camera.get_float(feature)))
         return self._try(f"reading {feature}", lambda: float(self._camera.get_integer(feature)))
 
     def set_number(self, feature: str, value: float) -> None:
-        """Write a number."""
         if self._is_float(feature):
             self._try(f"setting {feature}", lambda: self._camera.set_float(feature, float(value)))
         else:
             self._try(f"setting {feature}", lambda: self._camera.set_integer(feature, round(value)))
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
-        """Lowest and highest number, and the step between them."""
         kind = "float" if self._is_float(feature) else "integer"
 
         def ask() -> tuple[float, float, float]:
@@ -134,39 +97,31 @@ class AravisSdk:
         return low, high, step if 0 < step < high else 0.0
 
     def unit(self, feature: str) -> str:
-        """What a number counts."""
         ask = self._device.get_feature(feature).get_unit
         return str(self._try(f"asking for the unit of {feature}", ask) or "").strip()
 
     def word(self, feature: str) -> str:
-        """Read the entry of an enumeration."""
         return self._try(f"reading {feature}", lambda: str(self._camera.get_string(feature)))
 
     def set_word(self, feature: str, word: str) -> None:
-        """Choose an entry of an enumeration."""
         self._try(f"setting {feature}", lambda: self._camera.set_string(feature, word))
 
     def words(self, feature: str) -> tuple[str, ...]:
-        """Entries of an enumeration."""
         return self._try(
             f"asking for the entries of {feature}",
             lambda: tuple(self._camera.dup_available_enumerations_as_strings(feature)),
         )
 
     def is_on(self, feature: str) -> bool:
-        """Read a truth value."""
         return self._try(f"reading {feature}", lambda: bool(self._camera.get_boolean(feature)))
 
     def switch_off(self, feature: str) -> None:
-        """Set a truth value to false."""
         self._try(f"setting {feature}", lambda: self._camera.set_boolean(feature, False))
 
     def do(self, feature: str) -> None:
-        """Execute a command."""
         self._try(f"executing {feature}", lambda: self._camera.execute_command(feature))
 
     def start(self) -> None:
-        """Begin an acquisition."""
         if self._stream is None:
             self._stream = self._try("opening the stream", lambda: self._camera.create_stream(None, None))
             if self._stream is None:
@@ -182,11 +137,9 @@ class AravisSdk:
         self._try("starting the acquisition", self._camera.start_acquisition)
 
     def stop(self) -> None:
-        """End the acquisition."""
         self._try("stopping the acquisition", self._camera.stop_acquisition)
 
     def pop(self, timeout_s: float) -> RawFrame | None:
-        """The next frame."""
         end = time.monotonic() + timeout_s
         while True:
             left_s = min(end - time.monotonic(), _SLICE_S)
@@ -203,7 +156,6 @@ class AravisSdk:
                 return None
 
     def close(self) -> None:
-        """Give the camera up; never raises."""
         # the stream goes first: its end resets the camera's stream port, which would be that of the next program
         self._stream = None
         self._device = None
@@ -212,13 +164,7 @@ class AravisSdk:
     def _raw(self, buffer: Any) -> RawFrame:
         status = buffer.get_status()
         if status != self._library.BufferStatus.SUCCESS:
-            return RawFrame(
-                data=np.zeros(0, np.uint8),
-                width=0,
-                height=0,
-                number=buffer.get_frame_id(),
-                problem=status.value_nick.replace("-", " "),
-            )
+            return RawFrame.unusable(buffer.get_frame_id(), status.value_nick.replace("-", " "))
         return RawFrame(
             data=np.frombuffer(buffer.get_data(), np.uint8),
             width=buffer.get_image_width(),
@@ -232,10 +178,8 @@ class AravisSdk:
         # the raw socket that Aravis takes for root sees nothing on the loopback, and needs rights elsewhere
         options = self._library.GvStreamOption.PACKET_SOCKET_DISABLED
         self._try("choosing the socket", lambda: self._camera.gv_set_stream_options(options))
-        for name, value in (
-            ("packet_size", settings.packet_size),
-            ("packet_delay", settings.packet_delay_ns),
-        ):
+        wanted = {"packet_size": settings.packet_size, "packet_delay": settings.packet_delay_ns}
+        for name, value in wanted.items():
             if value is None:
                 continue
             self._try(f"setting {name}", lambda n=name, v=value: getattr(self._camera, f"gv_set_{n}")(v))

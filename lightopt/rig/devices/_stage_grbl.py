@@ -8,7 +8,7 @@ get no ``ok``. What a driver must know:
 - After ALARM:1 and ALARM:2 nothing is answered, not even ``?``, until a reset. The driver then asks no more, reports
   it, and does not reset: a person looks first.
 - The homed machine's space is negative, from 0 down to −$130; ``G53`` moves in it whatever offsets are set.
-- Opening the port resets most boards, which then say ``Grbl`` within two seconds.
+- Opening the port resets most boards, which then report ``Grbl`` within two seconds.
 - ``$H`` is known only with ``$22=1``, and no report is given while it lasts.
 """
 
@@ -20,18 +20,17 @@ import time
 from collections.abc import Mapping, Sequence
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._axes import Axis, describe_range
-from lightopt.rig.devices._dialogue import Reading
 from lightopt.rig.devices._errors import LinkLostError, ReplyError
-from lightopt.rig.devices._grbl_messages import (
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._retry import Retry
+from lightopt.rig.devices._stage_dialogue import Axis, Reading, describe_range
+from lightopt.rig.devices._stage_grbl_messages import (
     CRITICAL_ALARMS,
     alarm_words,
     error_words,
     parse_report,
     parse_setting,
 )
-from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._retry import Persistence
 
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
@@ -57,30 +56,13 @@ def check_grbl(axes: Sequence[Axis]) -> None:
 
 
 class GrblDialogue:
-    """The language of Grbl 1.1; see :class:`~lightopt.rig.devices._dialogue.Dialogue`.
-
-    Parameters
-    ----------
-    link
-        The wire.
-    axes
-        The axes, called X, Y or Z.
-    home_timeout_s
-        Longest time [s] that ``$H`` may take.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For an axis that Grbl does not have.
-    lightopt.core.errors.HardwareError
-        When no Grbl answers.
-    """
+    """The protocol of Grbl 1.1; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`; axes X, Y, Z."""
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:
         check_grbl(axes)
         self.link = link
         self.homes_to_end = True
-        self._patience = Persistence(link)
+        self._retry = Retry(link)
         self._axes = tuple(axes)
         self._home_timeout_s = home_timeout_s
         self._settings: dict[int, float] | None = None
@@ -90,21 +72,20 @@ class GrblDialogue:
         self._homing = False
         self._greet()
 
-    def says(self) -> dict[str, str]:
-        """Version and build options."""
-        lines = self._patience.ask(lambda: self._line("$I"))
-        says: dict[str, str] = {}
+    def identify(self) -> dict[str, str]:
+        lines = self._retry.ask(lambda: self._line("$I"))
+        details: dict[str, str] = {}
         for line in lines:
             key, _, value = line.decode("ascii", "replace").strip().strip("[]").partition(":")
             if key in ("VER", "OPT") and value:
-                says[key.lower()] = value.rstrip(":")
-        return says
+                details[key.lower()] = value.rstrip(":")
+        return details
 
     def read(self) -> Reading:
         """Position and state; after an alarm that silences Grbl, the last that is known, without asking."""
         if self._critical is None:
             try:
-                return self._patience.ask(self._report)
+                return self._retry.ask(self._report)
             except ReplyError as error:
                 if self._critical is None:
                     raise ReplyError(
@@ -120,7 +101,7 @@ class GrblDialogue:
         )
 
     def step(self, axis: Axis) -> float:
-        """A motor step, but no finer than reports tell."""
+        """A motor step, but no finer than reports resolve."""
         number = 100 + _AXES.index(axis.device)
         return max(1.0 / self._setting(number), _FINEST)
 
@@ -197,7 +178,7 @@ class GrblDialogue:
         self._restarted = False
 
     def _moves(self) -> bool:
-        """Whether it says that it moves; an alarm stops it, and what answers nothing is not waited for."""
+        """Whether it reports that it moves; an alarm stops it, and what answers nothing is not waited for."""
         try:
             return self._report().moving
         except LinkLostError:
@@ -235,7 +216,7 @@ class GrblDialogue:
 
     def _setting(self, number: int) -> float:
         if self._settings is None:
-            lines = self._patience.ask(lambda: self._line("$$"))
+            lines = self._retry.ask(lambda: self._line("$$"))
             settings = dict(setting for line in lines if (setting := parse_setting(line)) is not None)
             needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
             if missing := needed - set(settings):

@@ -66,33 +66,22 @@ def error_words(code: int) -> str:
 
 
 @dataclass(frozen=True)
-class Report:
-    """A status report.
-
-    Attributes
-    ----------
-    state
-        ``Idle``, ``Run``, ``Hold:0``, ``Alarm``, …
-    position
-        Machine position of X, Y, Z (and more) [mm, or whatever $100 counts steps per].
-    """
+class StatusReport:
+    """A status report: state (``Idle``, ``Run``, ``Hold:0``, …) and machine position of X, Y, Z [units of $100]."""
 
     state: str
     position: tuple[float, ...]
 
 
-def parse_report(line: bytes) -> Report | None:
+def parse_report(line: bytes) -> StatusReport | None:
     r"""Read a status report; None when the line is none.
 
-    Raises
-    ------
-    ValueError
-        When it is one, but tells no machine position.
+    Raises ValueError for a status report without a machine position.
 
     Examples
     --------
     >>> parse_report(b"<Run|MPos:-1.450,0.000,0.000|FS:175,0>\r\n")
-    Report(state='Run', position=(-1.45, 0.0, 0.0))
+    StatusReport(state='Run', position=(-1.45, 0.0, 0.0))
     """
     match = _REPORT.fullmatch(line)
     if match is None:
@@ -106,7 +95,7 @@ def parse_report(line: bytes) -> Report | None:
         raise ValueError("reports work positions; set $10=1, so that it reports machine positions")
     if not _NUMBERS.fullmatch(position):
         raise ValueError("a status report without a machine position")
-    return Report(
+    return StatusReport(
         state=match["state"].decode("ascii"), position=tuple(float(number) for number in position.split(","))
     )
 

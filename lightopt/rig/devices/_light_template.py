@@ -8,75 +8,58 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.rig.devices._errors import ReplyError
-from lightopt.rig.devices._light_driver import LightDriver, open_driver
-from lightopt.rig.devices._lights import LightSettings
+from lightopt.rig.devices._lights import LightDriver, LightSettings
 from lightopt.rig.devices._link import SerialLink
 from lightopt.rig.devices._log import SerialLog
 
-_BAUD = 9600
-
 
 class TemplateController(LightDriver):
-    """A light controller that speaks as a template says, as a :class:`~lightopt.rig.devices.LightController`.
+    """A light controller with the commands of a template; opening asks for the intensity of channel 1 where it can.
 
-    Opening asks for the intensity of channel 1 where the template can ask; no light changes.
-
-    Parameters
-    ----------
-    link
-        The wire.
-    template
-        ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig file; what is
-        None or absent does not exist. Fields of commands: ``{channel}`` from 1, ``{channel0}`` from 0, ``{letter}``,
+    template: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig file; what
+        is None or absent does not exist. Fields of commands: ``{channel}`` from 1, ``{channel0}`` from 0, ``{letter}``,
         ``{level}``. Patterns match a reply without its end.
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    max_levels
-        Intensities never exceeded, by channel.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When a command names another field, or a pattern is none.
-    lightopt.core.errors.HardwareError
-        When the controller does not answer.
     """
 
-    def __init__(
-        self,
-        link: SerialLink,
-        template: Mapping[str, str | None],
-        *,
-        channels: int = 4,
-        top_level: int = 255,
-        max_levels: Mapping[int, int] | None = None,
-    ) -> None:
-        super().__init__(link, name="template", channels=channels, top_level=top_level, max_levels=max_levels)
+    NAME = "template"
+    BAUD = 9600
+
+    def __init__(self, link: SerialLink, template: Mapping[str, str | None], **limits: Any) -> None:
+        super().__init__(link, **limits)
         self._words = {key: text for key, text in template.items() if text is not None}
         self._end = self._words.get("end", "").encode("latin-1")
         self._patterns: dict[str, re.Pattern[bytes]] = {}
         self._reads = "read" in self._words
         self._check_template()
-        self._ask_who()
+        self._query_identity()
 
-    def _ask_who(self) -> dict[str, str]:
+    @classmethod
+    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightDriver:
+        if settings.template is None:
+            raise InputError(f"light controller {settings.name} (template): there is no template")
+        return super().open(settings, log)
+
+    @classmethod
+    def _on(cls, link: SerialLink, settings: LightSettings) -> TemplateController:
+        return cls(link, settings.template or {}, **settings.limits)
+
+    def _query_identity(self) -> dict[str, str]:
         """Ask for an intensity where the template can; it has no question for a name."""
         if self._reads:
-            self._held(1)
+            self._query_level(1)
         return {}
 
-    def _tell(self, channel: int, level: int) -> None:
+    def _send_level(self, channel: int, level: int) -> None:
         """Set the intensity, or darken by the template's own command."""
         verb = "off" if level == 0 and "off" in self._words else "set"
-        self._persistence.ask(lambda: self._say(verb, channel, level))
+        self._retry.ask(lambda: self._exchange(verb, channel, level))
 
-    def _held(self, channel: int) -> int:
-        return self._persistence.ask(lambda: self._read_once(channel))
+    def _query_level(self, channel: int) -> int:
+        return self._retry.ask(lambda: self._read_once(channel))
 
     def _check_template(self) -> None:
         for verb in ("set", "off", "read"):
@@ -101,13 +84,13 @@ class TemplateController(LightDriver):
         return text.encode("latin-1")
 
     def _read_once(self, channel: int) -> int:
-        digits = self._say("read", channel, 0)["level"]
+        digits = self._exchange("read", channel, 0)["level"]
         try:
             return int(digits)
         except ValueError:
             raise ReplyError(self._link.words("the reply's level is no number", reply=digits)) from None
 
-    def _say(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
+    def _exchange(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
         """Send a command and match its reply; the pattern's groups."""
         frame = self._command(verb, channel, level)
         pattern = self._patterns.get(verb)
@@ -120,31 +103,3 @@ class TemplateController(LightDriver):
             what = f"the reply does not match template.{verb}_reply"
             raise ReplyError(self._link.words(what, sent=frame, reply=reply))
         return match.groupdict()
-
-
-def open_template(settings: LightSettings, log: SerialLog | None = None) -> TemplateController:
-    """Open a controller that the rig file describes.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When the port cannot be opened, or the template cannot be used.
-    lightopt.core.errors.HardwareError
-        When the controller does not answer.
-    """
-    template = settings.template
-    if template is None:
-        raise InputError(f"light controller {settings.name} (template): there is no template")
-    return open_driver(
-        settings,
-        log,
-        name="template",
-        baud=_BAUD,
-        speak=lambda link: TemplateController(
-            link,
-            template,
-            channels=settings.channels,
-            top_level=settings.top_level,
-            max_levels=settings.max_levels,
-        ),
-    )

@@ -8,16 +8,12 @@ channel, ``O`` with data or ``N`` with the number of an error, and a checksum.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from typing import Any
 
 from lightopt.rig.devices._errors import RefusedError, ReplyError, printable
-from lightopt.rig.devices._light_driver import LightDriver, open_driver
-from lightopt.rig.devices._lights import LightSettings
+from lightopt.rig.devices._lights import LightDriver, LightSettings
 from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._log import SerialLog
 
-_BAUD = 38400
-_GAP_S = 0.0055  # the controllers ask for 5 ms between commands
 _DAMAGED = "02"
 _REFUSALS = {
     "01": "it does not know the command (NG 01)",
@@ -27,49 +23,31 @@ _REFUSALS = {
 
 
 class CcsController(LightDriver):
-    """A light controller with CCS ``@`` frames, as a :class:`~lightopt.rig.devices.LightController`.
+    """A light controller with CCS ``@`` frames; `dialect` ``lan`` without unit number, ``serial`` with it.
 
     The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a
-    connection on which nothing was said. No light changes.
-
-    Parameters
-    ----------
-    link
-        The wire.
-    channels
-        Number of channels.
-    top_level
-        Highest intensity.
-    max_levels
-        Intensities never exceeded, by channel.
-    dialect
-        ``lan``: frames without unit number; ``serial``: with it.
-
-    Raises
-    ------
-    lightopt.core.errors.HardwareError
-        When the controller does not answer, be it only to ``M``; one that refuses ``M`` cannot be read back.
+    connection on which nothing was said. No light changes. A controller that refuses ``M`` cannot be read back.
     """
 
-    def __init__(
-        self,
-        link: SerialLink,
-        *,
-        channels: int = 4,
-        top_level: int = 255,
-        dialect: str = "lan",
-        max_levels: Mapping[int, int] | None = None,
-    ) -> None:
-        super().__init__(link, name="ccs", channels=channels, top_level=top_level, max_levels=max_levels)
-        self._unit = "00" if dialect == "serial" else ""
-        self._digits = max(3, len(str(top_level)))
-        self._status()
-        self._reads = self._answers_reading()
+    NAME = "ccs"
+    BAUD = 38400
+    GAP_S = 0.0055  # the controllers ask for 5 ms between commands
 
-    def _ask_who(self) -> dict[str, str]:
+    def __init__(self, link: SerialLink, *, dialect: str = "lan", **limits: Any) -> None:
+        super().__init__(link, **limits)
+        self._unit = "00" if dialect == "serial" else ""
+        self._digits = max(3, len(str(self._top_level)))
+        self._status()
+        self._reads = self._can_read_levels()
+
+    @classmethod
+    def _on(cls, link: SerialLink, settings: LightSettings) -> CcsController:
+        return cls(link, dialect=settings.dialect, **settings.limits)
+
+    def _query_identity(self) -> dict[str, str]:
         return {"status": self._status()}
 
-    def _tell(self, channel: int, level: int) -> None:
+    def _send_level(self, channel: int, level: int) -> None:
         """Set the intensity, then switch: a light comes on at its level, and goes dark twice over."""
         on = level > 0
         try:
@@ -80,7 +58,7 @@ class CcsController(LightDriver):
         if on:
             self._ask(channel, "L1")
 
-    def _held(self, channel: int) -> int:
+    def _query_level(self, channel: int) -> int:
         level, _, on = self._settings(channel)
         return level if on else 0
 
@@ -106,8 +84,8 @@ class CcsController(LightDriver):
         return int(level[1:]), int(mode[1:]), on[1] == "1"
 
     def _ask(self, channel: int, instruction: str, expected: str = r"\d{0,4}") -> str:
-        """Say an instruction that may be repeated; the data of the reply."""
-        return self._persistence.ask(lambda: self._ask_once(channel, instruction, expected))
+        """Send an instruction that may be repeated; the data of the reply."""
+        return self._retry.ask(lambda: self._ask_once(channel, instruction, expected))
 
     def _frame(self, channel: int, instruction: str) -> bytes:
         body = f"@{channel - 1:02d}{instruction}{self._unit}".encode("ascii")
@@ -131,32 +109,6 @@ class CcsController(LightDriver):
         if re.fullmatch(expected, data) is None:
             raise ReplyError(self._link.words("the reply is to another command", sent=frame, reply=reply))
         return data
-
-
-def open_ccs(settings: LightSettings, log: SerialLog | None = None) -> CcsController:
-    """Open a controller with CCS ``@`` frames.
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When the port cannot be opened.
-    lightopt.core.errors.HardwareError
-        When the controller does not answer.
-    """
-    return open_driver(
-        settings,
-        log,
-        name="ccs",
-        baud=_BAUD,
-        gap_s=_GAP_S,
-        speak=lambda link: CcsController(
-            link,
-            channels=settings.channels,
-            top_level=settings.top_level,
-            max_levels=settings.max_levels,
-            dialect=settings.dialect,
-        ),
-    )
 
 
 def _checksum(body: bytes) -> bytes:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._faults import Trigger, trigger
 from lightopt.rig.simulated._lamps import Lamps
 
 _COMMAND, _CHECKSUM, _VALUE = 1, 2, 3
@@ -22,22 +22,10 @@ _MODES = 10  # S00 is on/off, S01 … S10 are strobes
 class CcsFirmware:
     """A controller with CCS ``@`` frames.
 
-    Faults besides those of its lamps: ``ng`` (option ``code``: 1 command, 2 checksum, 3 value; the frame is refused and
-    not obeyed) and ``checksum`` (the reply's checksum is wrong), with ``after``, ``count``, ``probability`` and
-    ``seed``.
+    Faults besides those of its lamps, with the options of :class:`Trigger`: ``ng`` (option ``code``: 1 command,
+    2 checksum, 3 value; the frame is refused and not obeyed) and ``checksum`` (the reply's checksum is wrong).
 
-    Parameters
-    ----------
-    channels
-        Number of channels.
-    top_level
-        Highest intensity; intensities have three digits, or four where it has.
-    levels
-        Intensities at power-up by channel.
-    on
-        Whether the channels are switched on at power-up.
-    gap_s
-        Time [s] that must pass after a frame; a frame that comes earlier is not heard.
+    gap_s: Time [s] that must pass after a frame; a frame that comes earlier is not heard.
     """
 
     def __init__(
@@ -59,7 +47,6 @@ class CcsFirmware:
         self._wrong: Trigger | None = None
 
     def feed(self, data: bytes, now: float) -> bytes:
-        """Take bytes; answer the frames that they complete."""
         self._buffer += data
         replies = b""
         while b"\r\n" in self._buffer:
@@ -74,15 +61,13 @@ class CcsFirmware:
         return replies
 
     def poll(self, now: float) -> bytes:  # noqa: ARG002
-        """Return nothing: it speaks when spoken to."""
         return b""
 
     def levels(self) -> dict[int, float]:
         """Brightness of each channel; a channel in a strobe mode is dark, because nobody triggers it."""
-        return {c: share if self._mode[c] == 0 else 0.0 for c, share in self._lamps.shine().items()}
+        return {c: share if self._mode[c] == 0 else 0.0 for c, share in self._lamps.brightness().items()}
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
-        """Suffer a fault; see the class."""
         if fault == "ng":
             chosen = dict(options)
             code = chosen.pop("code", _COMMAND)

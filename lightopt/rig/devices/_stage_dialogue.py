@@ -1,11 +1,14 @@
-"""Angles of the rig and units of the device, axis by axis."""
+"""What the driver of a stage implements (:class:`Dialogue`), and its axes: angles of the rig, units of the device."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from lightopt.core.errors import InputError
+from lightopt.rig.devices._link import SerialLink
 
 _ROUNDING = 1e-9  # relative; angles that differ by less are the same
 
@@ -19,27 +22,14 @@ def describe_range(range_deg: tuple[float, float]) -> str:
 class Axis:
     """An axis of the stage: how the rig's angle becomes the device's count, and how far and fast it may go.
 
-    Attributes
-    ----------
-    name
-        ``elevation`` or ``rotation``.
-    device
-        The axis as the device calls it.
-    range_deg
-        Lowest and highest angle [°] that may be asked for.
-    steps_per_deg
-        Device units per degree; negative where the device counts against the rig's sense.
-    zero
-        Device units at which the rig's angle is 0.
-    speed_deg_per_s
-        Speed [°/s] that the device is set to.
-    home_sense
-        +1 or -1: the sense of the device's count in which a device seeks its origin that must be told (GSC-02).
+    name: ``elevation`` or ``rotation``.
+    device: The axis as the device calls it.
+    range_deg: Lowest and highest angle [°] that may be asked for.
+    steps_per_deg: Device units per degree; negative where the device counts against the rig's sense.
+    zero: Device units at which the rig's angle is 0.
+    home_sense: +1 or -1: the sense of the count in which a device seeks its origin that must be told (GSC-02).
 
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        When a value cannot be: no units per degree, a range upside down, a speed that is not positive.
+    Raises InputError for values that cannot be.
     """
 
     name: str
@@ -77,20 +67,7 @@ class Axis:
         return self.zero + angle_deg * self.steps_per_deg
 
     def target(self, angle_deg: float, *, step: float) -> float:
-        """Nearest position that the device can hold to an angle [°].
-
-        Parameters
-        ----------
-        angle_deg
-            The angle asked for.
-        step
-            Device units of one step; positions are whole multiples of it.
-
-        Raises
-        ------
-        lightopt.core.errors.InputError
-            When the angle lies outside the range or is no number.
-        """
+        """Nearest multiple of a `step` [device units] to an angle [°]; an InputError for one outside the range."""
         self.check(angle_deg)
         return step * round(self.units_of(angle_deg) / step)
 
@@ -113,3 +90,51 @@ class Axis:
     def speed_units(self) -> float:
         """Speed in device units per second."""
         return self.speed_deg_per_s * abs(self.steps_per_deg)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """State of a device at one moment.
+
+    units: Position of each axis by the device's name of it [device units].
+    referenced: Whether it knows its origin; None where that is unknown.
+    alarm: The alarm in words; None without one.
+    """
+
+    units: Mapping[str, float]
+    moving: bool
+    referenced: bool | None = None
+    alarm: str | None = None
+
+
+class Dialogue(Protocol):
+    """The protocol of a stage. Positions are in device units, axes by the device's name of them.
+
+    Each method raises :class:`~lightopt.core.errors.HardwareError` when the device answers no, or not at all.
+
+    link: The wire.
+    homes_to_end: Whether `home` returns when the origins are found, rather than when the search has begun.
+    identify: What the device answers about itself.
+    read: Ask for positions and state; may be repeated.
+    step: Smallest distance [device units] between two positions of an axis.
+    check: Raise an InputError for targets that the device is known to refuse; sends nothing that moves.
+    prepare: Set speeds; once, before the first move.
+    go: Start a move; never sent twice. A ReplyError means that it is unknown whether the device took it.
+    home: Start to seek the origins, or seek them to the end, as the protocol has it; never sent twice.
+    homed: What is wrong with a reading after homing; None when all is well.
+    halt: Stop all axes at once.
+    """
+
+    @property
+    def link(self) -> SerialLink: ...
+    @property
+    def homes_to_end(self) -> bool: ...
+    def identify(self) -> dict[str, str]: ...
+    def read(self) -> Reading: ...
+    def step(self, axis: Axis) -> float: ...
+    def check(self, targets: Mapping[str, float]) -> None: ...
+    def prepare(self) -> None: ...
+    def go(self, targets: Mapping[str, float]) -> None: ...
+    def home(self) -> None: ...
+    def homed(self, reading: Reading) -> str | None: ...
+    def halt(self) -> None: ...

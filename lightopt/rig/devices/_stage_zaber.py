@@ -1,8 +1,10 @@
 """Zaber controllers, in the ASCII protocol with message numbers and checksums; positions in microsteps.
 
-``move abs`` starts a move and is answered at once; each reply tells whether the axis moves and its gravest warning.
-``WR`` and ``WH`` say that the axis has not been homed, flags that begin with F that it has failed. Faults stay until a
+``move abs`` starts a move and is answered at once; each reply shows whether the axis moves and its gravest warning.
+``WR`` and ``WH`` mean that the axis has not been homed, flags that begin with F that it has failed. Faults stay until a
 person clears them with ``warnings clear``.
+
+Source: the protocol's public description; the checksums in the tests are those that Zaber's own library sends.
 """
 
 from __future__ import annotations
@@ -13,19 +15,141 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._axes import Axis
-from lightopt.rig.devices._dialogue import Reading
-from lightopt.rig.devices._errors import ReplyError
+from lightopt.rig.devices._errors import ReplyError, printable
 from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._retry import Persistence
-from lightopt.rig.devices._zaber_messages import (
-    NOT_HOMED,
-    Reply,
-    frame,
-    parse_reply,
-    rejection_words,
-    warning_words,
+from lightopt.rig.devices._retry import Retry
+from lightopt.rig.devices._stage_dialogue import Axis, Reading
+
+NOT_HOMED = frozenset({"WR", "WH"})
+
+_WARNINGS = {
+    "FF": "critical system error",
+    "FN": "the peripheral is not supported",
+    "FZ": "the peripheral is inactive",
+    "FH": "the device has detected a hardware error",
+    "FV": "the supply voltage is too high",
+    "FO": "the driver is disabled",
+    "FC": "the driver is disabled by the current limit",
+    "FM": "the motor does not answer",
+    "FD": "the driver is disabled (too hot, or switched off)",
+    "FQ": "encoder error: the position may be wrong",
+    "FS": "stalled and stopped",
+    "FT": "the lockstep axes twist too much",
+    "FB": "a streamed motion left its bounds",
+    "FP": "a streamed motion left its path",
+    "FE": "a limit sensor cannot be reached or is faulty",
+    "WH": "not homed",
+    "WL": "a limit sensor ended a move that should not have met it: the axis may have slipped",
+    "WP": "the calibration data are not supported",
+    "WV": "the supply voltage is out of range",
+    "WT": "the controller is hot",
+    "WM": "the axis was pushed while it stood still",
+    "WR": "no reference position",
+    "NC": "moved by hand with the knob",
+    "NI": "a move was interrupted by another",
+    "ND": "a stream ran out of motions",
+    "NU": "a setting waits for a restart",
+    "NJ": "the joystick is being calibrated",
+}
+_REJECTIONS = {
+    "AGAIN": "not now; send again",
+    "BADAXIS": "the device has no such axis",
+    "BADCOMMAND": "unknown command or setting",
+    "BADDATA": "the value is wrong or out of range",
+    "BADMESSAGEID": "the message number is wrong",
+    "DEVICEONLY": "a command for the device, not for an axis",
+    "FULL": "no more room",
+    "LOCKSTEP": "the axis is part of a lockstep group",
+    "NOACCESS": "not allowed at this access level",
+    "PARKED": "the device is parked",
+    "STATUSBUSY": "not while it is moving",
+}
+_REPLY = re.compile(
+    rb"@(?P<device>\d{2}) (?P<axis>\d) (?:(?P<id>\d{2}) )?(?P<flag>OK|RJ) (?P<status>IDLE|BUSY) "
+    rb"(?P<warning>[A-Z]{2}|--) (?P<data>[^:\r\n]*?)(?::(?P<lrc>[0-9A-F]{2}))?\r?\n"
 )
+
+
+@dataclass(frozen=True)
+class Reply:
+    """A reply of a device or axis.
+
+    number: Number of the message that it answers; None when it has none.
+    accepted: OK rather than RJ.
+    warning: Flag of the gravest warning; empty without one.
+    data: The answer, or why it was rejected.
+    """
+
+    device: int
+    axis: int
+    number: int | None
+    accepted: bool
+    busy: bool
+    warning: str
+    data: str
+
+
+def checksum(body: bytes) -> bytes:
+    """LRC of a message without its first and last characters: two's complement of the sum, two hexadecimal digits.
+
+    Examples
+    --------
+    >>> checksum(b"1 1 00 get pos")
+    b'2C'
+    """
+    return f"{-sum(body) & 0xFF:02X}".encode("ascii")
+
+
+def frame(device: int, axis: int, number: int, command: str) -> bytes:
+    r"""A numbered command with its checksum.
+
+    Examples
+    --------
+    >>> frame(1, 1, 1, "home")
+    b'/1 1 01 home:34\n'
+    """
+    body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode(
+        "ascii"
+    )
+    return b"/" + body + b":" + checksum(body) + b"\n"
+
+
+def parse_reply(line: bytes) -> Reply:
+    r"""Read a reply.
+
+    Raises ValueError when it is none, or its checksum is wrong.
+
+    Examples
+    --------
+    >>> parse_reply(b"@01 1 OK BUSY WR 0\r\n")
+    Reply(device=1, axis=1, number=None, accepted=True, busy=True, warning='WR', data='0')
+    """
+    match = _REPLY.fullmatch(line)
+    if match is None:
+        raise ValueError("a broken reply")
+    if match["lrc"] is not None and checksum(line[1 : match.start("lrc") - 1]) != match["lrc"]:
+        raise ValueError(f"the checksum should be {printable(checksum(line[1 : match.start('lrc') - 1]))}")
+    warning = match["warning"].decode("ascii")
+    return Reply(
+        device=int(match["device"]),
+        axis=int(match["axis"]),
+        number=None if match["id"] is None else int(match["id"]),
+        accepted=match["flag"] == b"OK",
+        busy=match["status"] == b"BUSY",
+        warning="" if warning == "--" else warning,
+        data=match["data"].decode("ascii", "replace").strip(),
+    )
+
+
+def warning_words(flag: str) -> str:
+    """A warning for people, with its flag."""
+    return f"{flag} ({_WARNINGS.get(flag, 'unknown')})"
+
+
+def rejection_words(reason: str) -> str:
+    """Why a command was rejected, for people."""
+    return f"{reason} ({_REJECTIONS.get(reason.split(' ')[0], 'unknown')})"
+
 
 _SPEED_UNIT = 1.6384  # maxspeed per microstep per second
 _STOPS = frozenset({"WL"})  # warnings after which the position is not to be trusted
@@ -45,53 +169,39 @@ def check_zaber(axes: Sequence[Axis]) -> None:
 
 
 class ZaberDialogue:
-    """The Zaber ASCII protocol; see :class:`~lightopt.rig.devices._dialogue.Dialogue`.
+    """The Zaber ASCII protocol; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
 
-    Parameters
-    ----------
-    link
-        The wire.
-    axes
-        The axes, called ``2`` (axis 2 of device 1) or ``2/1`` (axis 1 of device 2).
-
-    Raises
-    ------
-    lightopt.core.errors.InputError
-        For an axis with another kind of name, or the same axis twice.
+    Axes are called ``2`` (axis 2 of device 1) or ``2/1`` (axis 1 of device 2).
     """
 
     def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
         self.link = link
         self.homes_to_end = False
-        self._patience = Persistence(link)
+        self._retry = Retry(link)
         self._axes = tuple(axes)
         check_zaber(axes)
         self._addresses = {axis.device: _address(axis) for axis in axes}
         self._number = 0
         self._limits: dict[str, tuple[int, int]] = {}
-        self._told: set[str] = set()
+        self._noted: set[str] = set()
 
-    def says(self) -> dict[str, str]:
+    def identify(self) -> dict[str, str]:
         """Kind, serial number and firmware of each device."""
-        says: dict[str, str] = {}
+        details: dict[str, str] = {}
         for device in sorted({address.device for address in self._addresses.values()}):
-            for key, setting in (
-                ("deviceid", "deviceid"),
-                ("serial", "system.serial"),
-                ("version", "version"),
-            ):
-                reply = self._patience.ask(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
+            for setting in ("deviceid", "system.serial", "version"):
+                reply = self._retry.ask(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
                 if reply.accepted:
-                    says[f"{key}{device if device > 1 else ''}"] = reply.data
-        return says
+                    key = setting.removeprefix("system.")
+                    details[f"{key}{device if device > 1 else ''}"] = reply.data
+        return details
 
     def read(self) -> Reading:
-        """Position, motion and warnings of each axis."""
         units: dict[str, float] = {}
         moving, homed = False, True
         alarms: list[str] = []
         for axis in self._axes:
-            reply, position = self._patience.ask(lambda axis=axis: self._number_of(axis.device, "get pos"))
+            reply, position = self._retry.ask(lambda axis=axis: self._number_of(axis.device, "get pos"))
             units[axis.device] = float(position)
             moving = moving or reply.busy
             homed = homed and reply.warning not in NOT_HOMED
@@ -100,13 +210,12 @@ class ZaberDialogue:
                     f"axis {axis.device}: {warning_words(reply.warning)}; when the cause is found, clear it with "
                     f"/{self._addresses[axis.device].device} warnings clear, and home it"
                 )
-            elif reply.warning and reply.warning not in NOT_HOMED and reply.warning not in self._told:
-                self._told.add(reply.warning)
+            elif reply.warning and reply.warning not in NOT_HOMED and reply.warning not in self._noted:
+                self._noted.add(reply.warning)
                 self.link.note(f"axis {axis.device} warns {warning_words(reply.warning)}")
         return Reading(units=units, moving=moving, referenced=homed, alarm="; ".join(alarms) or None)
 
     def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
-        """One microstep."""
         return 1.0
 
     def check(self, targets: Mapping[str, float]) -> None:
@@ -124,11 +233,9 @@ class ZaberDialogue:
         """Set the speed of each axis where it is another; the device keeps it."""
         for axis in self._axes:
             wanted = max(1, round(axis.speed_units() * _SPEED_UNIT))
-            _, holds = self._patience.ask(lambda axis=axis: self._number_of(axis.device, "get maxspeed"))
+            _, holds = self._retry.ask(lambda axis=axis: self._number_of(axis.device, "get maxspeed"))
             if holds != wanted:
-                self._patience.ask(
-                    lambda axis=axis, v=wanted: self._accepted(axis.device, f"set maxspeed {v}")
-                )
+                self._retry.ask(lambda axis=axis, v=wanted: self._accepted(axis.device, f"set maxspeed {v}"))
                 self.link.note(f"axis {axis.device}: maxspeed was {holds}, set to {wanted}")
 
     def go(self, targets: Mapping[str, float]) -> None:
@@ -136,7 +243,6 @@ class ZaberDialogue:
         self._start({axis: f"move abs {round(units)}" for axis, units in targets.items()})
 
     def home(self) -> None:
-        """Start to seek the home position of each axis in use."""
         self._start({axis.device: "home" for axis in self._axes})
 
     def homed(self, reading: Reading) -> str | None:
@@ -146,9 +252,8 @@ class ZaberDialogue:
         return None if reading.referenced else "it still warns that it has no reference position"
 
     def halt(self) -> None:
-        """Stop every axis of each device."""
         for device in sorted({address.device for address in self._addresses.values()}):
-            reply = self._patience.ask(lambda d=device: self._exchange(d, 0, "stop"))
+            reply = self._retry.ask(lambda d=device: self._exchange(d, 0, "stop"))
             if not reply.accepted:
                 raise self.link.failure(f"device {device} refused to stop: {rejection_words(reply.data)}")
 
@@ -166,7 +271,7 @@ class ZaberDialogue:
     def _limits_of(self, axis: str) -> tuple[int, int]:
         if axis not in self._limits:
             low, high = (
-                self._patience.ask(lambda s=setting: self._number_of(axis, f"get {s}"))[1]
+                self._retry.ask(lambda s=setting: self._number_of(axis, f"get {s}"))[1]
                 for setting in ("limit.min", "limit.max")
             )
             self._limits[axis] = (low, high)
@@ -190,7 +295,7 @@ class ZaberDialogue:
         return reply
 
     def _exchange(self, device: int, axis: int, command: str) -> Reply:
-        """Send a numbered command and return the reply with its number, passing over what else the devices say."""
+        """Send a numbered command and return the reply with its number, passing over other messages of the devices."""
         with self.link.lock:
             self._number = (self._number + 1) % 100
             sent = frame(device, axis, self._number, command)

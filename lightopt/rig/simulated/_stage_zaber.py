@@ -1,7 +1,7 @@
 """Simulated firmware of Zaber controllers in the ASCII protocol.
 
 A command is ``/``, optionally device, axis and message number, words, optionally ``:`` and a checksum, and a line feed.
-A command with a wrong checksum is not answered. Each reply tells whether the axis moves, and its gravest warning.
+A command with a wrong checksum is not answered. Each reply reports whether the axis moves, and its gravest warning.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
-from lightopt.rig.simulated._travel import Axes
+from lightopt.rig.simulated._axes import Axes
+from lightopt.rig.simulated._faults import Trigger, trigger
 
 _SPEED_UNIT = 1.6384
 _LONGEST = 256
@@ -25,21 +25,12 @@ class ZaberFirmware:
 
     Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
     FS unless told, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
-    BADDATA unless told), ``checksum`` (a reply's checksum is wrong), both with ``after``, ``count``, ``probability``
-    and ``seed``; ``power_cycle``.
+    BADDATA unless told), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`;
+    ``power_cycle``.
 
-    Parameters
-    ----------
-    axes
-        Arguments of each axis by its number; see :class:`Axes`. None: two of them.
-    limits
-        ``limit.min`` and ``limit.max`` of each axis by its number.
-    maxspeed
-        Speed at first, in the unit of the setting.
-    home_speed
-        Speed of the search for the home sensor [microsteps/s].
-    checksums
-        Whether replies carry a checksum.
+    limits: ``limit.min`` and ``limit.max`` of each axis by its number.
+    maxspeed: Speed at first, in the unit of the setting.
+    home_speed: Speed of the search for the home sensor [microsteps/s].
     """
 
     def __init__(
@@ -69,7 +60,6 @@ class ZaberFirmware:
         self._wrong: Trigger | None = None
 
     def feed(self, data: bytes, now: float) -> bytes:
-        """Take bytes; answer each command."""
         self._buffer += data
         *lines, rest = self._buffer.split(b"\n")
         self._buffer = rest[-_LONGEST:]
@@ -80,11 +70,9 @@ class ZaberFirmware:
         return b""
 
     def positions(self, now: float) -> dict[str, float]:
-        """Where each axis really stands [microsteps]."""
         return self._axes.real(now)
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Suffer a fault; see the class."""
         chosen = dict(options)
         if fault == "alarm":
             flag, axis = str(chosen.pop("flag", "FS")), chosen.pop("axis", None)

@@ -1,6 +1,6 @@
 """Axes that move at constant speed, and what can go wrong with them, for simulated stage firmware.
 
-An axis has a count, which its controller believes, and a place where it really stands, told from its mechanical origin;
+An axis has a count, which its controller believes, and a place where it really stands, from its mechanical origin;
 both in device units. They agree once it has been homed and while no step is lost.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
+from lightopt.rig.simulated._faults import Trigger, trigger
 
 AXIS_FAULTS = ("stall", "limit", "lost_step")
 
@@ -24,24 +24,11 @@ class _Fault:
     busy: bool
 
 
-class Travel:
-    """One axis.
+class SimulatedAxis:
+    """One axis: where it really `stands` and what its controller believes (`count`) at power-up; its limit switches.
 
-    Parameters
-    ----------
-    stands
-        Where it really stands at power-up.
-    low, high
-        Where its limit switches are.
-    count
-        What the controller believes at power-up.
-
-    Attributes
-    ----------
-    at_limit
-        Whether the last move ended at a switch.
-    homed
-        Whether it has found its origin since power-up.
+    at_limit: Whether the last move ended at a switch.
+    homed: Whether it has found its origin since power-up.
     """
 
     def __init__(
@@ -60,11 +47,11 @@ class Travel:
         self.at_limit = False
         self.homed = False
 
-    def suffer(self, fault: _Fault | None) -> None:
+    def set_fault(self, fault: _Fault | None) -> None:
         """Suffer a fault in a coming move; None ends it."""
         self._fault = fault
 
-    def lose(self, steps: float) -> None:
+    def lose_steps(self, steps: float) -> None:
         """Lose steps: the axis stands that much short of its count from now on."""
         self._offset -= steps
 
@@ -165,26 +152,19 @@ class Travel:
 
 
 class Axes:
-    """The axes of a stage by name.
+    """The axes of a stage by name, from the arguments of :class:`SimulatedAxis`.
 
     Faults, of an ``axis`` or of all: ``stall`` (the axis stops after a ``share`` of a move, and reports that it stands
-    still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with ``after``, ``count``,
-    ``probability`` and ``seed`` counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
-
-    Parameters
-    ----------
-    axes
-        Arguments of :class:`Travel` by the axis' name.
-    count
-        What the controller believes at power-up.
+    still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with the options of :class:`Trigger`
+    counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
     """
 
     def __init__(self, axes: Mapping[str, Mapping[str, float]], *, count: float = 0.0) -> None:
         if not axes:
             raise ValueError("a stage has at least one axis")
-        self.by_name = {name: Travel(**options, count=count) for name, options in axes.items()}
+        self.by_name = {name: SimulatedAxis(**options, count=count) for name, options in axes.items()}
 
-    def __getitem__(self, name: str) -> Travel:
+    def __getitem__(self, name: str) -> SimulatedAxis:
         return self.by_name[name]
 
     def real(self, now: float) -> dict[str, float]:
@@ -214,18 +194,18 @@ class Axes:
         axes = list(self.by_name.values()) if name is None else [self.by_name[name]]
         if fault == "clear":
             for axis in axes:
-                axis.suffer(None)
+                axis.set_fault(None)
         elif fault == "lost_step":
             steps = float(chosen.pop("steps", 100))
             if chosen:
                 raise ValueError(f"lost_step: unknown option {', '.join(chosen)}")
             for axis in axes:
-                axis.lose(steps)
+                axis.lose_steps(steps)
         elif fault in ("stall", "limit"):
             share, busy = float(chosen.pop("share", 0.5)), bool(chosen.pop("busy", False))
             strikes = trigger(fault, chosen)
             for axis in axes:
-                axis.suffer(_Fault(fault, strikes, share, busy))
+                axis.set_fault(_Fault(fault, strikes, share, busy))
         else:
             raise ValueError(
                 f'no fault called "{fault}"; there is {", ".join((*AXIS_FAULTS, *others))}, clear'

@@ -20,18 +20,12 @@ Levels = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True, kw_only=True)
 class PixelFormat:
-    """How a camera writes grey levels down.
+    """A format of grey levels.
 
-    Attributes
-    ----------
-    name, code
-        Name and number in the naming convention.
-    bits
-        Bits of a level.
-    stored
-        Bits that a pixel takes in the frame.
-    unpack
-        Levels of n pixels from the frame's bytes.
+    name, code: Name and number in the naming convention.
+    bits: Bits of a level.
+    stored: Bits that a pixel takes in the frame.
+    unpack: Levels of n pixels from the frame's bytes.
     """
 
     name: str
@@ -46,26 +40,9 @@ class PixelFormat:
 
 
 def levels_of(data: Bytes, pixel_format: PixelFormat, *, width: int, height: int) -> Levels:
-    """Right-aligned levels of a frame.
+    """Right-aligned levels (H, W) of a frame, uint8 up to 8 bits and uint16 above; not a view of `data`.
 
-    Parameters
-    ----------
-    data
-        Bytes of the frame, shape (n,); what follows the pixels (padding, chunks) is not looked at.
-    pixel_format
-        How they are to be read.
-    width, height
-        Size of the frame [pixels].
-
-    Returns
-    -------
-    ndarray
-        Shape (H, W), uint8 up to 8 bits and uint16 above; not a view of `data`.
-
-    Raises
-    ------
-    HardwareError
-        When there are too few bytes.
+    data: Bytes of the frame, shape (n,); what follows the pixels (padding, chunks) is ignored.
     """
     pixels = width * height
     needed = pixel_format.size(pixels)
@@ -78,24 +55,7 @@ def levels_of(data: Bytes, pixel_format: PixelFormat, *, width: int, height: int
 
 
 def choose_format(offered: Sequence[str], *, bit_depth: int, wanted: str | None, where: str) -> PixelFormat:
-    """Pixel format for a sensor's bit depth: the one that is wanted, else the first that is offered and fits.
-
-    Parameters
-    ----------
-    offered
-        Names of the formats that the camera has.
-    bit_depth
-        Of the rig's sensor.
-    wanted
-        Name from the rig file; None: unpacked before packed.
-    where
-        The camera, for messages.
-
-    Raises
-    ------
-    InputError
-        When the camera has no such format, or it is of colour or another bit depth.
-    """
+    """Pixel format of a bit depth: `wanted` by the rig file, else the first that the camera has, unpacked first."""
     has = f"it has {', '.join(offered) or 'none'}"
     if wanted is not None:
         found = PIXEL_FORMATS.get(wanted)

@@ -13,27 +13,20 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_settings import CameraHere, CameraSettings, choose_camera
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings, RawFrame, choose_camera
 from lightopt.rig.devices._errors import LinkLostError
-from lightopt.rig.devices._frame_order import RawFrame
 
 _BUFFERS = 4
 _SLICE_S = 0.1  # signals are heard between two waits
 
+# What reading a register fails with when nobody answers; others (no such address) are an answer.
 _GONE = ("IoException", "TimeoutException", "InvalidHandleException", "ClosedException")
-"""What reading a register fails with when nobody answers; others (no such address) are an answer."""
 
 Value = TypeVar("Value")
 
 
 def load_harvester() -> Any:
-    """Class of the library that opens producers.
-
-    Raises
-    ------
-    InputError
-        When it is not there, with how to install it.
-    """
+    """Class of the library that opens producers; an InputError with how to install it when it is not there."""
     try:
         return import_module("harvesters.core").Harvester
     except ImportError as error:
@@ -42,22 +35,14 @@ def load_harvester() -> Any:
         ) from None
 
 
-def producers_here() -> list[Path]:
+def find_producers() -> list[Path]:
     """GenTL producers that makers' installers have named in GENICAM_GENTL64_PATH."""
     folders = os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep)
     return sorted(path for folder in folders if folder for path in Path(folder).glob("*.cti"))
 
 
-def genicam_cameras(producer: Path | str) -> list[CameraHere]:
-    """Cameras that a producer finds; none is opened.
-
-    Raises
-    ------
-    InputError
-        When library or producer are not there.
-    HardwareError
-        When the producer fails.
-    """
+def find_genicam_cameras(producer: Path | str) -> list[CameraInfo]:
+    """Cameras that a producer finds; none is opened."""
     harvester = _harvester(producer, f"{producer}")
     try:
         return _cameras(harvester)
@@ -66,20 +51,7 @@ def genicam_cameras(producer: Path | str) -> list[CameraHere]:
 
 
 class GenicamSdk:
-    """A camera opened with a maker's producer.
-
-    Parameters
-    ----------
-    settings
-        Which producer, which camera.
-
-    Raises
-    ------
-    InputError
-        When library, producer or camera are not there.
-    HardwareError
-        When it does not let itself be opened.
-    """
+    """A camera opened with a maker's producer, as a :class:`~lightopt.rig.devices._camera_sdk.CameraSdk`."""
 
     def __init__(self, settings: CameraSettings) -> None:
         self._where = settings.where
@@ -100,14 +72,13 @@ class GenicamSdk:
             self.close()
             raise
         self._nodes: Any = self._acquirer.remote_device.node_map
-        self.says = {
+        self.details = {
             "model": chosen.model,
             "serial": chosen.serial,
             "producer": Path(settings.producer or "").name,
         }
 
     def has(self, feature: str) -> bool:
-        """Whether the camera has a feature, and it can be used as things are."""
         if not self._nodes.has_node(feature):
             return False
         mode = self._try(feature, lambda: self._nodes.get_node(feature).get_access_mode())
@@ -115,17 +86,14 @@ class GenicamSdk:
         return mode in (modes.RW, modes.RO, modes.WO)
 
     def number(self, feature: str) -> float:
-        """Read a number."""
         return self._try(f"reading {feature}", lambda: float(self._node(feature).value))
 
     def set_number(self, feature: str, value: float) -> None:
-        """Write a number."""
         node = self._node(feature)
         whole = type(node).__name__ == "IInteger"
         self._try(f"setting {feature}", lambda: setattr(node, "value", round(value) if whole else value))
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
-        """Lowest and highest number, and the step between them."""
         node = self._node(feature)
         whole = type(node).__name__ == "IInteger"
         return self._try(
@@ -134,44 +102,34 @@ class GenicamSdk:
         )
 
     def unit(self, feature: str) -> str:
-        """What a number counts."""
         node = self._node(feature)
         return _known(lambda: str(node.unit or "").strip(), "")
 
     def word(self, feature: str) -> str:
-        """Read the entry of an enumeration."""
         return self._try(f"reading {feature}", lambda: str(self._node(feature).value))
 
     def set_word(self, feature: str, word: str) -> None:
-        """Choose an entry of an enumeration."""
         self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", word))
 
     def words(self, feature: str) -> tuple[str, ...]:
-        """Entries of an enumeration."""
         return self._try(f"asking for the entries of {feature}", lambda: tuple(self._node(feature).symbolics))
 
     def is_on(self, feature: str) -> bool:
-        """Read a truth value."""
         return self._try(f"reading {feature}", lambda: bool(self._node(feature).value))
 
     def switch_off(self, feature: str) -> None:
-        """Set a truth value to false."""
         self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", False))
 
     def do(self, feature: str) -> None:
-        """Execute a command."""
         self._try(f"executing {feature}", lambda: self._node(feature).execute())
 
     def start(self) -> None:
-        """Begin an acquisition."""
         self._try("starting the acquisition", self._acquirer.start)
 
     def stop(self) -> None:
-        """End the acquisition; buffers of it are given back."""
         self._try("stopping the acquisition", self._acquirer.stop)
 
     def pop(self, timeout_s: float) -> RawFrame | None:
-        """The next frame."""
         end = time.monotonic() + timeout_s
         while True:
             left_s = min(end - time.monotonic(), _SLICE_S)
@@ -185,13 +143,12 @@ class GenicamSdk:
                 return None
 
     def close(self) -> None:
-        """Give the camera up; never raises."""
         self._nodes = None
-        for action in ((self._acquirer.destroy,) if self._acquirer is not None else ()) + (
-            self._harvester.reset,
-        ):
-            with suppress(Exception):  # it is given up in any case, and each step is tried
-                action()
+        with suppress(Exception):  # it is given up in any case, and each step is tried
+            if self._acquirer is not None:
+                self._acquirer.destroy()
+        with suppress(Exception):
+            self._harvester.reset()
         self._acquirer = None
 
     def _fetch(self, timeout_s: float) -> Any:
@@ -211,14 +168,10 @@ class GenicamSdk:
         module = buffer.module
         number = _known(lambda: int(module.frame_id), None)
         if not _known(lambda: bool(module.is_complete()), True):
-            return RawFrame(
-                data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="parts of it were lost"
-            )
+            return RawFrame.unusable(number, "parts of it were lost")
         payload = self._try("reading a frame", lambda: buffer.payload)
         if not payload.components:
-            return RawFrame(
-                data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem="it has no image"
-            )
+            return RawFrame.unusable(number, "it has no image")
         part = payload.components[0]
         if padding := _known(lambda: int(module.padding_x), 0):
             raise HardwareError(
@@ -260,7 +213,7 @@ class GenicamSdk:
 
 
 def _known(ask: Callable[[], Value], otherwise: Value) -> Value:
-    """What the producer says, or something else where it cannot say."""
+    """What the producer answers, or a default where it cannot."""
     try:
         return ask()
     except Exception:  # noqa: BLE001  (each producer lacks other things, and says so in its own way)
@@ -281,16 +234,13 @@ def _harvester(producer: Path | str, where: str) -> Any:
     return harvester
 
 
-def _cameras(harvester: Any) -> list[CameraHere]:
-    here: list[CameraHere] = []
-    for info in harvester.device_info_list:
-        said = info.property_dict
-        here.append(
-            CameraHere(
-                driver="genicam",
-                identifier=str(said.get("id_") or ""),
-                serial=str(said.get("serial_number") or ""),
-                model=f"{said.get('vendor') or ''} {said.get('model') or ''}".strip(),
-            )
+def _cameras(harvester: Any) -> list[CameraInfo]:
+    return [
+        CameraInfo(
+            driver="genicam",
+            identifier=str(info.get("id_") or ""),
+            serial=str(info.get("serial_number") or ""),
+            model=f"{info.get('vendor') or ''} {info.get('model') or ''}".strip(),
         )
-    return here
+        for info in (found.property_dict for found in harvester.device_info_list)
+    ]

@@ -9,25 +9,21 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
-from lightopt.rig.simulated._catalogue import build
-from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware
-from lightopt.rig.simulated._line_faults import LINE_FAULTS, Line, Sent
+from lightopt.rig.simulated._faults import LINE_FAULTS, FaultyLine, Transmission
+from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware, build
 from lightopt.rig.simulated._wires import PtyWire, TcpWire, Wire, have_ptys
 
 _TRACE = 100_000
 
-_TICK_S = 0.005
-"""How late a device may be with what it says on its own while it is awake."""
-
-_AWAKE_S = 1.0
-"""A device is awake for so long after it was spoken to."""
-
-_ASLEEP_S = 0.05
-"""How late one that is not awake may be: a bench of many devices would be busy with asking them."""
+_TICK_S = 0.005  # how late a device may be with what it sends on its own while it is awake
+_AWAKE_S = 1.0  # a device is awake for so long after it was sent something
+_ASLEEP_S = (
+    0.05  # how late one that is not awake may be: a bench of many devices would be busy with asking them
+)
 
 
 @dataclass(frozen=True)
-class Change:
+class LightChange:
     """A light that changed: when [s, monotonic clock], which, and its share of the highest brightness from then on."""
 
     time: float
@@ -37,42 +33,32 @@ class Change:
 
 
 class Device:
-    """A simulated device on its wire.
-
-    Parameters
-    ----------
-    kind
-        Protocol of its firmware.
-    options
-        Keyword arguments of its firmware.
-    wire
-        Its wire.
-    """
+    """A simulated device on its wire."""
 
     def __init__(self, kind: str, options: dict[str, Any], wire: Wire) -> None:
         self.kind = kind
         self.firmware: Firmware = build(kind, options)
         self.wire = wire
         self.deliveries = 0
-        self._line = Line()
-        self._out: list[Sent] = []
-        self._called = -math.inf
-        self._asked = -math.inf
+        self._line = FaultyLine()
+        self._out: list[Transmission] = []
+        self._received_at = -math.inf
+        self._polled_at = -math.inf
 
     def is_awake(self, now: float) -> bool:
-        """Whether it has something to say, or was spoken to a moment ago."""
-        return bool(self._out) or now - self._called < _AWAKE_S
+        """Whether it has something to send, or was sent something a moment ago."""
+        return bool(self._out) or now - self._received_at < _AWAKE_S
 
     def is_due(self, now: float) -> bool:
-        """Whether it is time to let it speak, though it has heard nothing."""
-        return self.is_awake(now) or now - self._asked >= _ASLEEP_S
+        """Whether it is time to poll it, though it has received nothing."""
+        return self.is_awake(now) or now - self._polled_at >= _ASLEEP_S
 
-    def hear(self, now: float) -> None:
+    def receive(self, now: float) -> None:
         """Take what the client sent, and let the firmware answer."""
         data = self.wire.receive()
         if not data:
             return
-        self._called = now
+        self._received_at = now
         self.deliveries += 1
         pulled = self._line.pulled()
         if pulled is not None:
@@ -80,21 +66,21 @@ class Device:
         if pulled is not False:
             self._reply(self.firmware.feed(data, now), now)
 
-    def speak(self, now: float) -> None:
-        """Send what is due, the firmware's own words included."""
-        self._asked = now
+    def send(self, now: float) -> None:
+        """Send what is due, what the firmware sends on its own included."""
+        self._polled_at = now
         self._reply(self.firmware.poll(now), now)
         self._out.sort(key=lambda sent: sent.due)
         while self._out and self._out[0].due <= now:
             first = self._out.pop(0)
             taken = self.wire.send(first.data)
             if taken < len(first.data):
-                self._out.insert(0, Sent(first.due, first.data[taken:]))
+                self._out.insert(0, Transmission(first.due, first.data[taken:]))
                 return
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Suffer a fault of the line or of the device; ``clear`` ends all of both."""
-        self._called = now
+        """Set a fault of the line or of the device; ``clear`` ends all of both."""
+        self._received_at = now
         if fault in LINE_FAULTS or fault == "clear":
             self._line.inject(fault, options)
         if fault == "clear":
@@ -117,30 +103,21 @@ class Device:
             self._out += self._line.carry(data, now)
 
 
-class World:
+class SimulatedDevices:
     """All devices of a bench, and the brightness of its lights through time.
 
     Hold `lock` while touching the devices: the wires are served by one thread, requests by others.
 
-    Parameters
-    ----------
-    devices
-        By name: ``kind`` and, optionally, ``options`` of the firmware, ``tcp`` and ``wedges`` of the wire.
-    tcp
-        Whether devices that do not say are on TCP; by default where there are no pseudo-terminals.
-
-    Raises
-    ------
-    ValueError
-        For firmware that does not exist, or options that it refuses.
+    devices: By name: ``kind`` and, optionally, ``options`` of the firmware, ``tcp`` and ``wedges`` of the wire.
+    tcp: Whether devices that do not say are on TCP; by default where there are no pseudo-terminals.
     """
 
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool = not have_ptys) -> None:
         self.lock = threading.RLock()
         self._served = threading.Event()
-        self.trace: deque[Change] = deque(maxlen=_TRACE)
+        self.trace: deque[LightChange] = deque(maxlen=_TRACE)
         self.devices: dict[str, Device] = {}
-        self._shone: dict[tuple[str, int], float] = {}
+        self._brightness: dict[tuple[str, int], float] = {}
         for name, spec in devices.items():
             wire = TcpWire(wedges=spec.get("wedges", False)) if spec.get("tcp", tcp) else PtyWire()
             self.devices[name] = Device(spec["kind"], dict(spec.get("options", {})), wire)
@@ -161,23 +138,15 @@ class World:
             return _TICK_S if any(one.is_awake(now) for one in self.devices.values()) else _ASLEEP_S
 
     def serve(self, now: float, ready: Collection[int]) -> None:
-        """Let every device hear and speak once that has something to.
-
-        Parameters
-        ----------
-        now
-            [s], monotonic clock.
-        ready
-            Of the file descriptors that wait, those with something to read.
-        """
+        """Let each device receive and send that has something to; `ready`: file descriptors with something to read."""
         with self.lock:
             for device in self.devices.values():
                 called = any(fd in ready for fd in device.wire.waiting)
                 if called:
-                    device.hear(now)
+                    device.receive(now)
                 if called or device.is_due(now):
-                    device.speak(now)
-            self._look(now)
+                    device.send(now)
+            self._record_lights(now)
             self._served.set()
 
     def levels(self) -> dict[str, dict[int, float]]:
@@ -193,21 +162,15 @@ class World:
         return {name: positions for name, positions in found.items() if positions is not None}
 
     def inject(self, name: str, fault: str, options: dict[str, Any], now: float) -> None:
-        """Let a device suffer a fault."""
+        """Set a fault of a device."""
         with self.lock:
             if name not in self.devices:
                 raise ValueError(f'no device called "{name}"; there is {", ".join(self.devices)}')
             self.devices[name].inject(fault, options, now)
-            self._look(now)
+            self._record_lights(now)
 
     def pull(self, name: str) -> None:
-        """Pull the cable of a device, and wait until nobody holds its end any more.
-
-        Raises
-        ------
-        KeyError
-            For a device that is not there.
-        """
+        """Pull the cable of a device, and wait until nobody holds its end any more."""
         with self.lock:
             self.devices[name].wire.pull()
             self._served.clear()
@@ -220,9 +183,9 @@ class World:
             for device in self.devices.values():
                 device.wire.pull()
 
-    def _look(self, now: float) -> None:
+    def _record_lights(self, now: float) -> None:
         for name, levels in self.levels().items():
             for channel, level in levels.items():
-                if self._shone.get((name, channel), 0.0) != level:
-                    self._shone[name, channel] = level
-                    self.trace.append(Change(now, name, channel, level))
+                if self._brightness.get((name, channel), 0.0) != level:
+                    self._brightness[name, channel] = level
+                    self.trace.append(LightChange(now, name, channel, level))

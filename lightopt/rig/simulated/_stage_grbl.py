@@ -13,10 +13,9 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
-from lightopt.rig.simulated._gcode import GcodeError, Modes, Move, parse_line
-from lightopt.rig.simulated._grbl_settings import Settings
-from lightopt.rig.simulated._travel import Axes
+from lightopt.rig.simulated._axes import Axes
+from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._stage_grbl_gcode import GcodeError, GrblSettings, Modes, Move, parse_line
 
 _NAMES = ("X", "Y", "Z")
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
@@ -32,17 +31,9 @@ class GrblFirmware:
     """A Grbl 1.1h with three axes.
 
     Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
-    (option ``code``: lines are answered by ``error:code``, with ``after``, ``count``, ``probability`` and ``seed``),
-    ``power_cycle``.
+    (option ``code``: lines are answered by ``error:code``, with the options of :class:`Trigger`), ``power_cycle``.
 
-    Parameters
-    ----------
-    axes
-        Where each axis really stands at power-up, and its switches; see :class:`Axes`.
-    settings
-        Settings other than the usual ones by number: ``{"22": 1}``.
-    home_speed
-        Speed of the search for the switches [mm/s].
+    settings: Settings other than the usual ones by number: ``{"22": 1}``.
     """
 
     def __init__(
@@ -56,7 +47,7 @@ class GrblFirmware:
         if not set(given) <= set(_NAMES):
             raise ValueError(f"the axes are X, Y and Z, found {', '.join(given)}")
         self._axes = Axes({name: given.get(name, {}) for name in _NAMES})
-        self._settings = Settings(settings or {})
+        self._settings = GrblSettings(settings or {})
         self._home_speed = home_speed
         self._refuse: tuple[Trigger, int] | None = None
         self._power_up()
@@ -71,7 +62,7 @@ class GrblFirmware:
             elif self._critical:
                 continue
             elif byte == b"?":
-                out += self._asked(now)
+                out += self._answer_status(now)
             elif byte == b"!":
                 self._hold(now)
             elif byte == b"~":
@@ -113,7 +104,6 @@ class GrblFirmware:
         return self._axes.real(now)
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Suffer a fault; see the class."""
         chosen = dict(options)
         if fault == "alarm":
             code = int(chosen.pop("code", 1))
@@ -209,7 +199,7 @@ class GrblFirmware:
             if self._going is not None:
                 self._start(*self._going, now)
 
-    def _asked(self, now: float) -> bytes:
+    def _answer_status(self, now: float) -> bytes:
         if self._homing:
             self._status_wanted = True
             return b""

@@ -9,32 +9,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
-from lightopt.rig.simulated._fault_trigger import Trigger, trigger
-from lightopt.rig.simulated._lamps import Lamps
+from lightopt.rig.simulated._lamps import LampFirmware, Lamps
 
 _LONGEST = 16
 _ACKS = ("upper", "lower", "!")
 
 
-class SaFirmware:
-    """A controller of the ``SA0255#`` family.
-
-    Faults besides those of its lamps: ``ng`` (the command is refused and not obeyed), with ``after``, ``count``,
-    ``probability`` and ``seed``.
-
-    Parameters
-    ----------
-    channels
-        Number of channels, up to 6.
-    top_level
-        Highest intensity.
-    levels
-        Intensities at power-up by channel.
-    ack
-        How a set is acknowledged: the channel's letter in ``upper`` or ``lower`` case, or ``!``.
-    """
+class SaFirmware(LampFirmware):
+    """A controller of the ``SA0255#`` family; `ack` is how it acknowledges: ``upper`` or ``lower`` letter, or ``!``."""
 
     def __init__(
         self,
@@ -46,15 +29,13 @@ class SaFirmware:
     ) -> None:
         if ack not in _ACKS:
             raise ValueError(f'ack is one of {", ".join(_ACKS)}, not "{ack}"')
-        self._lamps = Lamps(channels, top_level, levels)
+        super().__init__(Lamps(channels, top_level, levels))
         self._letters = "ABCDEF"[:channels]
         self._ack = ack
         self._master = True
         self._buffer = b""
-        self._ng: Trigger | None = None
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
-        """Take bytes; answer the commands that they complete."""
         self._buffer += data
         replies = ""
         while b"#" in self._buffer:
@@ -63,26 +44,12 @@ class SaFirmware:
         self._buffer = self._buffer[-_LONGEST:]
         return replies.encode("ascii")
 
-    def poll(self, now: float) -> bytes:  # noqa: ARG002
-        """Return nothing: it speaks when spoken to."""
-        return b""
-
     def levels(self) -> dict[int, float]:
-        """Brightness of each channel."""
-        return self._lamps.shine(lit=self._master)
-
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
-        """Suffer a fault; see the class."""
-        if fault == "ng":
-            self._ng = trigger(fault, options)
-            return
-        if fault == "clear":
-            self._ng = None
-        self._lamps.inject(fault, options, ("ng",))
+        return self._lamps.brightness(lit=self._master)
 
     def _answer(self, command: str) -> str:
         match = re.fullmatch(r"S([A-FHL])(\d{4})?", command)
-        if match is None or (self._ng is not None and self._ng.strikes()):
+        if match is None or self._refuses():
             return "NG"
         letter, digits = match.groups()
         if letter in "HL":

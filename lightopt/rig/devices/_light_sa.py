@@ -1,0 +1,70 @@
+"""Driver of light controllers of the ``SA0255#`` family (HIKROBOT MV-LE, Rseelight, KDC and others).
+
+``SA0255#`` sets channel A, ``SA#`` asks for it and is answered ``a0255``. Makers acknowledge a set in different ways:
+by the channel's letter, by ``A`` or ``a``, or by ``!``; all are taken, and what was set is read back. There is no
+checksum.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from lightopt.core.errors import InputError
+from lightopt.rig.devices._errors import RefusedError, ReplyError
+from lightopt.rig.devices._lights import LightDriver
+from lightopt.rig.devices._link import SerialLink
+
+_LETTERS = "ABCDEF"
+_TOP = 9999
+_ACK = re.compile(rb"NG|[A-Fa-f!]")
+_VALUE = re.compile(rb"NG|[A-Fa-f]\d{4}")
+
+
+class SaController(LightDriver):
+    """A light controller of the ``SA0255#`` family; opening asks for the intensity of channel A, no light changes."""
+
+    NAME = "sa"
+    BAUD = 19200
+
+    def __init__(self, link: SerialLink, **limits: Any) -> None:
+        super().__init__(link, **limits)
+        if self._channels > len(_LETTERS) or self._top_level > _TOP:
+            raise InputError(
+                f"{link.device}: the protocol has {len(_LETTERS)} channels and intensities up to {_TOP}, "
+                f"found channels: {self._channels}, top_level: {self._top_level}"
+            )
+        self._reads = self._can_read_levels()
+
+    def _query_identity(self) -> dict[str, str]:
+        """Ask for an intensity: the protocol has no name."""
+        if self._reads:
+            self._query_level(1)
+        return {}
+
+    def _send_level(self, channel: int, level: int) -> None:
+        letter = _LETTERS[channel - 1]
+        self._retry.ask(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
+
+    def _query_level(self, channel: int) -> int:
+        return self._retry.ask(lambda: self._read_once(_LETTERS[channel - 1]))
+
+    def _set_once(self, frame: bytes, letter: str) -> None:
+        reply = self._query(frame, _ACK)
+        if reply.decode("ascii", "replace").upper() not in (letter, "A", "!"):
+            raise ReplyError(self._link.words("the reply is no acknowledgement", sent=frame, reply=reply))
+
+    def _read_once(self, letter: str) -> int:
+        frame = f"S{letter}#".encode("ascii")
+        reply = self._query(frame, _VALUE)
+        if re.fullmatch(rb"[A-F]\d{4}", reply.upper()) is None or chr(reply[0]).upper() != letter:
+            raise ReplyError(
+                self._link.words("the reply is not this channel's intensity", sent=frame, reply=reply)
+            )
+        return int(reply[1:])
+
+    def _query(self, frame: bytes, end: re.Pattern[bytes]) -> bytes:
+        reply = self._link.query(frame, end=end)
+        if reply == b"NG":
+            raise RefusedError(self._link.words("it refuses the command (NG)", sent=frame, reply=reply))
+        return reply

@@ -1,0 +1,307 @@
+"""SIGMA KOKI / OptoSigma controllers: the SHOT family (MAIN mode) and GSC-02; positions in pulses.
+
+Both: ``Q:`` asks for positions and motion; ``H:`` seeks the mechanical origin, where the count becomes 0; ``L:E`` stops
+at once. While an axis moves only stop and status are taken. The count starts at 0 when the controller is switched on,
+wherever the stage stands, and nothing shows whether it has been homed since. There are no limits but the switches.
+
+SHOT answers OK or NG to each command. ``A:1+P9000`` or ``A:W+P1800-P2000`` names the target and ``G:`` goes there.
+
+GSC-02 answers questions only; ACK1 of the next ``Q:`` shows whether a command was taken. It knows no absolute move: the
+position is asked for, ``M:1+P500`` or ``M:W+P500-P200`` names the way from there, ``G:`` goes it, and the position is
+verified at the end. A relative move is never sent twice. Seeking the origin needs a sense, ``H:1-`` or ``H:W-+``, and
+only ``L:W`` and ``L:E`` stop it. ``D:`` sets the speeds of both axes at once, in a slow or in a fast range.
+
+Sources: the docstrings that ``elerac/optosigma`` took from the GSC-01 and GSC-02 manuals, ``ken1row/PyOptoSigma``, and
+``SigmaKokiPy``, which agree on what is used here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from lightopt.core.errors import InputError
+from lightopt.rig.devices._errors import ReplyError, printable
+from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._retry import Retry
+from lightopt.rig.devices._stage_dialogue import Axis, Reading
+
+END = b"\r\n"
+RAMP_MS = 200  # acceleration and deceleration; the controllers' own value at power-up
+
+_POSITION = re.compile(r"\s*([+-]?)\s*(\d+)\s*")
+_LIMITS = {"L": "axis 1", "M": "axis 2", "W": "both axes"}
+_SHOT_SPEEDS = (1, 500_000)  # [pulses/s]
+_GSC_SPEEDS = {1: (1, 200), 2: (50, 20_000)}  # speed ranges of D: [pulses/s]
+_GSC_FARTHEST = 16_777_214  # longest relative move [pulses]
+
+
+@dataclass(frozen=True)
+class Status:
+    """The answer to ``Q:``: positions [pulses], command accepted (ACK1), axis at its limit (ACK2), busy (ACK3)."""
+
+    positions: tuple[int, ...]
+    accepted: bool
+    limit: str | None
+    busy: bool
+
+
+def command(text: str) -> bytes:
+    """A command on the wire."""
+    return text.encode("ascii") + END
+
+
+def signed(pulses: int) -> str:
+    """A distance or position as the commands write it.
+
+    Examples
+    --------
+    >>> signed(-2000)
+    '-P2000'
+    >>> signed(0)
+    '+P0'
+    """
+    return f"{'-' if pulses < 0 else '+'}P{abs(pulses)}"
+
+
+def axis_words(verb: str, values: Mapping[str, str]) -> str:
+    """A command for one axis or for both, from the words of each.
+
+    Examples
+    --------
+    >>> axis_words("A", {"1": "+P9000"})
+    'A:1+P9000'
+    >>> axis_words("A", {"2": "-P2000", "1": "+P1800"})
+    'A:W+P1800-P2000'
+    """
+    if len(values) == 1:
+        ((axis, value),) = values.items()
+        return f"{verb}:{axis}{value}"
+    return f"{verb}:W{values['1']}{values['2']}"
+
+
+def parse_status(line: bytes) -> Status:
+    r"""Read the answer to ``Q:``.
+
+    Raises ValueError when it is not one; the message says why.
+
+    Examples
+    --------
+    >>> parse_status(b"        100,-       20,K,K,R\r\n")
+    Status(positions=(100, -20), accepted=True, limit=None, busy=False)
+    """
+    fields = line.decode("ascii", "replace").rstrip("\r\n").split(",")
+    if len(fields) < 4:
+        raise ValueError(f"expected positions and three letters, got {printable(line)}")
+    *places, ack1, ack2, ack3 = fields
+    positions: list[int] = []
+    for place in places:
+        # the sign may stand apart from the digits: "-    1000"
+        match = _POSITION.fullmatch(place)
+        if match is None:
+            raise ValueError(f"expected a position, got {printable(place.encode('ascii', 'replace'))}")
+        positions.append(int(match[1] + match[2]))
+    if ack1 not in ("K", "X") or ack2 not in ("K", *_LIMITS) or ack3 not in ("B", "R"):
+        raise ValueError(
+            f"expected K or X, K L M or W, B or R, got {printable(','.join(fields[-3:]).encode())}"
+        )
+    return Status(positions=tuple(positions), accepted=ack1 == "K", limit=_LIMITS.get(ack2), busy=ack3 == "B")
+
+
+def reading_of(status: Status, axes: Sequence[Axis]) -> Reading:
+    """A status as a reading of the axes that the rig uses; a ValueError when the controller has fewer."""
+    needed = max(int(axis.device) for axis in axes)
+    if len(status.positions) < needed:
+        raise ValueError(f"tells of {len(status.positions)} axes, and the rig uses axis {needed}")
+    alarm = None
+    if status.limit is not None and not status.busy:
+        alarm = f"{status.limit} stopped at the limit switch"
+    return Reading(
+        units={axis.device: float(status.positions[int(axis.device) - 1]) for axis in axes},
+        moving=status.busy,
+        alarm=alarm,
+    )
+
+
+def check_axes(axes: Sequence[Axis], *, slowest: int, fastest: int) -> None:
+    """Raise an InputError for axes other than 1 and 2, or speeds [pulses/s] that the controller does not have."""
+    wrong: list[str] = []
+    for axis in axes:
+        if axis.device not in ("1", "2"):
+            wrong.append(f"stage axis {axis.name}: the controller's axes are 1 and 2, found {axis.device}")
+        if not slowest <= round(axis.speed_units()) <= fastest:
+            wrong.append(
+                f"stage axis {axis.name}: {axis.speed_deg_per_s:g}°/s are {axis.speed_units():g} pulses/s; "
+                f"the controller takes {slowest} to {fastest}"
+            )
+    if len({axis.device for axis in axes}) < len(axes):
+        wrong.append("stage: elevation and rotation are the same axis of the controller")
+    if wrong:
+        raise InputError(*wrong)
+
+
+class _SigmakokiDialogue:
+    """What the two families share; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`."""
+
+    def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
+        self.link = link
+        self.homes_to_end = False
+        self._retry = Retry(link)
+        self._axes = tuple(axes)
+
+    def read(self) -> Reading:
+        return self._retry.ask(self._status)[1]
+
+    def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
+        """One pulse."""
+        return 1.0
+
+    def homed(self, reading: Reading) -> str | None:
+        """The count is 0 at the origin."""
+        if reading.alarm is not None:
+            return reading.alarm
+        off = [f"axis {axis} reads {units:g}" for axis, units in reading.units.items() if units != 0]
+        return f"{', '.join(off)} pulses, not 0" if off else None
+
+    def _version(self) -> str:
+        line = self._retry.ask(lambda: self.link.query(command("?:V"), end=END))
+        return line.decode("ascii", "replace").strip()
+
+    def _status(self) -> tuple[Status, Reading]:
+        frame = command("Q:")
+        line = self._status_line(frame)
+        try:
+            status = parse_status(line)
+            return status, reading_of(status, self._axes)
+        except ValueError as error:
+            raise ReplyError(self.link.words(str(error), sent=frame)) from None
+
+    def _status_line(self, frame: bytes) -> bytes:
+        return self.link.query(frame, end=END)
+
+
+def check_shot(axes: Sequence[Axis]) -> None:
+    """Refuse axes and speeds that the SHOT family cannot have."""
+    check_axes(axes, slowest=_SHOT_SPEEDS[0], fastest=_SHOT_SPEEDS[1])
+
+
+class ShotDialogue(_SigmakokiDialogue):
+    """The protocol of the SHOT family."""
+
+    def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
+        check_shot(axes)
+        super().__init__(link, axes)
+
+    def identify(self) -> dict[str, str]:
+        version = self._version()
+        return {} if version == "NG" else {"version": version}
+
+    def check(self, targets: Mapping[str, float]) -> None:
+        """The controller has no limits to check against."""
+
+    def prepare(self) -> None:
+        for axis in self._axes:
+            fast = round(axis.speed_units())
+            slow = max(_SHOT_SPEEDS[0], fast // 10)
+            text = f"D:{axis.device}S{slow}F{fast}R{RAMP_MS}"
+            self._retry.ask(lambda text=text: self._command(text))
+
+    def go(self, targets: Mapping[str, float]) -> None:
+        """Name the targets, which may be repeated, and go, which may not."""
+        text = axis_words("A", {axis: signed(round(units)) for axis, units in targets.items()})
+        self._retry.ask(lambda: self._command(text))
+        self._command("G:")
+
+    def home(self) -> None:
+        self._command("H:W" if len(self._axes) == 2 else f"H:{self._axes[0].device}")
+
+    def halt(self) -> None:
+        self._retry.ask(lambda: self._command("L:E"))
+
+    def _command(self, text: str) -> None:
+        reply = self.link.query(command(text), end=END)
+        if reply == b"NG\r\n":
+            raise self.link.failure(
+                "refused (NG): the command is wrong, or the stage is moving", sent=command(text), reply=reply
+            )
+        if reply != b"OK\r\n":
+            raise ReplyError(self.link.words("expected OK or NG", sent=command(text), reply=reply))
+
+
+def check_gsc(axes: Sequence[Axis]) -> None:
+    """Refuse axes and speeds that the GSC-02 cannot have."""
+    check_axes(axes, slowest=_GSC_SPEEDS[1][0], fastest=_GSC_SPEEDS[2][1])
+    _speed_command(axes)
+
+
+class GscDialogue(_SigmakokiDialogue):
+    """The protocol of the GSC-02."""
+
+    def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
+        check_gsc(axes)
+        super().__init__(link, axes)
+        self._speeds = _speed_command(self._axes)
+
+    def identify(self) -> dict[str, str]:
+        version = self._version()
+        return {"version": version} if version not in ("", "NG") else {}
+
+    def check(self, targets: Mapping[str, float]) -> None:
+        """Raise an InputError for a way that is longer than the command can express."""
+        here = self.read().units
+        for axis, target in targets.items():
+            if abs(target - here[axis]) > _GSC_FARTHEST:
+                raise InputError(
+                    f"stage axis {axis}: {abs(target - here[axis]):.0f} pulses in one move are more than the "
+                    f"{_GSC_FARTHEST} that the controller takes; nothing was moved"
+                )
+
+    def prepare(self) -> None:
+        self._command(self._speeds)
+
+    def go(self, targets: Mapping[str, float]) -> None:
+        """Name the way from here, and go it; each is sent once."""
+        here = self.read().units
+        self._command(
+            axis_words("M", {axis: signed(round(units - here[axis])) for axis, units in targets.items()})
+        )
+        self._command("G:")
+
+    def home(self) -> None:
+        senses = {axis.device: "+" if axis.home_sense > 0 else "-" for axis in self._axes}
+        self._command(axis_words("H", senses))
+
+    def halt(self) -> None:
+        """L:E also stops the search for the origin, which L:1 does not."""
+        self._command("L:E")
+
+    def _command(self, text: str) -> None:
+        """Send a command, and ask whether it was taken."""
+        self.link.send(command(text))
+        status, _ = self._retry.ask(self._status)
+        if not status.accepted:
+            raise self.link.failure(
+                "refused (ACK1 is X): the command is wrong, or the stage is moving", sent=command(text)
+            )
+
+    def _status_line(self, frame: bytes) -> bytes:
+        line = super()._status_line(frame)
+        if line in (b"OK\r\n", b"NG\r\n"):  # from a controller that answers to commands as well
+            line = self.link.read(end=END, after=frame)
+        return line
+
+
+def _speed_command(axes: Sequence[Axis]) -> str:
+    """The command that sets both speeds; an axis that the rig does not use gets the other's."""
+    speeds = {axis.device: round(axis.speed_units()) for axis in axes}
+    given = next(iter(speeds.values()))
+    both = [speeds.get("1", given), speeds.get("2", given)]
+    for number, (slowest, fastest) in reversed(_GSC_SPEEDS.items()):
+        if all(slowest <= speed <= fastest for speed in both):
+            words = "".join(f"S{max(slowest, speed // 10)}F{speed}R{RAMP_MS}" for speed in both)
+            return f"D:{number}{words}"
+    raise InputError(
+        f"stage: the speeds {both[0]} and {both[1]} pulses/s are in different ranges of the controller "
+        "(1 to 200, 50 to 20000), and it takes both from one; change speed_deg_per_s"
+    )
