@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._optimize_tables import show_optimum
+from lightopt.cli._optimize_tables import show_design
 from lightopt.cli._options import (
     Force,
     NoShadows,
@@ -28,7 +28,7 @@ from lightopt.cli._terminal import say, say_warning, show_progress, show_table, 
 from lightopt.core.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
-    from lightopt.design import Optimum, TargetUnreached
+    from lightopt.design import DesignResult, TargetNotReached
 
 
 def optimize(
@@ -174,9 +174,18 @@ def optimize(
         tolerance_target=tolerance_target,
     )
 
-    from lightopt.design import DEFAULT_CONTRAST, DEFAULT_LIMIT, OptimizeOptions, TargetUnreached, plan
+    from lightopt.design import (
+        DEFAULT_CONTRAST,
+        DEFAULT_LIMIT,
+        OptimizeOptions,
+        RunContext,
+        TargetNotReached,
+        finish_design,
+        write_design,
+    )
+    from lightopt.design import optimize as design
     from lightopt.rendering import DEFAULT_PATCH_BUDGET
-    from lightopt.report import optimum_report, with_legend
+    from lightopt.report import blind_pictures, optimum_report
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
@@ -194,6 +203,7 @@ def optimize(
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
         keep_matrix=keep_matrix,
         images=not no_images,
+        report=not no_report,
         rows=rows,
         limit=DEFAULT_LIMIT if max_combinations is None else max_combinations,
         threads=threads,
@@ -201,31 +211,21 @@ def optimize(
     total = choose_postures or len(chosen_postures or loaded_part.postures)
     try:
         with (
-            show_progress("casting rays", total, quiet=quiet) as report,
-            show_time_left("searching", quiet=quiet) as searching,
+            show_progress("casting rays", total, quiet=quiet) as rays,
+            show_time_left("searching", quiet=quiet) as stage,
         ):
-            planned = plan(
-                loaded_rig,
-                loaded_part,
-                out,
-                options=options,
-                wanted=wanted,
-                force=force,
-                warn=say_warning,
-                tell=None if quiet else say,
-                report=report,
-                searching=searching,
-                page=None if no_report else optimum_report,
-                legend=with_legend,
-            )
-    except TargetUnreached as error:
+            run = RunContext(inform=None if quiet else say, warn=say_warning, rays=rays, stage=stage)
+            result = design(loaded_rig, loaded_part, out, options=options, plan=wanted, force=force, run=run)
+            output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
+            finish_design(output, optimum_report(output) if options.report else None)
+    except TargetNotReached as error:
         if not quiet:
             _show_reach(error)
         raise
     if not quiet:
-        show_optimum(planned.optimum)
-        show_plan(planned.result, out)
-    _refuse_nothing(planned.optimum, out)
+        show_design(output)
+        show_plan(result.plan, out)
+    _refuse_nothing(result, out)
 
 
 def _parse_shade(text: str) -> float:
@@ -236,7 +236,7 @@ def _parse_shade(text: str) -> float:
     return value
 
 
-def _show_reach(error: TargetUnreached) -> None:
+def _show_reach(error: TargetNotReached) -> None:
     # where a target is out of reach: what so many postures show
     from lightopt.design import share_text
 
@@ -255,7 +255,7 @@ def _show_reach(error: TargetUnreached) -> None:
     )
 
 
-def _refuse_nothing(found: Optimum, out: Path) -> None:
+def _refuse_nothing(found: DesignResult, out: Path) -> None:
     messages = [
         f"{', '.join(map(str, result.postures))}: objective {answer.objective.name}: {answer.nothing}"
         for result in found.results

@@ -11,7 +11,7 @@ from lightopt.cli._terminal import say, show_table, together
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.design import Brackets, ChosenPostures, PlanResult, TrustOf, Way
+    from lightopt.design import Brackets, ChosenPostures, PlanResult, ToleranceResult, Way
 
 
 def show_plan(result: PlanResult, folder: Path) -> None:
@@ -22,8 +22,8 @@ def show_plan(result: PlanResult, folder: Path) -> None:
         _show_brackets(result.brackets)
         if result.chosen is None:
             say(f"shares of exposures: of {result.shares_of}")
-    if result.trust:
-        _show_trust(result.trust)
+    if result.tolerances:
+        _show_tolerances(result.tolerances)
     if result.commands:
         say(f"to carry the plan out, in {folder}:")
         for command in result.commands:
@@ -102,12 +102,12 @@ def _show_spare(chosen: ChosenPostures) -> None:
             else "no other adds anything with these lights"
         )
         say(f"{chosen.asked} postures were asked for: {why}")
-    if chosen.telling < len(steps):
+    if chosen.sufficient < len(steps):
         text = _text_of(chosen.grain)
-        share = text(steps[chosen.telling - 1].reached / max(1, chosen.choice.cover.total))
+        share = text(steps[chosen.sufficient - 1].reached / max(1, chosen.choice.cover.total))
         say(
-            f"the first {chosen.telling} chosen show {share}, the others less than 0.1 points more: "
-            f"--choose-postures {chosen.telling} does nearly as well"
+            f"the first {chosen.sufficient} chosen show {share}, the others less than 0.1 points more: "
+            f"--choose-postures {chosen.sufficient} does nearly as well"
         )
 
 
@@ -186,22 +186,25 @@ def _show_brackets(brackets: Brackets) -> None:
     )
 
 
-def _show_trust(trust: tuple[TrustOf, ...]) -> None:
-    widest = [f"{w.what}, {w.angle}" for w in trust[0].trust.widest]
+def _show_tolerances(tolerances: tuple[ToleranceResult, ...]) -> None:
+    widest = [f"{w.what}, {w.angle}" for w in tolerances[0].trust.widest]
     show_table(
-        ("off by the tolerance", *(together(one.postures) for one in trust)),
+        ("off by the tolerance", *(together(one.postures) for one in tolerances)),
         [
-            ("worst corner keeps", *(_share(one, one.trust.worst) for one in trust)),
-            ("95 % of draws keep", *(_share(one, one.trust.quantile) for one in trust)),
-            *((f"widest: {name}", *(_degrees(one, i) for one in trust)) for i, name in enumerate(widest)),
+            ("worst corner keeps", *(_share(one, one.trust.worst) for one in tolerances)),
+            ("95 % of draws keep", *(_share(one, one.trust.quantile) for one in tolerances)),
+            *(
+                (f"widest: {name}", *(_degrees(one, i) for one in tolerances))
+                for i, name in enumerate(widest)
+            ),
         ],
     )
 
 
-def _share(one: TrustOf, score: int) -> str:
+def _share(one: ToleranceResult, score: int) -> str:
     return _text_of(one.grain)(score / max(1, one.trust.score))
 
 
-def _degrees(one: TrustOf, index: int) -> str:
+def _degrees(one: ToleranceResult, index: int) -> str:
     widest = one.trust.widest[index]
     return f"{'≥ ' if widest.open_ended else ''}{widest.degrees:.2f}°"

@@ -5,18 +5,18 @@ of each light; the objectives are integers, so that sums are exact in any order 
 """
 
 from lightopt.design._commands import Way
-from lightopt.design._found import Draft
-from lightopt.design._optimize import Optimum
-from lightopt.design._options import OptimizeOptions
-from lightopt.design._plan import plan
-from lightopt.design._plan_options import PlanOptions
-from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, TrustOf
+from lightopt.design._design_result import DesignResult
+from lightopt.design._files import DesignOutput, finish_design, write_design
+from lightopt.design._optimize import optimize
+from lightopt.design._options import OptimizeOptions, PlanOptions
+from lightopt.design._plan_progress import RunContext
+from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, ToleranceResult
 from lightopt.design._result import Answer, SetResult, angles_of
 from lightopt.design._texts import (
     LEFT_OUT_MEANING,
+    combinations_counted_text,
     gap_text,
     left_out_text,
-    looked_text,
     near_meaning,
     near_text,
     patches_text,
@@ -24,17 +24,18 @@ from lightopt.design._texts import (
     shown_text,
     ties_text,
 )
-from lightopt.design.blind_spots._blind_spots import Blind, BlindSpots, blind_text
+from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
 from lightopt.design.blind_spots._classes import (
     BLIND_CLASSES,
     BlindClass,
     LegendRow,
     blind_class,
     blind_classes,
+    blind_colours,
     blind_legend,
 )
-from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindReport
-from lightopt.design.blind_spots._unreachable_target import TargetUnreached
+from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindSpotSummary
+from lightopt.design.blind_spots._unreachable_target import TargetNotReached
 from lightopt.design.candidates._candidates import find_candidates
 from lightopt.design.exposures._brackets import Brackets
 from lightopt.design.exposures._exposures import DEFAULT_EXPOSURE_GAIN
@@ -76,35 +77,36 @@ __all__ = [
     "OBJECTIVES",
     "SHARES_OF",
     "Answer",
-    "Blind",
     "BlindClass",
-    "BlindReport",
+    "BlindReason",
+    "BlindSpotSummary",
     "BlindSpots",
     "Brackets",
     "Choice",
     "ChosenPostures",
     "Contrast",
     "Curve",
+    "DesignOutput",
+    "DesignResult",
     "Detectability",
-    "Draft",
     "Inspection",
     "LegendRow",
     "Levels",
     "LuminanceMatrix",
     "Objective",
     "OptimizeOptions",
-    "Optimum",
     "PairAssessment",
     "PlanOptions",
     "PlanResult",
+    "RunContext",
     "SetResult",
     "Setup",
     "Survey",
-    "TargetUnreached",
+    "TargetNotReached",
     "Thresholds",
+    "ToleranceResult",
     "Tolerances",
     "Trial",
-    "TrustOf",
     "Visibility",
     "Wanted",
     "Way",
@@ -113,22 +115,24 @@ __all__ = [
     "area_units",
     "blind_class",
     "blind_classes",
+    "blind_colours",
     "blind_legend",
     "blind_text",
     "choose_postures",
+    "combinations_counted_text",
     "counts_of_images",
     "drawn_patches",
     "find_candidates",
+    "finish_design",
     "flags_of",
     "gap_text",
     "left_out_text",
-    "looked_text",
     "luminance_matrix",
     "near_meaning",
     "near_text",
+    "optimize",
     "patches_text",
     "place_lights",
-    "plan",
     "score_text",
     "search",
     "share_of_whole",
@@ -137,4 +141,5 @@ __all__ = [
     "ties_text",
     "trust_of",
     "unroll",
+    "write_design",
 ]

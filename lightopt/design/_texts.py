@@ -81,7 +81,7 @@ LEFT_OUT_MEANING = (
 """What the share that is left out is."""
 
 
-def looked_text(answer: Answer) -> str:
+def combinations_counted_text(answer: Answer) -> str:
     """How many combinations were scored, excluded by a bound, and left; nobody counted those of a set placed before."""
     found = answer.found
     if answer.proven_of is not None:

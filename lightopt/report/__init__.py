@@ -15,6 +15,7 @@ from lightopt.report._inspection_tables import (
     surface_told,
 )
 from lightopt.report._legend import with_legend
+from lightopt.report._optimum_blind import blind_pictures
 from lightopt.report._optimum_report import optimum_report
 from lightopt.report._rig_drawing import rig_drawing
 
@@ -23,6 +24,7 @@ __all__ = [
     "ChartPanel",
     "add_contact_sheets",
     "batch_report",
+    "blind_pictures",
     "contact_sheet",
     "dark_told",
     "defect_overlay",

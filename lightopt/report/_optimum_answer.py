@@ -9,13 +9,13 @@ from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
 from lightopt.design import (
     LEFT_OUT_MEANING,
+    DesignOutput,
     Detectability,
-    Draft,
     SetResult,
     angles_of,
+    combinations_counted_text,
     gap_text,
     left_out_text,
-    looked_text,
     near_meaning,
     near_text,
     patches_text,
@@ -31,16 +31,16 @@ from lightopt.report._page import Answer, Block, Note, Table, Warnings
 from lightopt.report._sheet_layout import degrees
 
 
-def answer_blocks(draft: Draft) -> list[Block]:
+def answer_blocks(output: DesignOutput) -> list[Block]:
     """What was found, in a sentence and a table of angles, and what to know before relying on it."""
-    chosen = draft.document.get("chosen_postures")
+    chosen = output.document.get("chosen_postures")
     blocks: list[Block] = (
-        [_answer(result) for result in draft.results]
+        [_answer(result) for result in output.result.results]
         if chosen is None
-        else [_plan_answer(chosen, draft.document.get("exposures"))]
+        else [_plan_answer(chosen, output.document.get("exposures"))]
     )
-    header = ["posture", *draft.candidates.names, "score"]
-    rows = [_row(draft, result) for result in draft.results if result.answers[0].nothing is None]
+    header = ["posture", *output.result.candidates.names, "score"]
+    rows = [_row(output, result) for result in output.result.results if result.answers[0].nothing is None]
     if rows:
         blocks.append(
             Table(
@@ -51,32 +51,32 @@ def answer_blocks(draft: Draft) -> list[Block]:
             )
         )
     if chosen is None:
-        found = [result for result in draft.results if result.answers[0].nothing is None]
+        found = [result for result in output.result.results if result.answers[0].nothing is None]
         blocks += [Note(text=_proof(result)) for result in found]
     else:
         blocks.append(Note(text=_plan_proof(chosen)))
-    rigs = ", ".join(rig["file"] for rig in draft.document["rigs"])
+    rigs = ", ".join(rig["file"] for rig in output.document["rigs"])
     if rigs:
         blocks.append(Note(text=f"Rig with these angles: {rigs}"))
-    return [*blocks, Warnings(texts=draft.warnings)]
+    return [*blocks, Warnings(texts=output.warnings)]
 
 
-def scores_table(draft: Draft) -> Table:
+def scores_table(output: DesignOutput) -> Table:
     """The best set of every objective, scored under all."""
-    names = [answer.objective.name for answer in draft.results[0].answers]
+    names = [answer.objective.name for answer in output.result.results[0].answers]
     rows = [
-        _scores(draft, result, answer, names)
-        for result in draft.results
+        _scores(output, result, answer, names)
+        for result in output.result.results
         for answer in result.answers
         if answer.nothing is None
     ]
-    header = ["posture", "best for", *draft.candidates.names, *names, *COUNTS]
-    near = near_meaning([answer.objective for answer in draft.results[0].answers])
+    header = ["posture", "best for", *output.result.candidates.names, *names, *COUNTS]
+    near = near_meaning([answer.objective for answer in output.result.results[0].answers])
     return Table(
         header=header,
         rows=rows,
         numbers_from=2,
-        caption=f"{_shares(draft)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near)} ranking.csv lists the best "
+        caption=f"{_shares(output)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near)} ranking.csv lists the best "
         "combinations, result.json has all numbers.",
     )
 
@@ -89,10 +89,10 @@ def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _shares(draft: Draft) -> str:
+def _shares(output: DesignOutput) -> str:
     # what the shares of scores are shares of
     named: dict[str, list[str]] = {}
-    for answer in draft.results[0].answers:
+    for answer in output.result.results[0].answers:
         if answer.objective.share_of is not None:
             named.setdefault(answer.objective.share_of, []).append(answer.objective.name)
     return " ".join(f"Shares of {' and '.join(names)}: of {surface}." for surface, names in named.items())
@@ -169,19 +169,19 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
     )
 
 
-def _row(draft: Draft, result: SetResult) -> list[str]:
+def _row(output: DesignOutput, result: SetResult) -> list[str]:
     best = result.answers[0]
     return [
         postures_text(result),
-        *_angles(draft, best),
+        *_angles(output, best),
         score_text(best.found.best.score, best.objective, result),
     ]
 
 
-def _angles(draft: Draft, answer: Best) -> list[str]:
+def _angles(output: DesignOutput, answer: Best) -> list[str]:
     return [
         f"{degrees(elevation)},\u00a0{degrees(azimuth)}"
-        for elevation, azimuth in angles_of(draft.candidates, answer.found.best)
+        for elevation, azimuth in angles_of(output.result.candidates, answer.found.best)
     ]
 
 
@@ -205,17 +205,17 @@ def _proof(result: SetResult) -> str:
     return f"{postures_text(result).capitalize()}: {text}; {runner_up}."
 
 
-def _scores(draft: Draft, result: SetResult, answer: Best, names: list[str]) -> list[str]:
+def _scores(output: DesignOutput, result: SetResult, answer: Best, names: list[str]) -> list[str]:
     objectives = {other.objective.name: other.objective for other in result.answers}
     return [
         postures_text(result),
         answer.objective.name,
-        *_angles(draft, answer),
+        *_angles(output, answer),
         *(_unbroken(score_text(answer.scores[name], objectives[name], result)) for name in names),
         left_out_text(result),
         _unbroken(gap_text(answer, result)),
         ties_text(answer) if answer.proven_of is not None else f"{ties_text(answer)} / {near_text(answer)}",
-        looked_text(answer),
+        combinations_counted_text(answer),
     ]
 
 

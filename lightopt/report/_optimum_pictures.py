@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lightopt.design import Curve, Detectability, Draft, SetResult, share_of_whole
+from lightopt.design import Curve, DesignOutput, Detectability, SetResult, share_of_whole
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.report._canvas import png_bytes
 from lightopt.report._chart import ChartLine, ChartPanel, chart_image
@@ -30,14 +30,17 @@ MOST_DRAWINGS = 4
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
-def image_blocks(draft: Draft) -> list[Block]:
+def image_blocks(output: DesignOutput) -> list[Block]:
     """The images that the camera would deliver, a row for each posture, and where their highlights overlap."""
-    sets = [read_image_set(draft.folder / one["folder"], verify=False) for one in draft.document["images"]]
+    sets = [
+        read_image_set(output.result.folder / one["folder"], verify=False)
+        for one in output.document["images"]
+    ]
     if not sets:
         return [Note(text="Not rendered (--no-images).")]
     maps = {
-        (overlap.posture, overlap.exposure): (draft.folder / listed["map"], overlap.pixels)
-        for listed, overlap in zip(draft.document["overlaps"], draft.overlaps, strict=True)
+        (overlap.posture, overlap.exposure): (output.result.folder / listed["map"], overlap.pixels)
+        for listed, overlap in zip(output.document["overlaps"], output.overlaps, strict=True)
     }
     rows: list[tuple[str, list[Picture | None]]] = []
     for images in sets:
@@ -53,11 +56,11 @@ def image_blocks(draft: Draft) -> list[Block]:
             together = [_overlap(*maps[posture, exposure])] if maps else []
             at = f", exposure {exposure:.9g}" * (levels != {1.0})
             rows.append((f"posture {posture}{at}", [*pictures, *together]))
-    which = "the planned exposures" if draft.document.get("exposures") else "exposure 1"
+    which = "the planned exposures" if output.document.get("exposures") else "exposure 1"
     right = " On the right: blue where one image is saturated, red where several are." * bool(maps)
     return [
         Gallery(
-            header=[*draft.candidates.names, *(["highlights together"] if maps else [])],
+            header=[*output.result.candidates.names, *(["highlights together"] if maps else [])],
             rows=rows,
             caption=f"What the camera would deliver at {which}; red: saturated pixels.{right} Images are averaged "
             "down, counts are of the full ones.",
@@ -83,15 +86,15 @@ def _overlap(path: Path, pixels: int) -> Picture:
     )
 
 
-def drawing_blocks(draft: Draft) -> list[Block]:
+def drawing_blocks(output: DesignOutput) -> list[Block]:
     """The rig with the lights of each set in their places."""
     sets: dict[tuple[int, ...], list[SetResult]] = {}
-    for result in draft.results:
+    for result in output.result.results:
         if result.answers[0].nothing is None:
             sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
     blocks: list[Block] = []
     for best, results in list(sets.items())[:MOST_DRAWINGS]:
-        lights = _lights(draft, best)
+        lights = _lights(output, best)
         postures = tuple(posture for result in results for posture in result.postures)
         angles = "; ".join(
             f"{light.name} {degrees(round(float(np.degrees(light.elevation)), 9))}, "
@@ -100,7 +103,7 @@ def drawing_blocks(draft: Draft) -> list[Block]:
         )
         blocks.append(
             Picture(
-                png=png_bytes(rig_image(replace(draft.scene, lights=lights, postures=postures))),
+                png=png_bytes(rig_image(replace(output.result.scene, lights=lights, postures=postures))),
                 alt=f"The rig: {angles}",
                 caption=f"For {', '.join(postures_text(result) for result in results)}: {angles}.",
             )
@@ -110,14 +113,14 @@ def drawing_blocks(draft: Draft) -> list[Block]:
     return blocks
 
 
-def _lights(draft: Draft, best: tuple[int, ...]) -> tuple[PanelLight, ...]:
-    return tuple(panels[k] for panels, k in zip(draft.candidates.panels, best, strict=True))
+def _lights(output: DesignOutput, best: tuple[int, ...]) -> tuple[PanelLight, ...]:
+    return tuple(panels[k] for panels, k in zip(output.result.candidates.panels, best, strict=True))
 
 
-def curve_blocks(draft: Draft) -> list[Block]:
+def curve_blocks(output: DesignOutput) -> list[Block]:
     """The score against the angles, one chart for each set and kind of angle."""
     blocks: list[Block] = []
-    for result in draft.results:
+    for result in output.result.results:
         for axis in ("elevation", "azimuth"):
             curves = [curve for curve in result.curves if curve.axis == axis]
             if curves:

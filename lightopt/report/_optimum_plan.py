@@ -8,15 +8,15 @@ from typing import Any
 
 from lightopt.core.errors import counted, percent
 from lightopt.core.transforms import Posture
-from lightopt.design import BLIND_LIGHTS, Draft, share_text
+from lightopt.design import BLIND_LIGHTS, DesignOutput, share_text
 from lightopt.report._page import Block, Facts, Note, Table
 
 
-def defect_blocks(draft: Draft) -> list[Block]:
+def defect_blocks(output: DesignOutput) -> list[Block]:
     """The share of each kind of defect that is seen, and the directions of walls that are seen worst."""
     answers = [
         (group["postures"], answer, group["grain"])
-        for group in draft.document["results"]
+        for group in output.document["results"]
         for answer in group["objectives"]
         if "defects" in answer and answer["lights"] is not None
     ]
@@ -42,9 +42,9 @@ def defect_blocks(draft: Draft) -> list[Block]:
     return [Table(header=header, rows=rows, caption=caption)]
 
 
-def blind_tables(draft: Draft) -> list[Block]:
+def blind_tables(output: DesignOutput) -> list[Block]:
     """How much of the surface × defects stays invisible, and why."""
-    spots = draft.document.get("blind_spots")
+    spots = output.document.get("blind_spots")
     if spots is None:
         return []
     groups = [("all postures", spots)] if len(spots["postures"]) != 1 else []
@@ -69,9 +69,9 @@ def blind_tables(draft: Draft) -> list[Block]:
     return [Table(header=header, rows=rows, numbers_from=2, caption=caption)]
 
 
-def posture_blocks(draft: Draft) -> list[Block]:
+def posture_blocks(output: DesignOutput) -> list[Block]:
     """The postures that were chosen, what each adds, and what is proven about the choice."""
-    chosen = draft.document.get("chosen_postures")
+    chosen = output.document.get("chosen_postures")
     if chosen is None:
         return []
     text = partial(share_text, grain=chosen["patches"]["grain"])
@@ -98,7 +98,7 @@ def posture_blocks(draft: Draft) -> list[Block]:
             "the camera sees, in some posture",
             f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
         ),
-        ("travel from (0°, 0°)", _travel(chosen, draft.document.get("rounds", ()))),
+        ("travel from (0°, 0°)", _travel(chosen, output.document.get("rounds", ()))),
         ("each patch counts as its middle does", _grain(chosen["patches"])),
     ]
     if (stood := chosen["lights_as_they_stand"]) is not None:
@@ -136,12 +136,12 @@ def posture_blocks(draft: Draft) -> list[Block]:
     if chosen["left_out"]:
         left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
         blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
-    return [*blocks, *_commands(draft.document)]
+    return [*blocks, *_commands(output.document)]
 
 
-def exposure_blocks(draft: Draft) -> list[Block]:
+def exposure_blocks(output: DesignOutput) -> list[Block]:
     """Which further exposures pay."""
-    planned = draft.document.get("exposures")
+    planned = output.document.get("exposures")
     if planned is None:
         return []
     text = partial(share_text, grain=planned["grain"])
@@ -166,12 +166,12 @@ def exposure_blocks(draft: Draft) -> list[Block]:
         Note(text=note),
         Table(header=["posture", "exposure", "adds", "planned"], rows=rows),
     ]
-    return blocks if "chosen_postures" in draft.document else [*blocks, *_commands(draft.document)]
+    return blocks if "chosen_postures" in output.document else [*blocks, *_commands(output.document)]
 
 
-def trust_blocks(draft: Draft) -> list[Block]:
+def trust_blocks(output: DesignOutput) -> list[Block]:
     """How far the score falls when angles are off, and how wide each may be."""
-    trust = draft.document.get("trust")
+    trust = output.document.get("trust")
     if not trust:
         return []
     header = ["off by the tolerance", *(_postures(one["postures"]) for one in trust)]
@@ -188,7 +188,7 @@ def trust_blocks(draft: Draft) -> list[Block]:
             for one in trust
         ]
         rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
-    asked = draft.document["provenance"]["options"]["tolerances"]
+    asked = output.document["provenance"]["options"]["tolerances"]
     caption = (
         f"Shares of the score: where lights are off by {asked['light_deg']:g}° and the part by {asked['pose_deg']:g}° "
         "in each of their angles, in the worst way, and in draws. Widest: how far each angle alone, or those of all "

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture
-from lightopt.design import Draft, Levels, Thresholds, area_text, area_units, share_text
+from lightopt.design import DesignOutput, Levels, Thresholds, area_text, area_units, share_text
 from lightopt.rendering import GRAZING_DEG, grain_of
 from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
@@ -64,41 +64,41 @@ def shown_by_images(levels: Levels, thresholds: Thresholds) -> NDArray[np.uint8]
     return np.select([several, usable >= LEAST_USABLE, usable == 1], [2, 0, 1], default=3).astype(np.uint8)
 
 
-def surface_blocks(draft: Draft) -> list[Block]:
+def surface_blocks(output: DesignOutput) -> list[Block]:
     """The part to turn, once, with all that it can be coloured by; areas as a table."""
-    shown = _postures(draft)
-    levels = [_together(draft, shown)] if len(shown) > 1 else []
+    shown = _postures(output)
+    levels = [_together(output, shown)] if len(shown) > 1 else []
     levels += [_layer(one) for one in shown]
     defects: list[SurfaceLayer] = []
-    if draft.blind is not None:
-        defects = [replace(layer, group="Defects") for layer in blind_layers(draft.blind)]
+    if output.result.blind is not None:
+        defects = [replace(layer, group="Defects") for layer in blind_layers(output.result.blind)]
         levels = [replace(layer, group="Levels of the images") for layer in levels]
     # what the lights were placed for is seen first
-    of_defects = draft.results[0].answers[0].objective.name == "detectability"
+    of_defects = output.result.results[0].answers[0].objective.name == "detectability"
     layers = [*defects, *levels] if of_defects else [*levels, *defects]
     if not layers:
         return []
     view = SurfaceView(
         surface=ColouredSurface(
-            vertices=draft.table.patches.vertices,
-            triangles=draft.table.patches.triangles,
+            vertices=output.patches.patches.vertices,
+            triangles=output.patches.patches.triangles,
             layers=tuple(layers),
             up=np.array([0.0, 0.0, 1.0]),
-            toward=first_view(draft.scene.camera),
+            toward=first_view(output.result.scene.camera),
         ),
-        alt=f"{draft.part.name}, coloured by what the images of the best set show of it",
-        caption=" ".join(_captions(draft)),
+        alt=f"{output.result.part.name}, coloured by what the images of the best set show of it",
+        caption=" ".join(_captions(output)),
     )
-    return [view, *([_table(shown), *_together_note(draft, shown)] if shown else [])]
+    return [view, *([_table(shown), *_together_note(output, shown)] if shown else [])]
 
 
-def _captions(draft: Draft) -> list[str]:
-    low, high = draft.thresholds.shade, draft.thresholds.saturation
+def _captions(output: DesignOutput) -> list[str]:
+    low, high = output.result.thresholds.shade, output.result.thresholds.saturation
     captions = [
-        f"{draft.part.name} as it stands at posture (0°, 0°), Z up.",
+        f"{output.result.part.name} as it stands at posture (0°, 0°), Z up.",
         f"A level from {low} on and below {high} is usable, one from {high} on saturated, one below {low} shaded.",
     ]
-    if draft.blind is not None:
+    if output.result.blind is not None:
         captions.append(
             "Defects are those of the catalogue, by weight. How many are seen: percentages are of the part's surface. "
             "Why not: they are of its surface × defects, as in the table of blind spots; blue where all are seen, pale "
@@ -107,16 +107,16 @@ def _captions(draft: Draft) -> list[str]:
     return captions
 
 
-def _postures(draft: Draft) -> list[Shown]:
-    table, found = draft.table, list[Shown]()
-    for result in draft.results:
+def _postures(output: DesignOutput) -> list[Shown]:
+    table, found = output.patches, list[Shown]()
+    for result in output.result.results:
         if result.answers[0].nothing is not None:
             continue
         for posture, levels in zip(result.postures, result.levels, strict=True):
             seen, left_out = table.inspectable(posture), table.left_out(posture)
             classes = np.full(len(table.patches), _UNSEEN, np.uint8)
             classes[left_out] = _LEFT_OUT
-            classes[seen] = shown_by_images(levels, draft.thresholds)
+            classes[seen] = shown_by_images(levels, output.result.thresholds)
             own = table.patches.areas[seen]
             units, grazing = area_units(own), float(table.patches.areas[left_out].sum())
             found.append(
@@ -146,9 +146,9 @@ def _best(shown: list[Shown]) -> NDArray[np.uint8]:
     return np.min([one.classes for one in shown], axis=0)
 
 
-def _together(draft: Draft, shown: list[Shown]) -> SurfaceLayer:
+def _together(output: DesignOutput, shown: list[Shown]) -> SurfaceLayer:
     best = _best(shown)
-    shares = _shares(draft, best)
+    shares = _shares(output, best)
     kinds = tuple(
         SurfaceClass(label=label, colour=colour, amount="" if k == _LEFT_OUT else shares[k])
         for k, (label, colour) in enumerate(SHOWN)
@@ -156,9 +156,9 @@ def _together(draft: Draft, shown: list[Shown]) -> SurfaceLayer:
     return SurfaceLayer(name="the best of all postures", classes=kinds, of_face=best)
 
 
-def _shares(draft: Draft, classes: NDArray[np.uint8]) -> list[str]:
+def _shares(output: DesignOutput, classes: NDArray[np.uint8]) -> list[str]:
     # in words: of each class, of the part's surface without what is left out; the latter is of the whole surface
-    own = draft.table.patches.areas
+    own = output.patches.patches.areas
     areas, grain = np.bincount(classes, weights=own, minlength=len(SHOWN)), grain_of(own)
     counted = max(float(areas.sum() - areas[_LEFT_OUT]), 1e-300)
     return [
@@ -188,8 +188,8 @@ def _table(shown: list[Shown]) -> Table:
     )
 
 
-def _together_note(draft: Draft, shown: list[Shown]) -> list[Block]:
-    shares = _shares(draft, _best(shown))
+def _together_note(output: DesignOutput, shown: list[Shown]) -> list[Block]:
+    shares = _shares(output, _best(shown))
     which = "The posture shows" if len(shown) == 1 else f"The {len(shown)} postures together show"
     return [
         Note(

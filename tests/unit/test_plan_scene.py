@@ -31,8 +31,8 @@ from lightopt.design import (
     trust_of,
     unroll,
 )
-from lightopt.design.blind_spots._plan_blind_spots import looked_at
-from lightopt.design.blind_spots._unreachable_target import unreached
+from lightopt.design.blind_spots._planned_visibility import planned_visibility
+from lightopt.design.blind_spots._unreachable_target import target_not_reached
 from lightopt.design.exposures._exposures import plan_exposures
 from lightopt.design.exposures._joint_choice import choose_with_exposures
 from lightopt.design.postures import _alternating_search as turning
@@ -301,13 +301,13 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     assert drawn_patches(few.table, 20_000) is few.table, "so few that none are drawn"
     assert len(few.patches) < len(few.table.patches)
     choice = choose_postures(few, few, POSTURES, build_lights(rig), None, Wanted(target=1.0))
-    text = str(unreached(1.0, choice, few, least=1))
+    text = str(target_not_reached(1.0, choice, few, least=1))
     assert "contrast under noise" in text
     assert "never seen by the camera" not in text
     assert "is not reached: with the lights as they stand, all" in text
     assert "offer them, such as --exposures 1,4,16. Ask for less" in text
     longer = replace(few, exposures=(4.0, 1.0))
-    assert "--exposures" not in str(unreached(1.0, choice, longer, least=1))
+    assert "--exposures" not in str(target_not_reached(1.0, choice, longer, least=1))
     # a bound that falls short of the target is not rounded up to it
     steps = (replace(choice.cover.steps[0], reached=900_000),)
     cover = replace(
@@ -320,7 +320,7 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     )
     short = replace(choice, postures=choice.postures[:1], cover=cover)
     assert "show more than 94.996 % with these lights; 95 % was asked for" in str(
-        unreached(0.95, short, few, least=1)
+        target_not_reached(0.95, short, few, least=1)
     )
 
 
@@ -328,7 +328,7 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
     rig, survey = world
     survey = replace(survey, exposures=(1.0, 0.25, 0.0625))
     candidates = find_candidates(rig, step_deg=5.0)
-    angles = {posture: setup_of(rig, POSTURES[:1]).angles[0] for posture in POSTURES[:2]}
+    setup = setup_of(rig, POSTURES[:2])
     sensor = survey.scene.sensor
     thresholds = Thresholds.of_sensor(
         shade_share=0.0,
@@ -339,18 +339,13 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
 
     def looks():
         flags = survey.flags(POSTURES[0], candidates.panels)
-        looked = looked_at(
-            survey,
-            rig,
-            angles,
-            candidates,
-            exposures=dict.fromkeys(angles, (1.0,)),
-            offered=survey.exposures,
-            thresholds=thresholds,
-            least=2,
+        visibility = planned_visibility(
+            survey, setup, candidates, all_exposures=survey.exposures, thresholds=thresholds, least=2
         )
         facts = [
-            (s.counts, s.usable, s.saturated, s.first) for one in looked for s in (one.possible, one.chosen)
+            (s.counts, s.usable, s.saturated, s.first)
+            for one in visibility
+            for s in (one.possible, one.chosen)
         ]
         return [*flags, *(array for some in facts for array in some)]
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import CheckFailed, counted
 from lightopt.design._commands import way_through
-from lightopt.design._options import OptimizeOptions
-from lightopt.design._plan_options import PlanOptions
+from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design._plan_progress import Tell
 from lightopt.design._plan_result import ChosenPostures
-from lightopt.design.blind_spots._unreachable_target import unreached
+from lightopt.design.blind_spots._unreachable_target import target_not_reached
 from lightopt.design.candidates._candidates import Candidates, find_candidates
 from lightopt.design.exposures._joint_choice import choose_with_exposures
 from lightopt.design.postures._choice import Choice, Wanted
@@ -94,7 +93,7 @@ def plan_postures(
     )
     if wanted.target is not None and choice.cover.share < wanted.target:
         offered = replace(drawn, exposures=wanted.all_exposures)
-        raise unreached(wanted.target, choice, offered, least=options.seen_in)
+        raise target_not_reached(wanted.target, choice, offered, least=options.seen_in)
     if not choice.postures:
         raise CheckFailed(
             f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "

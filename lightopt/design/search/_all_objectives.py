@@ -7,7 +7,7 @@ from collections.abc import Callable
 from lightopt.config import RigConfig
 from lightopt.design._result import SetResult
 from lightopt.design._texts import cut_off
-from lightopt.design.blind_spots._summary import Looked, look_for_blind_spots
+from lightopt.design.blind_spots._summary import PostureVisibility, posture_visibility
 from lightopt.design.candidates._angles import can_move
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._detectability import Detectability
@@ -25,12 +25,12 @@ def searched(
     report: Report | None,
     searching: Callable[[str, float], None] | None,
     say: Callable[[str], None],
-) -> tuple[tuple[SetResult, ...], list[Looked]]:
+) -> tuple[tuple[SetResult, ...], list[PostureVisibility]]:
     """The best sets of every posture, or of all together, and what they leave unseen where that was asked for."""
     defects = next((objective for objective in objectives if isinstance(objective, Detectability)), None)
     options, postures_of_all = makers.options, makers.scene.postures
     results: list[SetResult] = []
-    looked: list[Looked] = []
+    looked: list[PostureVisibility] = []
     # the matrices of postures that do not share their lights are never held together
     for postures in [postures_of_all] if options.common_lights else [(one,) for one in postures_of_all]:
         matrices = [makers.matrix(posture, report, held=len(postures)) for posture in postures]
@@ -50,7 +50,7 @@ def searched(
         if defects is not None:
             best = results[-1].answers[0].found.best.candidates
             looked += [
-                look_for_blind_spots(matrix, posture, thresholds, seen_in=defects.seen_in, candidates=best)
+                posture_visibility(matrix, posture, thresholds, seen_in=defects.seen_in, candidates=best)
                 for matrix, posture in zip(matrices, postures, strict=True)
             ]
         del matrices
