@@ -22,7 +22,7 @@ from lightopt.cli._options import (
     parse_posture,
     parse_share,
 )
-from lightopt.cli._plan_options import plan_options
+from lightopt.cli._plan_options import given, plan_options
 from lightopt.cli._plan_tables import show_plan
 from lightopt.cli._terminal import say, say_warning, show_progress, show_table, show_time_left
 from lightopt.core.errors import CheckFailed, InputError
@@ -158,11 +158,11 @@ def optimize(
     chosen_points = None if points is None else parse_points(points)
     share = _parse_shade(shade_below)
     of_defects = "detectability" in (objective or ()) or not (choose_postures is target is exposures is None)
-    for option, given in (("--seen-in", seen_in), ("--threshold", threshold)):
-        if given is not None and not of_defects:
+    for option, value in (("--seen-in", seen_in), ("--threshold", threshold)):
+        if value is not None and not of_defects:
             raise InputError(f"{option} is of --objective detectability, which was not given")
 
-    wanted = plan_options(
+    plan = plan_options(
         choose_postures=choose_postures,
         target=target,
         posture_step=posture_step,
@@ -174,17 +174,8 @@ def optimize(
         tolerance_target=tolerance_target,
     )
 
-    from lightopt.design import (
-        DEFAULT_CONTRAST,
-        DEFAULT_LIMIT,
-        OptimizeOptions,
-        RunContext,
-        TargetNotReached,
-        finish_design,
-        write_design,
-    )
+    from lightopt.design import OptimizeOptions, RunContext, TargetNotReached, finish_design, write_design
     from lightopt.design import optimize as design
-    from lightopt.rendering import DEFAULT_PATCH_BUDGET
     from lightopt.report import blind_pictures, optimum_report
 
     loaded_rig, loaded_part = load_inputs(rig, part)
@@ -195,18 +186,15 @@ def optimize(
         common_elevation=common_elevation,
         common_lights=common_lights,
         shade_below=share,
-        seen_in=1 if seen_in is None else seen_in,
-        contrast=DEFAULT_CONTRAST if threshold is None else threshold,
         postures=chosen_postures,
         points=chosen_points,
         shadows=not no_shadows,
-        patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
         keep_matrix=keep_matrix,
         images=not no_images,
         report=not no_report,
         rows=rows,
-        limit=DEFAULT_LIMIT if max_combinations is None else max_combinations,
         threads=threads,
+        **given(seen_in=seen_in, contrast=threshold, patch_budget=patches, limit=max_combinations),
     )
     total = choose_postures or len(chosen_postures or loaded_part.postures)
     try:
@@ -215,17 +203,17 @@ def optimize(
             show_time_left("searching", quiet=quiet) as stage,
         ):
             run = RunContext(inform=None if quiet else say, warn=say_warning, rays=rays, stage=stage)
-            result = design(loaded_rig, loaded_part, out, options=options, plan=wanted, force=force, run=run)
+            result = design(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
             output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
             finish_design(output, optimum_report(output) if options.report else None)
     except TargetNotReached as error:
         if not quiet:
-            _show_reach(error)
+            _show_reachable(error)
         raise
     if not quiet:
         show_design(output)
         show_plan(result.plan, out)
-    _refuse_nothing(result, out)
+    _require_usable(result, out)
 
 
 def _parse_shade(text: str) -> float:
@@ -236,8 +224,8 @@ def _parse_shade(text: str) -> float:
     return value
 
 
-def _show_reach(error: TargetNotReached) -> None:
-    # where a target is out of reach: what so many postures show
+def _show_reachable(error: TargetNotReached) -> None:
+    # what each number of postures shows
     from lightopt.design import share_text
 
     rows = [
@@ -255,11 +243,11 @@ def _show_reach(error: TargetNotReached) -> None:
     )
 
 
-def _refuse_nothing(found: DesignResult, out: Path) -> None:
+def _require_usable(result: DesignResult, out: Path) -> None:
     messages = [
-        f"{', '.join(map(str, result.postures))}: objective {answer.objective.name}: {answer.nothing}"
-        for result in found.results
-        for answer in result.answers[:1]
+        f"{', '.join(map(str, one.postures))}: objective {answer.objective.name}: {answer.nothing}"
+        for one in result.results
+        for answer in one.answers[:1]
         if answer.nothing is not None
     ]
     if messages:

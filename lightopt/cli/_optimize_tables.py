@@ -10,11 +10,11 @@ from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
     from lightopt.design import (
-        Answer,
         BlindSpotSummary,
         DesignOutput,
         DesignResult,
         Objective,
+        ObjectiveResult,
         SetResult,
     )
     from lightopt.images import Overlap
@@ -71,7 +71,7 @@ def _explain(objectives: Sequence[Objective]) -> None:
     say("of each light its elevation and its azimuth about Z from +X")
 
 
-def _cells(answer: Answer, result: SetResult, found: DesignResult) -> list[str]:
+def _cells(answer: ObjectiveResult, result: SetResult, found: DesignResult) -> list[str]:
     from lightopt.design import (
         angles_of,
         combinations_counted_text,

@@ -58,8 +58,8 @@ def _show_postures(chosen: ChosenPostures) -> None:
     )
     number, images = counted(len(cover.steps), "posture"), counted(chosen.least, "image")
     say(
-        f"{number} of {chosen.offered} show {text(cover.share)} of the surface × defects in {images} or more, all "
-        "planned images together and no others"
+        f"{number} of {chosen.candidate_count} show {text(cover.share)} of the surface × defects in {images} or more, "
+        "all planned images together and no others"
     )
     say(f"shares of postures and exposures: of {SHARES_OF}")
     say(
@@ -95,13 +95,13 @@ def _way(way: Way) -> str:
 def _show_spare(chosen: ChosenPostures) -> None:
     # fewer postures than were asked for, and postures that hardly add anything
     steps = chosen.choice.cover.steps
-    if chosen.asked is not None and len(steps) < chosen.asked and chosen.target is None:
+    if chosen.requested is not None and len(steps) < chosen.requested and chosen.target is None:
         why = (
             "there are no others"
-            if len(steps) == chosen.offered
+            if len(steps) == chosen.candidate_count
             else "no other adds anything with these lights"
         )
-        say(f"{chosen.asked} postures were asked for: {why}")
+        say(f"{chosen.requested} postures were asked for: {why}")
     if chosen.sufficient < len(steps):
         text = _text_of(chosen.grain)
         share = text(steps[chosen.sufficient - 1].reached / max(1, chosen.choice.cover.total))
@@ -132,7 +132,7 @@ def _show_proof(chosen: ChosenPostures) -> None:
         )
         say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(choice.turns))
     everything = text(cover.all_reached / max(1, cover.total))
-    say(f"all {chosen.offered} postures with these lights show {everything}{whatever}")
+    say(f"all {chosen.candidate_count} postures with these lights show {everything}{whatever}")
     if cover.least is not None and chosen.target is not None:
         say(
             f"{100.0 * chosen.target:.9g} % takes at least {counted(cover.least, 'posture')} with these lights"
@@ -187,12 +187,12 @@ def _show_brackets(brackets: Brackets) -> None:
 
 
 def _show_tolerances(tolerances: tuple[ToleranceResult, ...]) -> None:
-    widest = [f"{w.what}, {w.angle}" for w in tolerances[0].trust.widest]
+    widest = [f"{w.what}, {w.angle}" for w in tolerances[0].robustness.widest]
     show_table(
         ("off by the tolerance", *(together(one.postures) for one in tolerances)),
         [
-            ("worst corner keeps", *(_share(one, one.trust.worst) for one in tolerances)),
-            ("95 % of draws keep", *(_share(one, one.trust.quantile) for one in tolerances)),
+            ("worst corner keeps", *(_share(one, one.robustness.worst) for one in tolerances)),
+            ("95 % of draws keep", *(_share(one, one.robustness.quantile) for one in tolerances)),
             *(
                 (f"widest: {name}", *(_degrees(one, i) for one in tolerances))
                 for i, name in enumerate(widest)
@@ -202,9 +202,9 @@ def _show_tolerances(tolerances: tuple[ToleranceResult, ...]) -> None:
 
 
 def _share(one: ToleranceResult, score: int) -> str:
-    return _text_of(one.grain)(score / max(1, one.trust.score))
+    return _text_of(one.grain)(score / max(1, one.robustness.score))
 
 
 def _degrees(one: ToleranceResult, index: int) -> str:
-    widest = one.trust.widest[index]
+    widest = one.robustness.widest[index]
     return f"{'≥ ' if widest.open_ended else ''}{widest.degrees:.2f}°"

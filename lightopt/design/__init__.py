@@ -11,7 +11,7 @@ from lightopt.design._optimize import optimize
 from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design._plan_progress import RunContext
 from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, ToleranceResult
-from lightopt.design._result import Answer, SetResult, angles_of
+from lightopt.design._result import ObjectiveResult, SetResult, angles_of
 from lightopt.design._texts import (
     LEFT_OUT_MEANING,
     combinations_counted_text,
@@ -46,37 +46,30 @@ from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.postures._choice import Choice, Wanted
 from lightopt.design.postures._choose import choose_postures
 from lightopt.design.postures._counts import counts_of_images
-from lightopt.design.postures._grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.design.postures._light_positions import place_lights
 from lightopt.design.postures._pair_visibility import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.design.responses._contrast import DEFAULT_CONTRAST, Contrast
+from lightopt.design.responses._contrast import Contrast
 from lightopt.design.responses._defect_evaluation import Inspection
 from lightopt.design.responses._defect_hypotheses import DIRECTIONS, Trial, unroll
 from lightopt.design.responses._luminance import luminance_matrix
 from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Thresholds, area_units
 from lightopt.design.responses._visibility import Visibility
 from lightopt.design.search._curves import Curve
-from lightopt.design.search._search import DEFAULT_LIMIT, search
+from lightopt.design.search._search import search
 from lightopt.design.tolerances._evaluation import PairAssessment, Setup
 from lightopt.design.tolerances._robustness import trust_of
-from lightopt.design.tolerances._tolerances import DEFAULT_TOLERANCE_TARGET, Tolerances
+from lightopt.design.tolerances._tolerances import Tolerances
 
 __all__ = [
     "BLIND_CLASSES",
     "BLIND_LIGHTS",
     "BLIND_SHARES_OF",
-    "DEFAULT_CONTRAST",
     "DEFAULT_EXPOSURE_GAIN",
-    "DEFAULT_LIMIT",
-    "DEFAULT_OUTSIDE_PX",
-    "DEFAULT_POSTURE_STEP",
-    "DEFAULT_TOLERANCE_TARGET",
     "DIRECTIONS",
     "DRAWN_PATCHES",
     "LEFT_OUT_MEANING",
     "OBJECTIVES",
     "SHARES_OF",
-    "Answer",
     "BlindClass",
     "BlindReason",
     "BlindSpotSummary",
@@ -94,6 +87,7 @@ __all__ = [
     "Levels",
     "LuminanceMatrix",
     "Objective",
+    "ObjectiveResult",
     "OptimizeOptions",
     "PairAssessment",
     "PlanOptions",

@@ -25,6 +25,7 @@ from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._provenance import known_provenance, run_provenance
 from lightopt.design._result import SetResult
 from lightopt.design._texts import combinations_text
+from lightopt.design.blind_spots._planned_visibility import planned_visibility
 from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility
 from lightopt.design.candidates._angles import can_move
 from lightopt.design.candidates._candidates import Candidates, find_candidates
@@ -338,7 +339,13 @@ def _complete(
     if problem.defects is None:
         return planned, found.visibility
     candidates = found.candidates if chosen is None else candidates_of(problem.rig, problem.options)
-    visibility = lights.visibility(
-        problem.survey(matrices), candidates, brackets, plan.all_exposures, problem.thresholds, run.stage
+    visibility = planned_visibility(
+        problem.survey(matrices),
+        lights.setup(brackets),
+        candidates,
+        all_exposures=plan.all_exposures,
+        thresholds=problem.thresholds,
+        least=problem.options.seen_in,
+        progress=of_stage(run.stage, "blind spots"),
     )
     return planned, visibility

@@ -44,24 +44,16 @@ class OptimizeOptions:
         Images that must show a defect, for objective detectability.
     contrast
         Times the sensor's noise that a defect must change the level by, for objective detectability.
-    postures
-        Instead of the part's own.
-    points
-        Point lights per panel, instead of the rig's.
-    shadows
-        Whether the part casts shadows on itself.
+    postures, points
+        Instead of the part's own; point lights per panel, instead of the rig's.
     patch_budget
         About how many patches may be visible.
-    keep_matrix
-        Whether to keep the luminance matrices on disk.
     images, report
         Whether images of the best set and an HTML report are part of the results.
     rows
         Combinations in the ranking, for each posture and objective.
     limit
         Most combinations to score.
-    threads
-        All the machine's by default. The results do not depend on it.
     places
         Elevation and azimuth of each light [°], where they were chosen before for the first objective: then only the
         others are searched.
@@ -118,16 +110,10 @@ class PlanOptions:
         How many to choose; as many as the target takes where None.
     target
         Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
-    posture_step_deg
-        Of the grid to choose from [°].
-    allow_outside_px
-        How far the part may leave the view in a posture to choose from [px].
-    exposures
-        Offered beside exposure 1.
-    exposure_gain
-        Points that one has to add.
-    tolerances
-        What may be off.
+    posture_step_deg, allow_outside_px
+        Of the postures to choose from: step of the grid [°], and how far the part may leave the view [px].
+    exposures, exposure_gain
+        Offered beside exposure 1, and the points that one has to add.
     """
 
     postures: int | None = None

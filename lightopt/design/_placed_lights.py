@@ -1,4 +1,4 @@
-"""Exposures, tolerances, commands and images of lights and postures that were found."""
+"""Exposures, tolerances and commands for lights and postures that were found."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from lightopt.design._plan_progress import Tell, of_stage
 from lightopt.design._plan_result import ToleranceResult
 from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
 from lightopt.design._result import SetResult, angles_of
-from lightopt.design.blind_spots._planned_visibility import planned_visibility
-from lightopt.design.blind_spots._summary import PostureVisibility
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.exposures._brackets import Brackets
 from lightopt.design.exposures._exposures import plan_exposures
@@ -50,11 +48,12 @@ class PlacedLights:
         }
         return PlacedLights(rig, options, angles)
 
-    def setup(self, postures: Sequence[Posture], brackets: Brackets | None) -> Setup:
-        """These lights in some of the postures."""
+    def setup(self, brackets: Brackets | None, postures: Sequence[Posture] | None = None) -> Setup:
+        """These lights in some of the postures, all by default, with the planned exposures."""
+        postures = tuple(self.angles if postures is None else postures)
         return Setup(
             rig=self.rig,
-            postures=tuple(postures),
+            postures=postures,
             angles=tuple(self.angles[posture] for posture in postures),
             exposures=tuple(brackets.of(posture) if brackets else (1.0,) for posture in postures),
             points=self.options.points,
@@ -63,7 +62,7 @@ class PlacedLights:
     def exposures(self, survey: Survey, plan: PlanOptions, stage: Tell | None) -> Brackets:
         """Further exposures that add enough."""
         postures = tuple(self.angles)
-        setup = self.setup(postures, None)
+        setup = self.setup(None)
         lights = range(len(self.rig.lights))
         return plan_exposures(
             survey,
@@ -94,8 +93,8 @@ class PlacedLights:
         return tuple(
             ToleranceResult(
                 postures=group,
-                trust=trust_of(
-                    self._assessment(drawn, self.setup(group, brackets), objective, thresholds),
+                robustness=trust_of(
+                    self._assessment(drawn, self.setup(brackets, group), objective, thresholds),
                     [light.name for light in self.rig.lights],
                     tolerances,
                     progress=of_stage(stage, f"tolerances, {', '.join(map(str, group))}"),
@@ -129,23 +128,3 @@ class PlacedLights:
             for posture in self.angles
         }
         return plan_commands(self.rig, files, PLANNED_PART_NAME, brackets, render_words(self.options))
-
-    def visibility(
-        self,
-        survey: Survey,
-        candidates: Candidates | None,
-        brackets: Brackets | None,
-        all_exposures: tuple[float, ...],
-        thresholds: Thresholds,
-        stage: Tell | None,
-    ) -> tuple[PostureVisibility, ...]:
-        """What the images of the plan show of the defects, and what all candidates at all exposures could."""
-        return planned_visibility(
-            survey,
-            self.setup(tuple(self.angles), brackets),
-            candidates,
-            all_exposures=all_exposures,
-            thresholds=thresholds,
-            least=self.options.seen_in,
-            progress=of_stage(stage, "blind spots"),
-        )

@@ -36,7 +36,7 @@ class ChosenPostures:
     ----------
     choice
         Postures and lights.
-    offered
+    candidate_count
         Number of postures to choose from.
     left_out
         Postures that the stage reaches and that are of no use.
@@ -46,7 +46,7 @@ class ChosenPostures:
         How fast the stage goes, and who says so.
     least
         Images that must show a pair.
-    asked, target
+    requested, target
         Number of postures and share that were asked for; None for what was not.
     drawn, patches
         Number of patches for the first turns of postures and lights, and for the last ones and all figures.
@@ -63,12 +63,12 @@ class ChosenPostures:
     """
 
     choice: Choice
-    offered: int
+    candidate_count: int
     left_out: tuple[LeftOutPosture, ...]
     way: Way
     pace: str
     least: int
-    asked: int | None
+    requested: int | None
     target: float | None
     drawn: int
     patches: int
@@ -106,7 +106,7 @@ class ToleranceResult:
     """
 
     postures: tuple[Posture, ...]
-    trust: Trust
+    robustness: Trust
     unit: str
     patches: int
     grain: float

@@ -16,7 +16,7 @@ from lightopt.design.search._search import Found
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class ObjectiveResult:
     """The best set of light positions for an objective.
 
     Attributes
@@ -70,7 +70,7 @@ class SetResult:
     area: int
     grazing_area: int
     grain: float
-    answers: tuple[Answer, ...]
+    answers: tuple[ObjectiveResult, ...]
     levels: tuple[Levels, ...]
     curves: tuple[Curve, ...]
 

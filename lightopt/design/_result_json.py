@@ -10,7 +10,7 @@ from typing import Any
 from lightopt.design._commands import Way
 from lightopt.design._design_result import DesignResult
 from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, ToleranceResult
-from lightopt.design._result import Answer, SetResult, angles_of
+from lightopt.design._result import ObjectiveResult, SetResult, angles_of
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.exposures._brackets import Brackets
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, share_of_whole
@@ -69,7 +69,7 @@ def _set_dicts(results: tuple[SetResult, ...], candidates: Candidates) -> list[d
     ]
 
 
-def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> dict[str, Any]:
+def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candidates) -> dict[str, Any]:
     found = answer.found
     runner_up = found.runner_up
     combinations = {
@@ -105,7 +105,7 @@ def _answer_dict(answer: Answer, result: SetResult, candidates: Candidates) -> d
     }
 
 
-def _near_dict(answer: Answer) -> dict[str, Any]:
+def _near_dict(answer: ObjectiveResult) -> dict[str, Any]:
     found = answer.found
     points = answer.objective.share_of is not None
     return {
@@ -153,7 +153,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
     before = chosen.choice.before
     return {
         "seen_in": chosen.least,
-        "asked": chosen.asked,
+        "asked": chosen.requested,
         "target": chosen.target,
         "share": round(cover.share, 6),
         "shares_of": SHARES_OF,
@@ -179,7 +179,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "postures_to_a_tenth_of_a_point": chosen.sufficient,
         **_way_dict(chosen.way),
         "travel_pace": chosen.pace,
-        "candidates": chosen.offered,
+        "candidates": chosen.candidate_count,
         "left_out": [
             {**out.posture.as_dict(), "kind": out.kind, "reason": out.reason} for out in chosen.left_out
         ],
@@ -222,27 +222,27 @@ def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
 
 
 def _tolerance_dict(one: ToleranceResult, names: Sequence[str]) -> dict[str, Any]:
-    trust = one.trust
+    robustness = one.robustness
 
     def share(score: int) -> float:
-        return round(score / max(1, trust.score), 6)
+        return round(score / max(1, robustness.score), 6)
 
     return {
         "postures": [posture.as_dict() for posture in one.postures],
         "patches": one.patches,
         "grain": round(one.grain, 6),
-        "score": trust.score,
+        "score": robustness.score,
         "unit": one.unit,
         "worst_corner": {
-            "share_of_score": share(trust.worst),
-            "part": _offset_dict(trust.worst_pose, "tilt_deg", "rotation_deg"),
+            "share_of_score": share(robustness.worst),
+            "part": _offset_dict(robustness.worst_pose, "tilt_deg", "rotation_deg"),
             "lights": [
                 {"light": name, **_offset_dict(offset, "elevation_deg", "azimuth_deg")}
-                for name, offset in zip(names, trust.worst_lights, strict=True)
+                for name, offset in zip(names, robustness.worst_lights, strict=True)
             ],
         },
-        "quantile_5_percent": share(trust.quantile),
-        "least_drawn": share(trust.least_drawn),
+        "quantile_5_percent": share(robustness.quantile),
+        "least_drawn": share(robustness.least_drawn),
         "widest": [
             {
                 "what": widest.what,
@@ -250,7 +250,7 @@ def _tolerance_dict(one: ToleranceResult, names: Sequence[str]) -> dict[str, Any
                 "degrees": round(widest.degrees, 4),
                 "or_more": widest.open_ended,
             }
-            for widest in trust.widest
+            for widest in robustness.widest
         ],
     }
 

@@ -1,4 +1,4 @@
-"""The answer of an optimisation: angles, score, proof; and the scores under every objective."""
+"""The answer of a design: angles, score, proof; and the scores under every objective."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lightopt.design import (
     LEFT_OUT_MEANING,
     DesignOutput,
     Detectability,
+    ObjectiveResult,
     SetResult,
     angles_of,
     combinations_counted_text,
@@ -25,14 +26,13 @@ from lightopt.design import (
     shown_text,
     ties_text,
 )
-from lightopt.design import Answer as Best
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Answer, Block, Note, Table, Warnings
 from lightopt.report._sheet_layout import degrees
 
 
 def answer_blocks(output: DesignOutput) -> list[Block]:
-    """What was found, in a sentence and a table of angles, and what to know before relying on it."""
+    """The result in a sentence and a table of angles, its proof, and warnings."""
     chosen = output.document.get("chosen_postures")
     blocks: list[Block] = (
         [_answer(result) for result in output.result.results]
@@ -178,7 +178,7 @@ def _row(output: DesignOutput, result: SetResult) -> list[str]:
     ]
 
 
-def _angles(output: DesignOutput, answer: Best) -> list[str]:
+def _angles(output: DesignOutput, answer: ObjectiveResult) -> list[str]:
     return [
         f"{degrees(elevation)},\u00a0{degrees(azimuth)}"
         for elevation, azimuth in angles_of(output.result.candidates, answer.found.best)
@@ -205,7 +205,7 @@ def _proof(result: SetResult) -> str:
     return f"{postures_text(result).capitalize()}: {text}; {runner_up}."
 
 
-def _scores(output: DesignOutput, result: SetResult, answer: Best, names: list[str]) -> list[str]:
+def _scores(output: DesignOutput, result: SetResult, answer: ObjectiveResult, names: list[str]) -> list[str]:
     objectives = {other.objective.name: other.objective for other in result.answers}
     return [
         postures_text(result),

@@ -1,4 +1,4 @@
-"""What an optimisation assumed: everything that its figures depend on."""
+"""Assumptions of a design: everything that its figures depend on."""
 
 from __future__ import annotations
 
@@ -88,12 +88,12 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
         ("positions", f"{positions}, step {options['step_deg']:g}°{''.join(f', {text}' for text in ties)}"),
         ("objectives", ", ".join(options["objectives"])),
         ("defects", "none on the part: scores are of a good part"),
-        *_looked_for(output),
+        *_defects(output),
         *_tolerances(options),
     ]
 
 
-def _looked_for(output: DesignOutput) -> list[tuple[str, str]]:
+def _defects(output: DesignOutput) -> list[tuple[str, str]]:
     options = output.document["provenance"]["options"]
     if "threshold" not in options:
         return []
@@ -112,12 +112,13 @@ def _looked_for(output: DesignOutput) -> list[tuple[str, str]]:
 
 
 def _tolerances(options: Mapping[str, Any]) -> list[tuple[str, str]]:
-    asked = options.get("tolerances")
-    if asked is None:
+    tolerances = options.get("tolerances")
+    if tolerances is None:
         return []
     text = (
-        f"lights {asked['light_deg']:g}°, part {asked['pose_deg']:g}°; {counted(asked['draws'], 'draw')} of seed "
-        f"{asked['seed']}; the widest keep {100.0 * asked['target']:g} % of the score"
+        f"lights {tolerances['light_deg']:g}°, part {tolerances['pose_deg']:g}°; "
+        f"{counted(tolerances['draws'], 'draw')} of seed {tolerances['seed']}; the widest keep "
+        f"{100.0 * tolerances['target']:g} % of the score"
     )
     return [("tolerances", text)]
 

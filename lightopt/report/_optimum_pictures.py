@@ -1,4 +1,4 @@
-"""Pictures of an optimisation: the images of the best set, the rig, and how the score goes with the angles."""
+"""Pictures of a design: the images of the best set, the rig, and the score against the angles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was planned beside the lights, as result.json has it: defects seen, blind spots, postures, exposures, trust."""
+"""What was planned beside the lights, from result.json: defects, blind spots, postures, exposures, tolerances."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def exposure_blocks(output: DesignOutput) -> list[Block]:
     return blocks if "chosen_postures" in output.document else [*blocks, *_commands(output.document)]
 
 
-def trust_blocks(output: DesignOutput) -> list[Block]:
+def tolerance_blocks(output: DesignOutput) -> list[Block]:
     """How far the score falls when angles are off, and how wide each may be."""
     trust = output.document.get("trust")
     if not trust:
@@ -188,11 +188,12 @@ def trust_blocks(output: DesignOutput) -> list[Block]:
             for one in trust
         ]
         rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
-    asked = output.document["provenance"]["options"]["tolerances"]
+    offsets = output.document["provenance"]["options"]["tolerances"]
     caption = (
-        f"Shares of the score: where lights are off by {asked['light_deg']:g}° and the part by {asked['pose_deg']:g}° "
-        "in each of their angles, in the worst way, and in draws. Widest: how far each angle alone, or those of all "
-        f"lights, may be off in steps of 0.05° before less than {percent(asked['target'], 0)} are kept."
+        f"Shares of the score: where lights are off by {offsets['light_deg']:g}° and the part by "
+        f"{offsets['pose_deg']:g}° in each of their angles, in the worst way, and in draws. Widest: how far each "
+        f"angle alone, or those of all lights, may be off in steps of 0.05° before less than "
+        f"{percent(offsets['target'], 0)} are kept."
     )
     return [Table(header=header, rows=rows, caption=caption)]
 

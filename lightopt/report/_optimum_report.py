@@ -1,4 +1,4 @@
-"""The report of ``lightopt optimize``: the answer first, then what it rests on."""
+"""The report of ``lightopt optimize``: the answer first, then what it is based on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lightopt.report._optimum_plan import (
     defect_blocks,
     exposure_blocks,
     posture_blocks,
-    trust_blocks,
+    tolerance_blocks,
 )
 from lightopt.report._optimum_surface import surface_blocks
 from lightopt.report._page import Page, Section
@@ -34,7 +34,7 @@ def optimum_page(output: DesignOutput) -> Page:
         Section(heading="Images of the best set", blocks=image_blocks(output)),
         Section(heading="Where the lights stand", blocks=drawing_blocks(output)),
         Section(heading="How flat the top is", blocks=curve_blocks(output)),
-        Section(heading="How exact the angles must be", blocks=trust_blocks(output)),
+        Section(heading="How exact the angles must be", blocks=tolerance_blocks(output)),
         Section(heading="Scores", blocks=[scores_table(output)]),
         Section(heading="What was assumed", blocks=fact_blocks(output)),
     ]

@@ -16,7 +16,7 @@ from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.design import OBJECTIVES, Answer, LuminanceMatrix, Thresholds, area_units, search
+from lightopt.design import OBJECTIVES, LuminanceMatrix, ObjectiveResult, Thresholds, area_units, search
 from lightopt.design._texts import cut_off
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.candidates._combination_space import Space
@@ -111,7 +111,9 @@ def test_proven_and_complete_are_two_things():
     assert found.proven
     assert not found.complete
     assert found.ties < 63
-    answer = Answer(objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score})
+    answer = ObjectiveResult(
+        objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score}
+    )
     said = cut_off(answer, [Posture(0.0, 0.0)])
     assert f"with {found.left} left" in said
     assert "none scores more, but one of those left may score the same and win the tie" in said

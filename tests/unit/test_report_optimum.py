@@ -28,7 +28,7 @@ from lightopt.report import _optimum_report, optimum_report
 from lightopt.report._optimum_answer import answer_blocks
 from lightopt.report._optimum_plan import posture_blocks
 from lightopt.report._optimum_report import optimum_page
-from lightopt.report._optimum_surface import SHOWN, shown_by_images
+from lightopt.report._optimum_surface import LEVEL_CLASSES, level_classes
 from lightopt.report._page import Answer, Facts, Gallery, Note, Picture, SurfaceView, Table
 from lightopt.report._page_html import page_html
 
@@ -128,7 +128,7 @@ def test_every_patch_is_painted_as_its_levels_say(done, blocks):
         "posture (0°, 0°)",
         "posture (-10°, 170°)",
     ]
-    names = [label for label, _ in SHOWN]
+    names = [label for label, _ in LEVEL_CLASSES]
     for layer, result, posture in zip(
         view.surface.layers[1:], output.result.results, output.patches.postures, strict=True
     ):
@@ -161,7 +161,7 @@ def test_every_patch_is_painted_as_its_levels_say(done, blocks):
 
 def test_classes_at_the_thresholds():
     levels = np.array([[9, 10, 254, 255, 10, 255], [9, 9, 10, 255, 255, 9]], np.uint8)
-    classes = shown_by_images(levels, Thresholds(shade=10, saturation=255))
+    classes = level_classes(levels, Thresholds(shade=10, saturation=255))
     assert classes.tolist() == [3, 1, 0, 2, 1, 3]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from lightopt.design._plan_progress import Share
 from lightopt.design._plan_result import SHARES_OF, ChosenPostures
-from lightopt.design._result import Answer, SetResult, angles_of
+from lightopt.design._result import ObjectiveResult, SetResult, angles_of
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._bit_runs import flags_of
 from lightopt.design.objectives._detectability import Detectability
@@ -110,13 +110,13 @@ def _curves(
 
 
 def _planned(
-    answer: Answer,
+    answer: ObjectiveResult,
     goal: PlannedDetectability,
     chosen: ChosenPostures,
     survey: Survey,
     candidates: Candidates,
     free: Candidates | None,
-) -> Answer:
+) -> ObjectiveResult:
     best = answer.found.best
     panels = candidates.panels_at(best.candidates)
     counts = _counts(chosen, survey, panels)

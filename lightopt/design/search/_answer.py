@@ -11,7 +11,7 @@ import numpy as np
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.progress import pieces
 from lightopt.core.transforms import Posture
-from lightopt.design._result import Answer, SetResult
+from lightopt.design._result import ObjectiveResult, SetResult
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
@@ -64,7 +64,7 @@ def answer_set(
                 f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
                 "position of the lights is better than another; check the part's placement and the posture"
             )
-    answers: list[Answer] = []
+    answers: list[ObjectiveResult] = []
     for objective in objectives:
         stage = f"{objective.name}, {', '.join(map(str, postures))}"
         found = search(
@@ -90,7 +90,7 @@ def answer_set(
             [objective.weights(matrix.areas) for matrix in matrices],
         )
         answers.append(
-            Answer(objective=objective, found=found, scores=scores, details=details, nothing=nothing)
+            ObjectiveResult(objective=objective, found=found, scores=scores, details=details, nothing=nothing)
         )
     first = answers[0]
     return SetResult(
@@ -152,7 +152,7 @@ def answers_beside(
     first = chosen.answers[0]
     own = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
     postures = ", ".join(map(str, chosen.postures))
-    answers: list[Answer] = []
+    answers: list[ObjectiveResult] = []
     for objective in objectives:
         stage = f"{objective.name}, {postures}"
         found = (
@@ -172,7 +172,7 @@ def answers_beside(
         matrices = look(found.best.candidates)
         only = (0,) * len(candidates.names)
         answers.append(
-            Answer(
+            ObjectiveResult(
                 objective=objective,
                 found=found,
                 scores={other.name: _score(matrices, other, only, thresholds) for other in objectives},
