@@ -74,6 +74,17 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
     chosen = output.document.get("chosen_postures")
     if chosen is None:
         return []
+    blocks: list[Block] = [
+        _posture_table(chosen),
+        Facts(rows=_posture_facts(chosen, output.document.get("rounds", ()))),
+    ]
+    if chosen["left_out"]:
+        left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
+        blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
+    return [*blocks, *_commands(output.document)]
+
+
+def _posture_table(chosen: Mapping[str, Any]) -> Table:
     text = partial(share_text, grain=chosen["patches"]["grain"])
     numbered = {
         Posture.from_dict(one): (number, one) for number, one in enumerate(chosen["postures"], start=1)
@@ -89,6 +100,23 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
         for posture in map(Posture.from_dict, chosen["order_of_travel"])
         for number, one in [numbered[posture]]
     ]
+    k = chosen["seen_in"]
+    columns = (
+        "what each posture shows that those chosen before it do not, and what it shows with them."
+        if k == 1
+        else f"adds, images new to a patch and defect, up to {k} of each; together, what is seen in {k} images or more."
+    )
+    caption = (
+        f"In the order of least travel, were all captured in one round. Of the surface × defects: {columns} Shares are "
+        f"of {chosen['shares_of']}."
+    )
+    header = ["posture", "chosen as no.", "exposures", "adds", "together"]
+    return Table(header=header, rows=rows, caption=caption)
+
+
+def _posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    text = partial(share_text, grain=chosen["patches"]["grain"])
+    count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     sight = [text(chosen[f"{which}_share_of_surface"]) for which in ("inspectable", "left_out")]
     facts = [
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
@@ -98,45 +126,27 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
             "the camera sees, in some posture",
             f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
         ),
-        ("travel from (0°, 0°)", _travel(chosen, output.document.get("rounds", ()))),
+        ("travel from (0°, 0°)", _travel(chosen, rounds)),
         ("each patch counts as its middle does", _grain(chosen["patches"])),
     ]
-    if (stood := chosen["lights_as_they_stand"]) is not None:
-        share = f"{text(stood['share'])} in {counted(stood['postures'], 'posture')}, of {stood['share_of']}"
+    if (initial := chosen["lights_as_they_stand"]) is not None:
+        share = (
+            f"{text(initial['share'])} in {counted(initial['postures'], 'posture')}, of {initial['share_of']}"
+        )
         facts.append(("with the lights as they stood", share))
-    if chosen["postures_to_a_tenth_of_a_point"] < len(chosen["postures"]):
-        first = chosen["postures_to_a_tenth_of_a_point"]
-        facts.append((f"the first {first} chosen show", text(chosen["postures"][first - 1]["share"])))
-    if chosen["asked"] is not None and chosen["target"] is None and len(chosen["postures"]) < chosen["asked"]:
+    if sufficient < count:
+        facts.append(
+            (f"the first {sufficient} chosen show", text(chosen["postures"][sufficient - 1]["share"]))
+        )
+    if chosen["asked"] is not None and chosen["target"] is None and count < chosen["asked"]:
         facts.append(("postures that were asked for", str(chosen["asked"])))
     if not chosen["proven_with_these_lights"]:
         guarantee = f"{text(chosen['greedy_guarantee'])} of the best with these lights"
         facts.append(("these postures have at least", guarantee))
-    k = chosen["seen_in"]
     if chosen["target"] is not None and chosen["fewest_possible"] is not None:
         needed = counted(chosen["fewest_possible"], "posture")
         facts.append((f"{100.0 * chosen['target']:.9g} % takes at least", needed))
-    caption = (
-        "Of the surface × defects: what each posture shows that those chosen before it do not, and what it shows with "
-        "them."
-        if k == 1
-        else f"Of the surface × defects: adds, images new to a patch and defect, up to {k} of each; together, what "
-        f"is seen in {k} images or more."
-    )
-    caption = (
-        f"In the order of least travel, were all captured in one round. {caption} Shares are of "
-        f"{chosen['shares_of']}."
-    )
-    blocks: list[Block] = [
-        Table(
-            header=["posture", "chosen as no.", "exposures", "adds", "together"], rows=rows, caption=caption
-        ),
-        Facts(rows=facts),
-    ]
-    if chosen["left_out"]:
-        left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
-        blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
-    return [*blocks, *_commands(output.document)]
+    return facts
 
 
 def exposure_blocks(output: DesignOutput) -> list[Block]:
