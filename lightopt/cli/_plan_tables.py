@@ -145,8 +145,8 @@ def _show_proof(chosen: ChosenPostures) -> None:
     where = patches_text(chosen.drawn, chosen.patches, on_all=choice.on_all)
     best = "; proven: in these postures no other positions show more" * (choice.exact and choice.settled)
     say(
-        f"lights: the same for all postures, placed together with them in {counted(choice.turns, 'turn')}, the best of "
-        f"{counted(choice.starts, 'start')} ({tried}) {where}{best}"
+        f"lights: the same for all postures, placed together with them in {counted(choice.turns, 'turn')}, "
+        f"the best of {counted(choice.starts, 'start')} ({tried}) {where}{best}"
     )
     if choice.before is not None:
         say(
