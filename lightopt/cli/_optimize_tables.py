@@ -58,13 +58,9 @@ def _show_best(found: DesignResult) -> None:
 
 def _explain(objectives: Sequence[Objective]) -> None:
     """What the columns of the table are, and what the shares of scores are shares of, a line for each surface."""
-    from lightopt.design import LEFT_OUT_MEANING, near_meaning
+    from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
 
-    named: dict[str, list[str]] = {}
-    for objective in objectives:
-        if objective.share_of is not None:
-            named.setdefault(objective.share_of, []).append(objective.name)
-    for surface, names in named.items():
+    for surface, names in shares_of(objectives).items():
         say(f"shares of {' and '.join(names)}: of {surface}")
     say(LEFT_OUT_MEANING)
     say(near_meaning(objectives))

@@ -21,6 +21,7 @@ from lightopt.design._texts import (
     near_text,
     patches_text,
     score_text,
+    shares_of,
     shown_text,
     ties_text,
 )
@@ -131,6 +132,7 @@ __all__ = [
     "search",
     "share_of_whole",
     "share_text",
+    "shares_of",
     "shown_text",
     "ties_text",
     "trust_of",

@@ -23,36 +23,21 @@ from lightopt.scene import Scene
 class DesignResult:
     """Best light positions for a part, and what was planned beside them.
 
-    Attributes
-    ----------
-    folder
-        Output folder.
-    options
-        With the postures and positions that were chosen, where that was asked for.
-    command
-        The command line that asks for this result.
-    provenance
-        Inputs, options and versions, from :func:`lightopt.core.provenance.provenance`.
-    scene, caster
-        The part in its postures, the lights as the rig file has them.
-    patches
-        None where all matrices were kept and no report was asked for.
-    candidates
-        The positions that `results` are indices into: one of each light where they were chosen with the postures.
-    all_candidates
-        The positions that there were to choose from.
-    thresholds
-        Which levels are usable [sensor level].
-    results
-        One per posture, or one for all of them.
-    plan
-        Postures, exposures, tolerances, commands.
-    blind
-        Blind spots, where defects were looked for.
-    reused
-        Number of luminance matrices that were kept from an earlier run.
-    warnings
-        What was repaired or is partly wrong.
+    folder: Output folder.
+    options: With the postures and positions that were chosen, where that was asked for.
+    command: The command line that asks for this result.
+    provenance: Inputs, options and versions, from :func:`lightopt.core.provenance.provenance`.
+    scene, caster: The part in its postures, the lights as the rig file has them.
+    patches: None where all matrices were kept and no report was asked for.
+    candidates: The positions that `results` are indices into: one of each light where they were chosen with the
+        postures.
+    all_candidates: The positions that there were to choose from.
+    thresholds: Which levels are usable [sensor level].
+    results: One per posture, or one for all of them.
+    plan: Postures, exposures, tolerances, commands.
+    blind: Blind spots, where defects were looked for.
+    reused: Number of luminance matrices that were kept from an earlier run.
+    warnings: What was repaired or is partly wrong.
     """
 
     folder: Path

@@ -55,20 +55,12 @@ RigFile = tuple[Path, tuple[Posture, ...], str]
 class DesignOutput:
     """A design whose files are written but for its report and result.json.
 
-    Attributes
-    ----------
-    document
-        What result.json will say.
-    overlaps
-        Saturated regions of the images, in the order of the postures.
-    warnings
-        Of the design and of the rendering.
-    paths
-        result.json, ranking.csv, further files, rigs, report: those to come, too.
-    force
-        Whether files that are there and differ are replaced.
-    replace_report
-        Whether a report that is there is replaced.
+    document: What result.json will say.
+    overlaps: Saturated regions of the images, in the order of the postures.
+    warnings: Of the design and of the rendering.
+    paths: result.json, ranking.csv, further files, rigs, report: those to come, too.
+    force: Whether files that are there and differ are replaced.
+    replace_report: Whether a report that is there is replaced.
     """
 
     result: DesignResult

@@ -28,35 +28,20 @@ DEFECT_OBJECTIVE = "detectability"
 class OptimizeOptions:
     """What to optimise and how.
 
-    Attributes
-    ----------
-    objectives
-        Names; all by default. The first decides where the lights go, the others are compared with it.
-    step_deg
-        Of the angles within the lights' ranges [°].
-    common_elevation
-        Whether all lights that move in elevation stand at the same one.
-    common_lights
-        Whether the lights stand the same for all postures: the sum over the postures decides.
-    shade_below
-        Share of full scale, above black, below which a level is shaded.
-    seen_in
-        Images that must show a defect, for objective detectability.
-    contrast
-        Times the sensor's noise that a defect must change the level by, for objective detectability.
-    postures, points
-        Instead of the part's own; point lights per panel, instead of the rig's.
-    patch_budget
-        About how many patches may be visible.
-    images, report
-        Whether images of the best set and an HTML report are part of the results.
-    rows
-        Combinations in the ranking, for each posture and objective.
-    limit
-        Most combinations to score.
-    places
-        Elevation and azimuth of each light [°], where they were chosen before for the first objective: then only the
-        others are searched.
+    objectives: Names; all by default. The first decides where the lights go, the others are compared with it.
+    step_deg: Of the angles within the lights' ranges [°].
+    common_elevation: Whether all lights that move in elevation stand at the same one.
+    common_lights: Whether the lights stand the same for all postures: the sum over the postures decides.
+    shade_below: Share of full scale, above black, below which a level is shaded.
+    seen_in: Images that must show a defect, for objective detectability.
+    contrast: Times the sensor's noise that a defect must change the level by, for objective detectability.
+    postures, points: Instead of the part's own; point lights per panel, instead of the rig's.
+    patch_budget: About how many patches may be visible.
+    images, report: Whether images of the best set and an HTML report are part of the results.
+    rows: Combinations in the ranking, for each posture and objective.
+    limit: Most combinations to score.
+    places: Elevation and azimuth of each light [°], where they were chosen before for the first objective: then only
+        the others are searched.
     """
 
     objectives: tuple[str, ...] = ()
@@ -104,16 +89,11 @@ def check_options(options: OptimizeOptions) -> None:
 class PlanOptions:
     """What to plan beside the positions of the lights; nothing by default.
 
-    Attributes
-    ----------
-    postures
-        How many to choose; as many as the target takes where None.
-    target
-        Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
-    posture_step_deg, allow_outside_px
-        Of the postures to choose from: step of the grid [°], and how far the part may leave the view [px].
-    exposures, exposure_gain
-        Offered beside exposure 1, and the points that one has to add.
+    postures: How many to choose; as many as the target takes where None.
+    target: Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
+    posture_step_deg, allow_outside_px: Of the postures to choose from: step of the grid [°], and how far the part may
+        leave the view [px].
+    exposures, exposure_gain: Offered beside exposure 1, and the points that one has to add.
     """
 
     postures: int | None = None

@@ -17,16 +17,10 @@ Tell = Callable[[str, float], None]
 class RunContext:
     """Where a run reports to; nothing is reported where a function is None.
 
-    Parameters
-    ----------
-    inform
-        Called with how much there is to choose from.
-    warn
-        Called with each warning, once.
-    rays
-        Called as the luminance matrices are computed.
-    stage
-        Called with the stage of the work and the share of it that is done.
+    inform: Called with how much there is to choose from.
+    warn: Called with each warning, once.
+    rays: Called as the luminance matrices are computed.
+    stage: Called with the stage of the work and the share of it that is done.
     """
 
     def __init__(

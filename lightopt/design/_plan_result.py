@@ -32,34 +32,22 @@ NEGLIGIBLE_SHARE = 0.001
 class ChosenPostures:
     """The postures of a plan, and what there was to choose from.
 
-    Attributes
-    ----------
-    choice
-        Postures and lights.
-    candidate_count
-        Number of postures to choose from.
-    left_out
-        Postures that the stage reaches and that are of no use.
-    way
-        Through the chosen ones, were all captured in one round.
-    pace
-        How fast the stage goes, and who says so.
-    least
-        Images that must show a pair.
-    requested, target
-        Number of postures and share that were asked for; None for what was not.
-    drawn, patches
-        Number of patches for the first turns of postures and lights, and for the last ones and all figures.
-    max_edge, footprint
-        Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
-    grain
-        How far shares may be off since a patch counts as its middle does: see :class:`lightopt.rendering.PatchTable`.
-    inspectable_share, left_out_share
-        Of the part's surface, by area: inspectable in one candidate posture or more; seen at a grazing angle only.
-    exposures
-        That were offered, 1 among them.
-    brackets
-        Which of them are planned; None where there was no offer.
+    choice: Postures and lights.
+    candidate_count: Number of postures to choose from.
+    left_out: Postures that the stage reaches and that are of no use.
+    way: Through the chosen ones, were all captured in one round.
+    pace: How fast the stage goes, and who says so.
+    least: Images that must show a pair.
+    requested, target: Number of postures and share that were asked for; None for what was not.
+    drawn, patches: Number of patches for the first turns of postures and lights, and for the last ones and all
+        figures.
+    max_edge, footprint: Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
+    grain: How far shares may be off since a patch counts as its middle does: see
+        :class:`lightopt.rendering.PatchTable`.
+    inspectable_share, left_out_share: Of the part's surface, by area: inspectable in one candidate posture or more;
+        seen at a grazing angle only.
+    exposures: That were offered, 1 among them.
+    brackets: Which of them are planned; None where there was no offer.
     """
 
     choice: Choice
@@ -116,16 +104,10 @@ class ToleranceResult:
 class PlanResult:
     """What was planned beside the lights.
 
-    Attributes
-    ----------
-    chosen
-        Postures; None where the part's own were taken.
-    brackets
-        Exposures; None where none were offered.
-    tolerances
-        Posture by posture, then together where there are several; empty where they were not asked for.
-    commands
-        That carry the plan out; empty where neither postures nor exposures were planned.
+    chosen: Postures; None where the part's own were taken.
+    brackets: Exposures; None where none were offered.
+    tolerances: Posture by posture, then together where there are several; empty where they were not asked for.
+    commands: That carry the plan out; empty where neither postures nor exposures were planned.
     """
 
     chosen: ChosenPostures | None = None

@@ -19,19 +19,12 @@ from lightopt.design.search._search import Found
 class ObjectiveResult:
     """The best set of light positions for an objective.
 
-    Attributes
-    ----------
-    found
-        By the search.
-    scores
-        Of the best set under every objective, by name.
-    details
-        What else the objective says of the best set, as JSON.
-    nothing
-        Why there is no best set: no combination scores at all. None where there is one.
-    proven_of
-        Where the positions were chosen with postures: the set of alternatives that `found` is a proof for; others were
-        not counted. None where the search chose them.
+    found: By the search.
+    scores: Of the best set under every objective, by name.
+    details: What else the objective says of the best set, as JSON.
+    nothing: Why there is no best set: no combination scores at all. None where there is one.
+    proven_of: Where the positions were chosen with postures: the set of alternatives that `found` is a proof for;
+        others were not counted. None where the search chose them.
     """
 
     objective: Objective
@@ -46,23 +39,15 @@ class ObjectiveResult:
 class SetResult:
     """The results for postures that share their light positions.
 
-    Attributes
-    ----------
-    postures
-        One, or all of them where the lights stand the same for all.
-    patches, area
-        Number and area [µm²] of inspectable patches, summed over the postures.
-    grazing_area
-        That the camera sees at a grazing angle, summed over the postures [µm²]: left out of scores and shares.
-    grain
-        How far shares of the area may be off since each patch counts as its middle does, 0 to 1.
-    answers
-        One per objective.
-    levels
-        Of the best set of the first objective, for each posture: delivered levels of its visible patches under each
-        light, shape (lights, p).
-    curves
-        The first objective's score against one angle; none where nothing scores.
+    postures: One, or all of them where the lights stand the same for all.
+    patches, area: Number and area [µm²] of inspectable patches, summed over the postures.
+    grazing_area: That the camera sees at a grazing angle, summed over the postures [µm²]: left out of scores and
+        shares.
+    grain: How far shares of the area may be off since each patch counts as its middle does, 0 to 1.
+    answers: One per objective.
+    levels: Of the best set of the first objective, for each posture: delivered levels of its visible patches under
+        each light, shape (lights, p).
+    curves: The first objective's score against one angle; none where nothing scores.
     """
 
     postures: tuple[Posture, ...]

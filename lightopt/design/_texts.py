@@ -56,6 +56,15 @@ def near_text(answer: ObjectiveResult) -> str:
     return f"{'' if answer.found.near_exact else '≥ '}{answer.found.near:,}"
 
 
+def shares_of(objectives: Sequence[Objective]) -> dict[str, list[str]]:
+    """Names of the objectives whose scores are shares, by the surface that they are shares of."""
+    names: dict[str, list[str]] = {}
+    for objective in objectives:
+        if objective.share_of is not None:
+            names.setdefault(objective.share_of, []).append(objective.name)
+    return names
+
+
 def near_meaning(objectives: Sequence[Objective]) -> str:
     """What is near the best, in words."""
     within = f"{NEAR_PER_MILLE / 10:g}"

@@ -23,6 +23,7 @@ from lightopt.design import (
     score_text,
     share_of_whole,
     share_text,
+    shares_of,
     shown_text,
     ties_text,
 )
@@ -71,13 +72,16 @@ def scores_table(output: DesignOutput) -> Table:
         if answer.nothing is None
     ]
     header = ["posture", "best for", *output.result.candidates.names, *names, *COUNTS]
-    near = near_meaning([answer.objective for answer in output.result.results[0].answers])
+    objectives = [answer.objective for answer in output.result.results[0].answers]
+    shares = [
+        f"Shares of {' and '.join(names)}: of {surface}." for surface, names in shares_of(objectives).items()
+    ]
     return Table(
         header=header,
         rows=rows,
         numbers_from=2,
-        caption=f"{_shares(output)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near)} ranking.csv lists the best "
-        "combinations, result.json has all numbers.",
+        caption=f"{' '.join(shares)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near_meaning(objectives))} ranking.csv "
+        "lists the best combinations, result.json has all numbers.",
     )
 
 
@@ -87,15 +91,6 @@ COUNTS = ("left out", "runner-up", "ties / near best", "combinations")
 
 def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
-
-
-def _shares(output: DesignOutput) -> str:
-    # what the shares of scores are shares of
-    named: dict[str, list[str]] = {}
-    for answer in output.result.results[0].answers:
-        if answer.objective.share_of is not None:
-            named.setdefault(answer.objective.share_of, []).append(answer.objective.name)
-    return " ".join(f"Shares of {' and '.join(names)}: of {surface}." for surface, names in named.items())
 
 
 def postures_text(result: SetResult) -> str:

@@ -45,14 +45,9 @@ class BlindReason(IntEnum):
 class BlindSpots:
     """Visibility of defects on all n patches of a run, over one posture or several.
 
-    Attributes
-    ----------
-    codes
-        Reasons (:class:`BlindReason`), shape (n,).
-    share
-        Weighted share of the trials that are seen on each patch, shape (n,).
-    areas
-        Of the patches [mm²], shape (n,).
+    codes: Reasons (:class:`BlindReason`), shape (n,).
+    share: Weighted share of the trials that are seen on each patch, shape (n,).
+    areas: Of the patches [mm²], shape (n,).
     """
 
     codes: NDArray[np.int16]
@@ -106,18 +101,11 @@ def blind_text(code: int, lights: Sequence[str]) -> str:
 class DefectVisibility:
     """What the images of a posture show of the p patches that the camera sees there, and of t trials on them.
 
-    Attributes
-    ----------
-    visibility
-        The patches; without positions of lights.
-    counts
-        Flag l of a trial: l + 1 images or more show it, shape (k, p, ⌈t / 64⌉).
-    usable
-        Number of images with a level that is neither dark nor saturated, shape (p,).
-    saturated
-        Number of images with a saturated level and no usable one, shape (p,).
-    first
-        The first light with such an image; −1 where there is none; shape (p,).
+    visibility: The patches; without positions of lights.
+    counts: Flag l of a trial: l + 1 images or more show it, shape (k, p, ⌈t / 64⌉).
+    usable: Number of images with a level that is neither dark nor saturated, shape (p,).
+    saturated: Number of images with a saturated level and no usable one, shape (p,).
+    first: The first light with such an image; −1 where there is none; shape (p,).
     """
 
     visibility: Visibility
@@ -137,17 +125,11 @@ def defect_visibility(
 ) -> DefectVisibility:
     """What the images of a posture's lights show; all exposures of a light count as one image.
 
-    Parameters
-    ----------
-    matrices
-        Of the same lights, with their visibility: one for each exposure, or for some of the positions. From a
+    matrices: Of the same lights, with their visibility: one for each exposure, or for some of the positions. From a
         generator, only one is held at a time.
-    least
-        Images that must show a defect.
-    candidates
-        One position of each light; None for all: then an image shows what any of the light's positions shows.
-    first_light
-        The matrices' first light, in the rig's order.
+    least: Images that must show a defect.
+    candidates: One position of each light; None for all: then an image shows what any of the light's positions shows.
+    first_light: The matrices' first light, in the rig's order.
     """
     shown: DefectVisibility | None = None
     images: list[tuple[Words, NDArray[np.bool_], NDArray[np.bool_]]] = []

@@ -45,16 +45,11 @@ class PostureVisibility:
 class BlindSpotSummary:
     """Blind spots of the whole surface.
 
-    Attributes
-    ----------
-    objective
-        Whose defects they are.
-    lights
-        Names, in the rig's order.
-    chosen, possible
-        Over all postures, by all their images together: of the chosen lights, and of all that the lights can do.
-    chosen_in, possible_in
-        The same of the images of each posture alone.
+    objective: Whose defects they are.
+    lights: Names, in the rig's order.
+    chosen, possible: Over all postures, by all their images together: of the chosen lights, and of all that the
+        lights can do.
+    chosen_in, possible_in: The same of the images of each posture alone.
     """
 
     objective: Detectability
