@@ -1,4 +1,7 @@
-"""Where the lights go: candidate positions, the luminance matrix, objectives, and the exact search over combinations.
+"""Where the lights go, in which postures and at which exposures; how exactly the angles must hold; what stays unseen.
+
+:func:`optimize` is the pipeline, from a rig and a part to a :class:`DesignResult`; :func:`write_design` and
+:func:`finish_design` write its files.
 
 Positions are scored on the levels that the camera would deliver at exposure 1. A combination is one candidate position
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
