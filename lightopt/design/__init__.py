@@ -37,27 +37,27 @@ from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, 
 from lightopt.design.blind_spots._unreachable_target import TargetUnreached
 from lightopt.design.candidates._candidates import find_candidates
 from lightopt.design.exposures._brackets import Brackets
-from lightopt.design.exposures._exposures import DEFAULT_EXPOSURE_GAIN
-from lightopt.design.objectives._bit_runs import flags_of
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
 from lightopt.design.objectives._registry import OBJECTIVES
-from lightopt.design.postures._choice import Choice, Wanted
-from lightopt.design.postures._choose import choose_postures
+from lightopt.design.postures._choice import PostureChoice, PostureRequest
 from lightopt.design.postures._counts import counts_of_images
-from lightopt.design.postures._grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
+from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.postures._light_positions import place_lights
-from lightopt.design.postures._pair_visibility import DRAWN_PATCHES, Survey, drawn_patches
+from lightopt.design.postures._multi_start_search import choose_postures
+from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.design.responses._contrast import DEFAULT_CONTRAST, Contrast
-from lightopt.design.responses._defect_evaluation import Inspection
-from lightopt.design.responses._defect_hypotheses import DIRECTIONS, Trial, unroll
-from lightopt.design.responses._luminance import luminance_matrix
-from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Thresholds, area_units
+from lightopt.design.responses._defect_hypotheses import DIRECTIONS, DefectHypothesis, defect_hypotheses
+from lightopt.design.responses._detection import DetectionModel
+from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, area_units
+from lightopt.design.responses._matrix_computation import luminance_matrix
+from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.responses._visibility import Visibility
 from lightopt.design.search._curves import Curve
-from lightopt.design.search._search import DEFAULT_LIMIT, search
-from lightopt.design.tolerances._evaluation import PairAssessment, Setup
-from lightopt.design.tolerances._robustness import trust_of
+from lightopt.design.search._exact_search import DEFAULT_LIMIT, search
+from lightopt.design.tolerances._analysis import analyse_tolerances
+from lightopt.design.tolerances._assessments import PairAssessment, Setup
 from lightopt.design.tolerances._tolerances import DEFAULT_TOLERANCE_TARGET, Tolerances
 
 __all__ = [
@@ -81,14 +81,16 @@ __all__ = [
     "BlindReport",
     "BlindSpots",
     "Brackets",
-    "Choice",
     "ChosenPostures",
     "Contrast",
     "Curve",
-    "Detectability",
+    "DefectHypothesis",
+    "DetectabilityObjective",
+    "DetectionModel",
     "Draft",
-    "Inspection",
+    "ImageEvaluator",
     "LegendRow",
+    "LevelThresholds",
     "Levels",
     "LuminanceMatrix",
     "Objective",
@@ -97,17 +99,16 @@ __all__ = [
     "PairAssessment",
     "PlanOptions",
     "PlanResult",
+    "PostureChoice",
+    "PostureRequest",
     "SetResult",
     "Setup",
-    "Survey",
     "TargetUnreached",
-    "Thresholds",
     "Tolerances",
-    "Trial",
     "TrustOf",
     "Visibility",
-    "Wanted",
     "Way",
+    "analyse_tolerances",
     "angles_of",
     "area_text",
     "area_units",
@@ -117,9 +118,9 @@ __all__ = [
     "blind_text",
     "choose_postures",
     "counts_of_images",
+    "defect_hypotheses",
     "drawn_patches",
     "find_candidates",
-    "flags_of",
     "gap_text",
     "left_out_text",
     "looked_text",
@@ -135,6 +136,5 @@ __all__ = [
     "share_text",
     "shown_text",
     "ties_text",
-    "trust_of",
-    "unroll",
+    "unpack_flags",
 ]

@@ -14,7 +14,7 @@ from lightopt.design._result import SetResult
 from lightopt.design.blind_spots._files import BLIND_NAMES
 from lightopt.design.blind_spots._summary import Looked
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.responses._luminance_matrix import Thresholds
+from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable
 from lightopt.scene import Scene
@@ -42,7 +42,7 @@ class Outcome:
     scene: Scene
     caster: RayCaster
     candidates: Candidates
-    thresholds: Thresholds
+    thresholds: LevelThresholds
     results: tuple[SetResult, ...]
     table: Callable[[], PatchTable]
 

@@ -19,7 +19,7 @@ from lightopt.design._previous_result import REPORT_NAME, RESULT_NAME, RIG_NAME,
 from lightopt.design._result import SetResult, ranking_csv, result_dict
 from lightopt.design._rig_file import rig_texts
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.responses._luminance_matrix import Thresholds
+from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.images import (
     Overlap,
     find_overlaps,
@@ -72,7 +72,7 @@ def write_outputs(
     part: PartConfig,
     results: tuple[SetResult, ...],
     candidates: Candidates,
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     offered: Candidates,
     provenance: Mapping[str, Any],

@@ -11,7 +11,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.design._result import SetResult
 from lightopt.design.blind_spots._summary import BlindReport
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.responses._luminance_matrix import Thresholds
+from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.geometry import RayCaster
 from lightopt.images import Overlap
 from lightopt.rendering import PatchTable
@@ -53,7 +53,7 @@ class Draft:
     table: PatchTable
     candidates: Candidates
     offered: Candidates
-    thresholds: Thresholds
+    thresholds: LevelThresholds
     results: tuple[SetResult, ...]
     overlaps: Sequence[Overlap]
     warnings: tuple[str, ...]

@@ -24,15 +24,19 @@ from lightopt.design.blind_spots._files import blind_files, blind_pictures
 from lightopt.design.blind_spots._summary import BlindReport
 from lightopt.design.candidates._angles import can_move
 from lightopt.design.candidates._candidates import Candidates, find_candidates
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
 from lightopt.design.responses._contrast import Contrast
-from lightopt.design.responses._defect_evaluation import Inspection
-from lightopt.design.responses._defect_hypotheses import unroll
-from lightopt.design.responses._luminance_matrix import Thresholds
-from lightopt.design.responses._posture_matrices import Matrices
-from lightopt.design.search._all_objectives import candidates_beside, searched, searched_beside
+from lightopt.design.responses._defect_hypotheses import defect_hypotheses
+from lightopt.design.responses._detection import DetectionModel
+from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.responses._posture_matrices import PostureMatrices
+from lightopt.design.search._all_objectives import (
+    candidates_of_others,
+    search_objectives,
+    search_other_objectives,
+)
 from lightopt.images import Overlap
 from lightopt.rendering import PatchTable, Report, cast_rays_at, refuse_hopeless
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
@@ -66,7 +70,7 @@ class Optimum:
 
     candidates: Candidates
     offered: Candidates
-    thresholds: Thresholds
+    thresholds: LevelThresholds
     results: tuple[SetResult, ...]
     blind: BlindReport | None
     written: Written
@@ -149,7 +153,7 @@ def optimize(
     check_editable(rig)
     objectives = _objectives(rig, part, options, say)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
-    thresholds = Thresholds.of_sensor(
+    thresholds = LevelThresholds.of_sensor(
         shade_share=options.shade_below,
         max_level=scene.sensor.max_level,
         saturated_from=scene.sensor.saturated_from,
@@ -167,27 +171,31 @@ def optimize(
         offered = find(places=None, scene=scene)
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
         say(text)
-    defects = next((objective for objective in objectives if isinstance(objective, Detectability)), None)
-    inspection = defects and Inspection(
-        trials=defects.trials,
+    defects = next(
+        (objective for objective in objectives if isinstance(objective, DetectabilityObjective)), None
+    )
+    inspection = defects and DetectionModel(
+        hypotheses=defects.hypotheses,
         contrast=Contrast(
             sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.contrast
         ),
     )
-    makers = Matrices(rig, part, scene, candidates, options, Path(folder), caster, inspection, table)
-    beside = candidates_beside(makers, rig, offered, len(objectives), say)
+    makers = PostureMatrices(rig, part, scene, candidates, options, Path(folder), caster, inspection, table)
+    beside = candidates_of_others(makers, rig, offered, len(objectives), say)
     if tell is not None and (beside is not None or options.places is None):
         tell(combinations_text(beside or candidates))
-    results, looked = searched(
+    results, looked = search_objectives(
         makers, objectives if beside is None else objectives[:1], thresholds, report, searching, say
     )
     if beside is not None:
-        results = searched_beside(makers, beside, results, objectives, thresholds, report, searching, say)
+        results = search_other_objectives(
+            makers, beside, results, objectives, thresholds, report, searching, say
+        )
         candidates = beside
     if page is not None:
         makers.patches()
-    if makers.coarse is not None:
-        say(makers.coarse)
+    if makers.coarse_warning is not None:
+        say(makers.coarse_warning)
     appendix = Appendix()
     if appraise is not None:
         appendix = appraise(
@@ -271,8 +279,10 @@ def _objectives(
     chosen = objectives_named(
         options.objectives,
         # places that were chosen before were chosen for the images of all postures together
-        lambda: Detectability(
-            unroll(build_catalogue(part)), options.seen_in, across_postures=options.places is not None
+        lambda: DetectabilityObjective(
+            defect_hypotheses(build_catalogue(part)),
+            options.seen_in,
+            across_postures=options.places is not None,
         ),
     )
     refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}

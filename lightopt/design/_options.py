@@ -11,7 +11,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.design.objectives._detectability import seen_in_problem
 from lightopt.design.responses._contrast import DEFAULT_CONTRAST, threshold_problem
-from lightopt.design.search._search import DEFAULT_LIMIT
+from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0

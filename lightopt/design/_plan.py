@@ -25,10 +25,10 @@ from lightopt.design._plan_steps import appraised
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design.blind_spots._classes import Legend
 from lightopt.design.objectives._registry import OBJECTIVES
-from lightopt.design.postures._answers import planned_answers
-from lightopt.design.postures._candidate_postures import candidates_of, places_of, plan_postures
-from lightopt.design.postures._grid import posture_grid
-from lightopt.design.postures._pair_visibility import Survey
+from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.postures._plan_answers import planned_answers
+from lightopt.design.postures._plan_postures import candidates_of, chosen_angles, plan_postures
+from lightopt.design.postures._posture_grid import posture_grid
 from lightopt.design.tolerances._tolerances import lights_problem
 from lightopt.rendering import Report
 
@@ -92,7 +92,7 @@ def plan(
     asked = command_text(rig.source.path, part.source.path, options, wanted)
     options = replace(options, plan={**options.plan, **_facts(options, wanted)})
     chosen: ChosenPostures | None = None
-    survey: Survey | None = None
+    survey: ImageEvaluator | None = None
     if wanted.chooses or wanted.exposures:
         planned_text(part, [HOME], folder=Path(folder), comment="")  # says now what would be wrong with it
     if wanted.chooses:
@@ -105,7 +105,7 @@ def plan(
             objectives=options.objectives or (OBJECTIVE,),
             postures=chosen.way.order,
             common_lights=True,
-            places=places_of(rig, chosen.choice, options),
+            places=chosen_angles(rig, chosen.choice, options),
         )
     found: list[PlanResult] = []
 

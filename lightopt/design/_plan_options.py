@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.errors import InputError
-from lightopt.design.exposures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
-from lightopt.design.postures._grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
+from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
+from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.design.tolerances._tolerances import Tolerances
 
 OBJECTIVE = "detectability"

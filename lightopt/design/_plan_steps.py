@@ -20,11 +20,11 @@ from lightopt.design._result import angles_of
 from lightopt.design.blind_spots._plan_blind_spots import looked_at
 from lightopt.design.blind_spots._summary import Looked
 from lightopt.design.exposures._brackets import Brackets
-from lightopt.design.exposures._exposures import plan_exposures
-from lightopt.design.postures._candidate_postures import candidates_of, inspection_of
-from lightopt.design.postures._pair_visibility import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.design.tolerances._evaluation import ObjectiveAssessment, PairAssessment, Setup
-from lightopt.design.tolerances._robustness import trust_of
+from lightopt.design.exposures._plan_exposures import plan_exposures
+from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.postures._plan_postures import candidates_of, detection_model_of
+from lightopt.design.tolerances._analysis import analyse_tolerances
+from lightopt.design.tolerances._assessments import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.design.tolerances._tolerances import Tolerances
 from lightopt.images import posture_folder
 
@@ -38,7 +38,7 @@ def appraised(
     options: OptimizeOptions,
     wanted: PlanOptions,
     chosen: ChosenPostures | None,
-    survey: Survey | None,
+    survey: ImageEvaluator | None,
     searching: Tell | None,
 ) -> tuple[PlanResult, tuple[Looked, ...]]:
     """The whole plan, with what is asked of it beside postures and lights; and what its images show.
@@ -102,13 +102,13 @@ def appraised(
     )
 
 
-def _own_survey(outcome: Outcome, part: PartConfig, options: OptimizeOptions) -> Survey:
+def _own_survey(outcome: Outcome, part: PartConfig, options: OptimizeOptions) -> ImageEvaluator:
     """The part as the optimisation looked at it."""
-    return Survey(
+    return ImageEvaluator(
         scene=outcome.scene,
         table=outcome.table(),
         caster=outcome.caster,
-        inspection=inspection_of(outcome.scene, part, options),
+        detection=detection_model_of(outcome.scene, part, options),
         shadows=options.shadows,
         threads=options.threads,
     )
@@ -121,7 +121,7 @@ class _Asked:
     rig: RigConfig
     outcome: Outcome
     options: OptimizeOptions
-    survey: Survey
+    survey: ImageEvaluator
     angles: Mapping[Posture, Angles]
     tell: Tell | None
 
@@ -135,10 +135,10 @@ class _Asked:
             postures,
             [[setup.panel(i, light, (0.0, 0.0)) for light in lights] for i in range(len(postures))],
             wanted.exposures,
-            least=self.options.seen_in,
+            seen_in=self.options.seen_in,
             gain_points=wanted.exposure_gain,
             target=wanted.target,
-            tell=of_stage(self.tell, "exposures"),
+            progress=of_stage(self.tell, "exposures"),
         )
 
     def trust(self, tolerances: Tolerances, brackets: Brackets | None) -> tuple[TrustOf, ...]:
@@ -151,7 +151,7 @@ class _Asked:
         return tuple(
             TrustOf(
                 postures=group,
-                trust=trust_of(
+                trust=analyse_tolerances(
                     self._assessment(drawn, self._setup(group, brackets)),
                     [light.name for light in self.rig.lights],
                     tolerances,
@@ -164,13 +164,13 @@ class _Asked:
             for group in groups
         )
 
-    def _assessment(self, drawn: Survey, setup: Setup) -> PairAssessment | ObjectiveAssessment:
+    def _assessment(self, drawn: ImageEvaluator, setup: Setup) -> PairAssessment | ObjectiveAssessment:
         objective = self.outcome.results[0].answers[0].objective
         if objective.name == OBJECTIVE:
-            return PairAssessment(drawn, setup, least=self.options.seen_in)
+            return PairAssessment(drawn, setup, seen_in=self.options.seen_in)
         # an objective of levels knows exposure 1 only
         return ObjectiveAssessment(
-            replace(drawn, inspection=None),
+            replace(drawn, detection=None),
             replace(setup, exposures=((1.0,),) * len(setup.postures)),
             objective=objective,
             thresholds=self.outcome.thresholds,

@@ -8,7 +8,7 @@ from typing import Any
 from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.core.provenance import provenance
 from lightopt.design._options import OptimizeOptions
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.scene import Scene
 
@@ -55,6 +55,6 @@ def provenance_of(
 
 def _defect_options(options: OptimizeOptions, objectives: tuple[Objective, ...]) -> dict[str, Any]:
     # they matter to one objective only
-    if not any(isinstance(objective, Detectability) for objective in objectives):
+    if not any(isinstance(objective, DetectabilityObjective) for objective in objectives):
         return {}
     return {"seen_in": options.seen_in, "threshold": options.contrast}

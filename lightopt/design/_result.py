@@ -13,8 +13,8 @@ from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, Objective, share_of_whole
 from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.search._curves import Curve
+from lightopt.design.search._exact_search import SearchResult
 from lightopt.design.search._ranking import Ranked
-from lightopt.design.search._search import Found
 
 
 def _no_details() -> Mapping[str, Any]:
@@ -43,7 +43,7 @@ class Answer:
     """
 
     objective: Objective
-    found: Found
+    found: SearchResult
     scores: Mapping[str, int]
     details: Mapping[str, Any] = field(default_factory=_no_details)
     nothing: str | None = None

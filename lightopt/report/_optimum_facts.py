@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lightopt.core.errors import counted
-from lightopt.design import DIRECTIONS, Draft, unroll
+from lightopt.design import DIRECTIONS, Draft, defect_hypotheses
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Block, Facts, Table
 from lightopt.scene import PanelLight, build_catalogue
@@ -97,7 +97,7 @@ def _looked_for(draft: Draft) -> list[tuple[str, str]]:
     if "threshold" not in options:
         return []
     entries = build_catalogue(draft.part)
-    trials = counted(len(unroll(entries)), "trial")
+    trials = counted(len(defect_hypotheses(entries)), "trial")
     images = counted(options["seen_in"], "image")
     visible = (
         f"where the level changes by {options['threshold']:g} times the noise or more (--threshold), in {images} or "

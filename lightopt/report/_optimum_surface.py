@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture
-from lightopt.design import Draft, Levels, Thresholds, area_text, area_units, share_text
+from lightopt.design import Draft, Levels, LevelThresholds, area_text, area_units, share_text
 from lightopt.rendering import GRAZING_DEG, grain_of
 from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
@@ -56,7 +56,7 @@ class Shown:
     grain: float
 
 
-def shown_by_images(levels: Levels, thresholds: Thresholds) -> NDArray[np.uint8]:
+def shown_by_images(levels: Levels, thresholds: LevelThresholds) -> NDArray[np.uint8]:
     """Class of each inspectable patch, see :data:`SHOWN`, by its levels under each light, shape (lights, p)."""
     saturated = levels >= thresholds.saturation
     usable = ((levels >= thresholds.shade) & ~saturated).sum(axis=0)

@@ -16,14 +16,14 @@ from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.design import OBJECTIVES, Answer, LuminanceMatrix, Thresholds, area_units, search
+from lightopt.design import OBJECTIVES, Answer, LevelThresholds, LuminanceMatrix, area_units, search
 from lightopt.design._texts import cut_off
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.candidates._combination_space import Space
-from lightopt.design.search._answer import answer_set
+from lightopt.design.candidates._combination_space import CombinationSpace
+from lightopt.design.search._answers import answer_set
 
 HERE = Path(__file__).resolve().parent
-THRESHOLDS = Thresholds(shade=30, saturation=250, black=12)
+THRESHOLDS = LevelThresholds(shade=30, saturation=250, black=12)
 T = (30, 250)
 
 
@@ -53,7 +53,7 @@ def test_many_lights_of_which_few_move_against_the_plain_definition(name, lights
     assert [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking] == expected
     clash = np.zeros((3, 2), np.bool_)
     clash[1, 0] = True
-    space = Space(
+    space = CombinationSpace(
         sizes=tuple(sizes), groups=(tuple(map(np.arange, sizes)),), clashes={(1, lights - 2): clash}
     )
     found = search([matrix], OBJECTIVES[name], THRESHOLDS, keep=24, space=space)
@@ -131,7 +131,11 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     matrix = LuminanceMatrix(levels=tuple(np.array(one, np.uint8) for one in levels), areas=np.ones(2))
     places = tuple(tuple((30.0, float(k)) for k in range(3)) for _ in range(3))
     candidates = Candidates(
-        names=("a", "b", "c"), angles=places, panels=((),) * 3, left_out=(), space=Space.of((3, 3, 3))
+        names=("a", "b", "c"),
+        angles=places,
+        panels=((),) * 3,
+        left_out=(),
+        space=CombinationSpace.of((3, 3, 3)),
     )
     result = answer_set(
         *(
@@ -139,7 +143,7 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
             [Posture(0.0, 0.0)],
             candidates,
             [OBJECTIVES["paper"]],
-            Thresholds(shade=10, saturation=255),
+            LevelThresholds(shade=10, saturation=255),
         ),
         rows=2,
         limit=1,
@@ -229,7 +233,7 @@ from pathlib import Path
 import numpy as np
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
-from lightopt.design.search._search import search
+from lightopt.design.search._exact_search import search
 
 def levels(sizes, patches):
     # written row by row, so that nothing else is ever held

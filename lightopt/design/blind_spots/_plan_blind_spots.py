@@ -12,21 +12,21 @@ from lightopt.design._plan_progress import Share
 from lightopt.design.blind_spots._blind_spots import Shown, shown_by, shown_together
 from lightopt.design.blind_spots._summary import Looked
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.postures._pair_visibility import Survey
-from lightopt.design.responses._luminance_matrix import Thresholds
-from lightopt.design.tolerances._evaluation import Setup
+from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.tolerances._assessments import Setup
 from lightopt.scene import PanelLight
 
 
 def looked_at(
-    survey: Survey,
+    survey: ImageEvaluator,
     rig: RigConfig,
     angles: Mapping[Posture, tuple[tuple[float, float], ...]],
     candidates: Candidates | None,
     *,
     exposures: Mapping[Posture, tuple[float, ...]],
     offered: tuple[float, ...],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     least: int,
     points: int | Literal["auto"] | None = None,
     tell: Share | None = None,
@@ -77,11 +77,11 @@ def looked_at(
 
 
 def _possible(
-    survey: Survey,
+    survey: ImageEvaluator,
     posture: Posture,
     places: Sequence[Sequence[PanelLight]],
     offered: tuple[float, ...],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     least: int,
 ) -> Shown:
     # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold

@@ -18,8 +18,8 @@ from lightopt.design.blind_spots._blind_spots import (
     blind_text,
     shown_by,
 )
-from lightopt.design.objectives._detectability import Detectability
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
+from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 
 BLIND_SHARES_OF = "the part's surface but what the camera sees at a grazing angle only, × defects by weight"
 """What shares of blind spots are shares of."""
@@ -65,7 +65,7 @@ class BlindReport:
         The same of the images of each posture alone.
     """
 
-    objective: Detectability
+    objective: DetectabilityObjective
     lights: tuple[str, ...]
     postures: tuple[Posture, ...]
     chosen: BlindSpots
@@ -75,7 +75,10 @@ class BlindReport:
 
     @staticmethod
     def of(
-        looked: Sequence[Looked], areas: NDArray[np.float64], objective: Detectability, lights: Sequence[str]
+        looked: Sequence[Looked],
+        areas: NDArray[np.float64],
+        objective: DetectabilityObjective,
+        lights: Sequence[str],
     ) -> BlindReport:
         """Put postures together; areas are those of all patches of the run [mm²], shape (n,)."""
         chosen = [one.chosen for one in looked]
@@ -128,7 +131,7 @@ class BlindReport:
 def look_for_blind_spots(
     matrix: LuminanceMatrix,
     posture: Posture,
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     seen_in: int,
     candidates: Sequence[int],

@@ -22,24 +22,10 @@ def light_angles(
 ) -> list[tuple[float, float]]:
     """Candidate (elevation, azimuth) of a light [°], ascending by elevation, then azimuth.
 
-    Both ends of a range are candidates, and from the lower one on every `step_deg`. A light without a range stays in
-    that angle.
+    Both ends of a range are candidates, and from the lower one on every `step_deg`. A light without a range stays at
+    that angle. `elevations` replaces those of the light's range, for lights that share their elevation.
 
-    Parameters
-    ----------
-    rig
-        The rig.
-    index
-        Of the light.
-    step_deg
-        [°], above 0.
-    elevations
-        Instead of those of the light's range, where several lights share theirs.
-
-    Raises
-    ------
-    InputError
-        A step that is not a positive number, or that makes too many positions.
+    Raises InputError: A step that is not a positive number, or that makes too many positions.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"--step: expected degrees above 0, found {step_deg:g}")
@@ -61,10 +47,7 @@ def light_angles(
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
     """The elevations that all lights with an elevation range can share [°]; None where no light has one.
 
-    Raises
-    ------
-    InputError
-        Ranges that do not overlap.
+    Raises InputError: Ranges that do not overlap.
     """
     movable = [light for light in rig.lights if light.elevation_range_deg is not None]
     if not movable:

@@ -1,4 +1,4 @@
-"""Candidate positions of the lights: which there are, which are left out and why, which cannot stand together."""
+"""Candidate positions of the lights: which are possible, which are excluded and why, and which collide."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import RigConfig
 from lightopt.core.errors import InputError, counted
+from lightopt.design._arrays import Flags
 from lightopt.design.candidates._angles import can_move, common_elevations, light_angles
-from lightopt.design.candidates._combination_space import Rows, Space
+from lightopt.design.candidates._combination_space import CombinationSpace, Rows
 from lightopt.rendering import panels_in_part
 from lightopt.scene import (
     PanelLight,
@@ -30,21 +30,11 @@ Angles = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class ExcludedPosition:
     """A position that a light cannot take.
 
-    Attributes
-    ----------
-    light
-        Its name.
-    elevation_deg, azimuth_deg
-        The position [°].
-    reason
-        For people.
-    kind
-        ``view``, ``table``, ``part`` or ``collision``.
-    amount
-        Pixels that are covered, or mm below the table top; None for the other kinds.
+    kind: ``view``, ``table``, ``part`` or ``collision``.
+    amount: Pixels covered, or mm below the table top; None for the other kinds.
     """
 
     light: str
@@ -59,28 +49,21 @@ class LeftOut:
 class Candidates:
     """The positions to choose from.
 
-    Attributes
-    ----------
-    names
-        Of the lights, in the rig's order.
-    angles
-        Of each light: (elevation, azimuth) [°], ascending.
-    panels
-        Of each light: the panels that stand there, world frame.
-    left_out
-        What the ranges offer and the machine cannot do.
-    space
-        Which combinations are allowed.
+    names: Of the lights, in the rig's order.
+    angles: Per light: (elevation, azimuth) [°], ascending.
+    panels: Per light: the panels at these positions, world frame.
+    left_out: Positions within the ranges that are not possible.
+    space: Which combinations are allowed.
     """
 
     names: tuple[str, ...]
     angles: tuple[tuple[Angles, ...], ...]
     panels: tuple[tuple[PanelLight, ...], ...]
-    left_out: tuple[LeftOut, ...]
-    space: Space
+    left_out: tuple[ExcludedPosition, ...]
+    space: CombinationSpace
 
     def panels_at(self, combination: Sequence[int]) -> tuple[PanelLight, ...]:
-        """The panels of one position of each light, given by its index."""
+        """The panels for one position index per light."""
         return tuple(some[k] for some, k in zip(self.panels, combination, strict=True))
 
 
@@ -95,34 +78,18 @@ def find_candidates(
 ) -> Candidates:
     """The positions that a rig's lights can take.
 
-    Left out are panels that stand in the camera's view, reach below the table top, are inside the part in one of its
-    postures, or collide with another light wherever that one stands. Panels that collide in some of their positions
-    only make combinations that are not allowed.
+    Excluded are panels in the camera's view, below the table top, inside the part in one of its postures, or colliding
+    with another light at all of its positions. Panels that collide at some positions only exclude combinations.
 
-    Parameters
-    ----------
-    rig
-        The rig.
-    step_deg
-        Of the angles [°].
-    common_elevation
-        Whether all lights that move in elevation stand at the same one.
-    points
-        Point lights per panel, instead of the rig's.
-    places
-        One position of each light [°] that was chosen before, and no others.
-    scene
-        The part in its postures; without it the part is not in the way.
-
-    Raises
-    ------
-    InputError
-        No light that moves, a light without any position left.
+    points: Point lights per panel, instead of the rig's.
+    places: One fixed position per light [°], instead of the ranges.
+    scene: The part in its postures; without it the part is not checked.
+    Raises InputError: No light that moves; a light without any position left.
     """
     _check_movable(rig, chosen=places is not None)
     shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
     camera = build_camera(rig)
-    left_out: list[LeftOut] = []
+    left_out: list[ExcludedPosition] = []
     kept: list[list[tuple[Angles, PanelLight]]] = []
     for index in range(len(rig.lights)):
         standing: list[tuple[Angles, PanelLight]] = []
@@ -136,7 +103,7 @@ def find_candidates(
             if reason is None:
                 standing.append((at, panel))
             else:
-                left_out.append(LeftOut(panel.name, *at, *reason))
+                left_out.append(ExcludedPosition(panel.name, *at, *reason))
         kept.append(standing)
     clashes = _clashes(kept)
     hopeless = _always_colliding(kept, clashes)
@@ -144,7 +111,7 @@ def find_candidates(
         for k, other in sorted(others.items()):
             name = rig.lights[index].name
             reason = f"collides with {rig.lights[other].name} wherever that one stands"
-            left_out.append(LeftOut(name, *kept[index][k][0], reason, "collision"))
+            left_out.append(ExcludedPosition(name, *kept[index][k][0], reason, "collision"))
     rows = [[k for k in range(len(places)) if k not in hopeless[i]] for i, places in enumerate(kept)]
     _check_any(rig, rows, left_out)
     angles_kept = tuple(tuple(kept[i][k][0] for k in row) for i, row in enumerate(rows))
@@ -154,7 +121,7 @@ def find_candidates(
         angles=angles_kept,
         panels=tuple(tuple(kept[i][k][1] for k in row) for i, row in enumerate(rows)),
         left_out=tuple(left_out),
-        space=Space(
+        space=CombinationSpace(
             sizes=sizes,
             groups=_groups(rig, angles_kept, sizes, shared),
             clashes={
@@ -174,7 +141,7 @@ def _check_movable(rig: RigConfig, *, chosen: bool) -> None:
         )
 
 
-def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[LeftOut]) -> None:
+def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[ExcludedPosition]) -> None:
     problems: list[str] = []
     for index, row in enumerate(rows):
         if not row:
@@ -201,7 +168,7 @@ Reason = tuple[str, str, float | None]
 """Text, kind and amount of a :class:`LeftOut`."""
 
 
-def _grouped(left_out: Sequence[LeftOut]) -> list[str]:
+def _grouped(left_out: Sequence[ExcludedPosition]) -> list[str]:
     # positions of one kind together, with the smallest and the largest amount
     texts: list[str] = []
     groups = dict.fromkeys((out.kind, "" if out.amount is not None else out.reason) for out in left_out)
@@ -242,19 +209,17 @@ def _part_in_the_way(panel: PanelLight, scene: Scene | None) -> Reason | None:
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
-def _clashes(
-    kept: Sequence[Sequence[tuple[Angles, PanelLight]]],
-) -> dict[tuple[int, int], NDArray[np.bool_]]:
-    clashes: dict[tuple[int, int], NDArray[np.bool_]] = {}
+def _clashes(kept: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Flags]:
+    clashes: dict[tuple[int, int], Flags] = {}
     for i, j in itertools.combinations(range(len(kept)), 2):
         clash = np.zeros((len(kept[i]), len(kept[j])), np.bool_)
         if clash.size:
             # spheres around the panels tell apart most pairs at once
             centres = [np.array([panel.centre for _, panel in kept[k]]) for k in (i, j)]
-            reach = sum(0.5 * float(np.hypot(*kept[k][0][1].size)) for k in (i, j))
+            level_range = sum(0.5 * float(np.hypot(*kept[k][0][1].size)) for k in (i, j))
             for a, centre in enumerate(centres[0]):
                 apart = np.linalg.norm(centres[1] - centre, axis=1)
-                for b in map(int, np.flatnonzero(apart <= reach)):
+                for b in map(int, np.flatnonzero(apart <= level_range)):
                     clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
         if clash.any():
             clashes[i, j] = clash
@@ -262,7 +227,7 @@ def _clashes(
 
 
 def _always_colliding(
-    kept: Sequence[Sequence[object]], clashes: dict[tuple[int, int], NDArray[np.bool_]]
+    kept: Sequence[Sequence[object]], clashes: dict[tuple[int, int], Flags]
 ) -> dict[int, dict[int, int]]:
     # of each light, its candidates that collide with all that is left of another light, and which light that is
     gone: dict[int, dict[int, int]] = {i: {} for i in range(len(kept))}

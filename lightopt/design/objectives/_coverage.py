@@ -19,17 +19,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.progress import Share, part_of, pieces
+from lightopt.design._arrays import Float64, Int64
 from lightopt.design.objectives._bit_sums import bit_scores
 from lightopt.design.objectives._class_runs import run_products, run_scores
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
-from lightopt.design.objectives._upper_bounds import reach
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds, area_units
-
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
+from lightopt.design.objectives._upper_bounds import level_range
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units
 
 LEAST_USABLE = 2
 """Images that must show a patch usably."""
@@ -48,18 +45,18 @@ BOUND_PATCHES = 1 << 16
 
 
 @dataclass(frozen=True)
-class Coverage:
+class CoverageObjective:
     """Usable area; see the module's text."""
 
     name: str = "coverage"
     unit: str = "µm²"
     share_of: str = INSPECTABLE_SURFACE
 
-    def shown(self, score: int, grain: float) -> str:
+    def format_score(self, score: int, grain: float) -> str:
         """In mm²."""
         return area_text(score, grain)
 
-    def whole(self, area: int) -> int | None:
+    def full_score(self, area: int) -> int | None:
         """All of the area."""
         return area
 
@@ -76,7 +73,7 @@ class Coverage:
         """Each patch counts by its area."""
         return area_units(areas)
 
-    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """Count images, compare, add areas."""
         levels = np.concatenate(matrix.levels)
         saturated = levels >= thresholds.saturation
@@ -88,7 +85,7 @@ class Coverage:
         self,
         matrix: LuminanceMatrix,
         weights: Int64,
-        thresholds: Thresholds,
+        thresholds: LevelThresholds,
         *,
         threads: int,
         progress: Share | None = None,
@@ -123,14 +120,14 @@ class Coverage:
             )
         return table
 
-    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """Patches that could be usable under two lights and need not be saturated under more than one."""
         total = 0
         for start, end in pieces(len(weights), BOUND_PATCHES):
             can_use = np.zeros(end - start, np.int64)
             must_saturate = np.zeros(end - start, np.int64)
             for layer in matrix.levels:
-                light = reach(layer, thresholds, start, end)
+                light = level_range(layer, thresholds, start, end)
                 can_use += light.usable >= 0
                 must_saturate += light.least >= thresholds.saturation
             could = (can_use >= LEAST_USABLE) & (must_saturate <= MOST_SATURATED)
@@ -143,4 +140,4 @@ class Coverage:
         return {}
 
 
-COVERAGE = Coverage()
+COVERAGE = CoverageObjective()

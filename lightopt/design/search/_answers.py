@@ -14,9 +14,14 @@ from lightopt.core.transforms import Posture
 from lightopt.design._result import Answer, SetResult
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
+from lightopt.design.responses._luminance_matrix import (
+    AREA_UNIT_MM2,
+    LevelThresholds,
+    LuminanceMatrix,
+    area_units,
+)
 from lightopt.design.search._curves import score_curves
-from lightopt.design.search._search import Found, search
+from lightopt.design.search._exact_search import SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
 PIECE_PATCHES = 1 << 15
@@ -28,7 +33,7 @@ def answer_set(
     postures: Sequence[Posture],
     candidates: Candidates,
     objectives: Sequence[Objective],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     rows: int,
     limit: int,
@@ -37,25 +42,8 @@ def answer_set(
 ) -> SetResult:
     """The best light positions for postures that share them.
 
-    Parameters
-    ----------
-    matrices, postures
-        One matrix per posture.
-    candidates
-        What the matrices' rows stand for.
-    objectives
-        Each is optimised, and each best set is scored under all.
-    thresholds
-        Which levels are usable.
-    rows, limit, threads
-        As for :func:`lightopt.design.search`: its `keep`, `limit` and `threads`.
-    progress
-        Called with what is searched for and the share of that which is done.
-
-    Raises
-    ------
-    InputError
-        As :func:`lightopt.design.search`.
+    Each objective is optimised, and each best set is scored under all. `rows`, `limit` and `threads` are `keep`,
+    `limit` and `threads` of :func:`lightopt.design.search`, which says what is raised.
     """
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
@@ -114,40 +102,26 @@ def answer_set(
     )
 
 
-def answers_beside(
+def answer_others(
     chosen: SetResult,
     at: tuple[int, ...],
     levels: Sequence[LuminanceMatrix],
     objectives: Sequence[Objective],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     candidates: Candidates,
-    look: Callable[[tuple[int, ...]], Sequence[LuminanceMatrix]],
+    evaluate: Callable[[tuple[int, ...]], Sequence[LuminanceMatrix]],
     rows: int,
     limit: int,
     threads: int | None,
     progress: Callable[[str, float], None] | None = None,
 ) -> SetResult:
-    """The best light positions of other objectives beside those that were chosen before for the first.
+    """The best light positions of other objectives, beside those that were chosen before for the first.
 
-    Parameters
-    ----------
-    chosen
-        The answer of the first objective, with one position of each light.
-    at
-        These positions among the candidates.
-    levels
-        Of all candidates, one matrix per posture; not used where there are no others.
-    objectives
-        The first, and the others.
-    thresholds
-        Which levels are usable.
-    candidates
-        What the matrices' rows stand for.
-    look
-        Makes the matrices of one combination, one per posture, with all that the first objective needs.
-    rows, limit, threads, progress
-        As for :func:`answer_set`.
+    chosen: The answer of the first objective, with one position of each light.
+    at: These positions among the candidates.
+    levels: Of all candidates, one matrix per posture.
+    evaluate: Computes the matrices of one combination, one per posture, with all that the first objective needs.
     """
     first = chosen.answers[0]
     own = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
@@ -169,7 +143,7 @@ def answers_beside(
                 progress=None if progress is None else partial(progress, stage),
             )
         )
-        matrices = look(found.best.candidates)
+        matrices = evaluate(found.best.candidates)
         only = (0,) * len(candidates.names)
         answers.append(
             Answer(
@@ -187,7 +161,7 @@ def _score(
     matrices: Sequence[LuminanceMatrix],
     objective: Objective,
     combination: tuple[int, ...],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
 ) -> int:
     total = 0
     for matrix in matrices:
@@ -198,7 +172,7 @@ def _score(
     return total
 
 
-def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: Thresholds, found: Found) -> str:
+def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: LevelThresholds, found: SearchResult) -> str:
     layers = [layer for matrix in matrices for layer in matrix.levels]
     count = sum(layer.size for layer in layers)
     dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)
