@@ -72,7 +72,7 @@ def _plan(
         lights,
         candidates,
         PostureRequest(seen_in=seen_in, count=POSTURES),
-        offered=offered,
+        exposures=offered,
         gain_points=DEFAULT_EXPOSURE_GAIN,
     )
     exposures = [(1.0,) if brackets is None else brackets.of(posture) for posture in choice.postures]

@@ -232,7 +232,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from lightopt.design.objectives._registry import OBJECTIVES
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 from lightopt.design.search._exact_search import search
 
 def levels(sizes, patches):
@@ -250,7 +250,7 @@ def peak():
     lines = Path("/proc/self/status").read_text().splitlines()
     return 1024 * int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
 
-thresholds = Thresholds(shade=10, saturation=250)
+thresholds = LevelThresholds(shade=10, saturation=250)
 objective = OBJECTIVES[{name!r}]
 search([levels((3, 3, 3), 1000)], objective, thresholds, keep=2)
 before = peak()
@@ -292,8 +292,7 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     }
     for module, names in {
         "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
-        "_minimum_sums": ("TASK_LEVELS",),
-        "_extreme_sums": ("TASK_LEVELS",),
+        "_level_sums": ("TASK_LEVELS", "WALK_LEVELS"),
         "_bits": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
         "_runs": ("CHUNK_PATCHES", "CHUNK_BOXES"),
     }.items():

@@ -359,7 +359,7 @@ def test_greed_misses_what_all_sets_show():
     assert (greedy.chosen, greedy.covered, greedy.proven) == ((0, 1), 7, False)
     found, most, sets = best_set(packed, weights, greedy.chosen, 2)
     assert (sorted(found), most, sets) == ([1, 2], 8, 3)
-    best = greedy_cover(packed, weights, count=2, among=found).searched(most, sets)
+    best = greedy_cover(packed, weights, count=2, among=found).with_search(most, sets)
     assert (best.covered, best.proven) == (8, True)
     assert best.bound_share == best.share
     assert best.guarantee == 1.0

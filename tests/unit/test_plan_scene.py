@@ -470,7 +470,7 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     ask = (survey, drawn, POSTURES, lights, candidates)
     plain = choose_postures(*ask, PostureRequest(seen_in=least, count=count))
     choice, brackets = choose_with_exposures(
-        *ask, PostureRequest(seen_in=least, count=count), offered=offered, gain_points=points
+        *ask, PostureRequest(seen_in=least, count=count), exposures=offered, gain_points=points
     )
     assert choice.cover.share >= plain.cover.share
     assert len(choice.postures) <= count
@@ -495,7 +495,7 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     assert choice.cover.sets == math.comb(len(POSTURES), len(choice.postures))
     assert choice.cover.bound_share == best / choice.cover.total
     none, nothing = choose_with_exposures(
-        *ask, PostureRequest(seen_in=least, count=count), offered=(1.0,), gain_points=points
+        *ask, PostureRequest(seen_in=least, count=count), exposures=(1.0,), gain_points=points
     )
     assert nothing is None
     assert none == plain
@@ -511,7 +511,7 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
     target = 0.9 * choose_postures(*ask, PostureRequest(count=3)).cover.share
     plain = choose_postures(*ask, PostureRequest(target=target))
     choice, brackets = choose_with_exposures(
-        *ask, PostureRequest(target=target), offered=(1.0, 0.25, 0.0625), gain_points=1.0
+        *ask, PostureRequest(target=target), exposures=(1.0, 0.25, 0.0625), gain_points=1.0
     )
     assert choice.cover.share == pytest.approx(brackets.after)
     assert choice.cover.share >= target
@@ -521,7 +521,7 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
 def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
     rig, survey = world
     ask = (survey, survey, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
-    choice, brackets = choose_with_exposures(*ask, offered=(1.0, 0.25), gain_points=1.0)
+    choice, brackets = choose_with_exposures(*ask, exposures=(1.0, 0.25), gain_points=1.0)
     assert brackets is None
     assert choice.cover.share < 1.0
 

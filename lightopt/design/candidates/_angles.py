@@ -30,18 +30,17 @@ def light_angles(
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"--step: expected degrees above 0, found {step_deg:g}")
     light = rig.lights[index]
-    heights = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
-    if elevations is not None and light.elevation_range_deg is not None:
-        heights = list(elevations)
-    turns = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
-    if len(turns) > 1 and math.isclose(turns[-1] - turns[0], 360.0):
-        turns.pop()  # the full turn ends where it begins
-    if len(heights) * len(turns) > MOST_POSITIONS:
+    if elevations is None or light.elevation_range_deg is None:
+        elevations = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
+    azimuths = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
+    if len(azimuths) > 1 and math.isclose(azimuths[-1] - azimuths[0], 360.0):
+        azimuths.pop()  # the full turn ends where it begins
+    if len(elevations) * len(azimuths) > MOST_POSITIONS:
         raise InputError(
             f"{rig.source.at('lights', index)}: at --step {step_deg:g} light {light.name} has more than "
             f"{MOST_POSITIONS:,} positions, the most that are accepted; take a larger step"
         )
-    return [(height, turn) for height in heights for turn in turns]
+    return [(elevation, azimuth) for elevation in elevations for azimuth in azimuths]
 
 
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:

@@ -86,13 +86,17 @@ def find_candidates(
     scene: The part in its postures; without it the part is not checked.
     Raises InputError: No light that moves; a light without any position left.
     """
-    _check_movable(rig, chosen=places is not None)
+    if places is None and not any(map(can_move, rig.lights)):
+        raise InputError(
+            f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
+            "azimuth_range_deg"
+        )
     shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
     camera = build_camera(rig)
     left_out: list[ExcludedPosition] = []
-    kept: list[list[tuple[Angles, PanelLight]]] = []
+    possible: list[list[tuple[Angles, PanelLight]]] = []
     for index in range(len(rig.lights)):
-        standing: list[tuple[Angles, PanelLight]] = []
+        free: list[tuple[Angles, PanelLight]] = []
         angles = (
             light_angles(rig, index, step_deg=step_deg, elevations=shared)
             if places is None
@@ -101,29 +105,29 @@ def find_candidates(
         for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
             reason = _reason(panel, camera) or _part_in_the_way(panel, scene)
             if reason is None:
-                standing.append((at, panel))
+                free.append((at, panel))
             else:
                 left_out.append(ExcludedPosition(panel.name, *at, *reason))
-        kept.append(standing)
-    clashes = _clashes(kept)
-    hopeless = _always_colliding(kept, clashes)
-    for index, others in hopeless.items():
+        possible.append(free)
+    clashes = _clashes(possible)
+    always_colliding = _always_colliding(possible, clashes)
+    for index, others in always_colliding.items():
         for k, other in sorted(others.items()):
             name = rig.lights[index].name
             reason = f"collides with {rig.lights[other].name} wherever that one stands"
-            left_out.append(ExcludedPosition(name, *kept[index][k][0], reason, "collision"))
-    rows = [[k for k in range(len(places)) if k not in hopeless[i]] for i, places in enumerate(kept)]
+            left_out.append(ExcludedPosition(name, *possible[index][k][0], reason, "collision"))
+    rows = [[k for k in range(len(some)) if k not in always_colliding[i]] for i, some in enumerate(possible)]
     _check_any(rig, rows, left_out)
-    angles_kept = tuple(tuple(kept[i][k][0] for k in row) for i, row in enumerate(rows))
+    angles_left = tuple(tuple(possible[i][k][0] for k in row) for i, row in enumerate(rows))
     sizes = tuple(len(row) for row in rows)
     return Candidates(
         names=tuple(light.name for light in rig.lights),
-        angles=angles_kept,
-        panels=tuple(tuple(kept[i][k][1] for k in row) for i, row in enumerate(rows)),
+        angles=angles_left,
+        panels=tuple(tuple(possible[i][k][1] for k in row) for i, row in enumerate(rows)),
         left_out=tuple(left_out),
         space=CombinationSpace(
             sizes=sizes,
-            groups=_groups(rig, angles_kept, sizes, shared),
+            groups=_groups(rig, angles_left, sizes, shared),
             clashes={
                 pair: clash[np.ix_(rows[pair[0]], rows[pair[1]])]
                 for pair, clash in clashes.items()
@@ -131,14 +135,6 @@ def find_candidates(
             },
         ),
     )
-
-
-def _check_movable(rig: RigConfig, *, chosen: bool) -> None:
-    if not chosen and not any(map(can_move, rig.lights)):
-        raise InputError(
-            f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
-            "azimuth_range_deg"
-        )
 
 
 def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[ExcludedPosition]) -> None:
@@ -209,35 +205,35 @@ def _part_in_the_way(panel: PanelLight, scene: Scene | None) -> Reason | None:
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
-def _clashes(kept: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Flags]:
+def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Flags]:
     clashes: dict[tuple[int, int], Flags] = {}
-    for i, j in itertools.combinations(range(len(kept)), 2):
-        clash = np.zeros((len(kept[i]), len(kept[j])), np.bool_)
+    for i, j in itertools.combinations(range(len(possible)), 2):
+        clash = np.zeros((len(possible[i]), len(possible[j])), np.bool_)
         if clash.size:
-            # spheres around the panels tell apart most pairs at once
-            centres = [np.array([panel.centre for _, panel in kept[k]]) for k in (i, j)]
-            level_range = sum(0.5 * float(np.hypot(*kept[k][0][1].size)) for k in (i, j))
+            # spheres around the panels exclude most pairs at once
+            centres = [np.array([panel.centre for _, panel in possible[k]]) for k in (i, j)]
+            radii = sum(0.5 * float(np.hypot(*possible[k][0][1].size)) for k in (i, j))
             for a, centre in enumerate(centres[0]):
                 apart = np.linalg.norm(centres[1] - centre, axis=1)
-                for b in map(int, np.flatnonzero(apart <= level_range)):
-                    clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
+                for b in map(int, np.flatnonzero(apart <= radii)):
+                    clash[a, b] = rectangles_meet(possible[i][a][1], possible[j][b][1])
         if clash.any():
             clashes[i, j] = clash
     return clashes
 
 
 def _always_colliding(
-    kept: Sequence[Sequence[object]], clashes: dict[tuple[int, int], Flags]
+    possible: Sequence[Sequence[object]], clashes: dict[tuple[int, int], Flags]
 ) -> dict[int, dict[int, int]]:
     # of each light, its candidates that collide with all that is left of another light, and which light that is
-    gone: dict[int, dict[int, int]] = {i: {} for i in range(len(kept))}
+    gone: dict[int, dict[int, int]] = {i: {} for i in range(len(possible))}
     found = True
     while found:
         found = False
         for (i, j), clash in clashes.items():
             for light, other, table in ((i, j, clash), (j, i, clash.T)):
-                left = [k for k in range(len(kept[other])) if k not in gone[other]]
-                for k in range(len(kept[light])):
+                left = [k for k in range(len(possible[other])) if k not in gone[other]]
+                for k in range(len(possible[light])):
                     if left and k not in gone[light] and table[k, left].all():
                         gone[light][k] = other
                         found = True

@@ -33,7 +33,6 @@ class CombinationSpace:
 
     @staticmethod
     def of(sizes: Sequence[int]) -> CombinationSpace:
-        """Every combination."""
         return CombinationSpace(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
 
 

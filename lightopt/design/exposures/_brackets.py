@@ -28,7 +28,6 @@ class FurtherExposure:
 
     @property
     def planned(self) -> bool:
-        """Whether it is planned."""
         return self.reason is not None
 
 

@@ -27,7 +27,7 @@ from lightopt.design.postures._light_positions import best_positions, position_c
 from lightopt.design.postures._multi_start_search import choose_postures
 from lightopt.scene import PanelLight
 
-MOST_PLACINGS = 2
+MOST_ITERATIONS = 2
 """Of the lights for the images as they are planned, at the end."""
 
 
@@ -39,7 +39,7 @@ def choose_with_exposures(
     candidates: Candidates | None,
     request: PostureRequest,
     *,
-    offered: Sequence[float],
+    exposures: Sequence[float],
     gain_points: float,
     progress: Tell | None = None,
 ) -> tuple[PostureChoice, Brackets | None]:
@@ -47,7 +47,7 @@ def choose_with_exposures(
 
     whole, drawn, postures, start, candidates, request, progress: As for :func:`lightopt.design.choose_postures`;
         evaluators of exposure 1.
-    offered: Exposures, 1 among them; with no other the choice is that of exposure 1, and there are no brackets.
+    exposures: Exposures, 1 among them; with no other the choice is that of exposure 1, and there are no brackets.
     gain_points: What a further exposure has to add [hundredths of the pairs].
     Returns choice, brackets: Of the planned images; bounds and all candidates' share hold for any of the exposures.
         Where a target cannot be reached, what was chosen for all exposures, and no brackets.
@@ -55,7 +55,7 @@ def choose_with_exposures(
     Raises InputError: As :func:`lightopt.design.choose_postures` and
         :func:`lightopt.design.exposures._plan_exposures.plan_exposures`.
     """
-    levels = tuple(dict.fromkeys((1.0, *offered)))
+    levels = tuple(dict.fromkeys((1.0, *exposures)))
     if len(levels) == 1:
         return choose_postures(whole, drawn, postures, start, candidates, request, progress=progress), None
 
@@ -63,22 +63,23 @@ def choose_with_exposures(
         choice = choose_postures(
             every, some, postures, start, candidates, request, progress=prefixed(progress, stage)
         )
-        # what the lights' positions show was counted for other images than those that will be planned
-        return replace(choice, places=None)
+        # the counts of positions are of other images than those that will be planned
+        return replace(choice, position_counts=None)
 
-    alone = chosen_on(whole, drawn, "exposure 1")
+    single = chosen_on(whole, drawn, "exposure 1")
     every, some = (replace(evaluator, exposures=levels) for evaluator in (whole, drawn))
     together = chosen_on(every, some, "all exposures")
-    both = [one for one in (alone, together) if request.target is None or one.cover.share >= request.target]
+    both = [one for one in (single, together) if request.target is None or one.cover.share >= request.target]
     if not any(one.postures for one in both):
         return together, None
-    offer = _JointPlanner(
+    planner = _JointPlanner(
         whole=every, candidates=candidates, request=request, least_gain=gain_points / 100.0, progress=progress
     )
-    best = offer.placed(max((offer.planned(one) for one in both if one.postures), key=offer.merit))
-    cover = offer.cover(best, postures)
+    best = max((planner.add_exposures(one) for one in both if one.postures), key=planner.merit)
+    best = planner.place_lights(best)
+    cover = planner.cover(best, postures)
     chosen = tuple(postures[step.candidate] for step in cover.steps)
-    return replace(best.choice, postures=chosen, cover=cover, initial=alone.initial), best.brackets
+    return replace(best.choice, postures=chosen, cover=cover, initial=single.initial), best.brackets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +100,7 @@ class _JointPlanner:
     least_gain: float
     progress: Tell | None
 
-    def planned(self, choice: PostureChoice) -> _Plan:
+    def add_exposures(self, choice: PostureChoice) -> _Plan:
         """A choice with the exposures that have enough gain."""
         brackets = plan_exposures(
             self.whole,
@@ -115,40 +116,41 @@ class _JointPlanner:
 
     def merit(self, plan: _Plan) -> tuple[float, ...]:
         """Sort key of a plan; see the module's text."""
-        further = sum(shot.planned for shot in plan.brackets.further)
+        further = sum(exposure.planned for exposure in plan.brackets.further)
         count = 0 if self.request.target is None else -len(plan.choice.postures)
         return count, plan.brackets.after - self.least_gain * further, -further
 
-    def placed(self, now: _Plan) -> _Plan:
+    def place_lights(self, plan: _Plan) -> _Plan:
         """The lights where they serve the planned images best, and the exposures with enough gain there."""
         if self.candidates is None:
-            return now
-        unsettled = _Plan(choice=replace(now.choice, converged=False), brackets=now.brackets)
+            return plan
         if not position_counts_fit(self.whole, self.candidates, seen_in=self.request.seen_in):
-            return unsettled
-        for _ in range(MOST_PLACINGS):
-            choice = now.choice
-            places, _ = best_positions(
+            return replace(plan, choice=replace(plan.choice, converged=False))
+        for _ in range(MOST_ITERATIONS):
+            choice = plan.choice
+            positions, _ = best_positions(
                 self.whole,
-                [(posture, now.brackets.of(posture)) for posture in choice.postures],
+                [(posture, plan.brackets.of(posture)) for posture in choice.postures],
                 self.candidates,
                 seen_in=self.request.seen_in,
                 limit=self.request.limit,
                 progress=of_stage(self.progress, "lights for the planned images"),
             )
             choice = replace(
-                choice, converged=places.covered <= self._reached(now), exact=choice.exact and places.exact
+                choice,
+                converged=positions.covered <= self._covered(plan),
+                exact=choice.exact and positions.exact,
             )
             if choice.converged:
-                return _Plan(choice=choice, brackets=now.brackets)
-            panels = self.candidates.panels_at(places.candidates)
-            better = self.planned(
-                replace(choice, lights=places.candidates, panels=panels, iterations=choice.iterations + 1)
+                return replace(plan, choice=choice)
+            panels = self.candidates.panels_at(positions.candidates)
+            better = self.add_exposures(
+                replace(choice, lights=positions.candidates, panels=panels, iterations=choice.iterations + 1)
             )
-            if self.merit(better) <= self.merit(now):
-                return _Plan(choice=choice, brackets=now.brackets)
-            now = better
-        return now
+            if self.merit(better) <= self.merit(plan):
+                return replace(plan, choice=choice)
+            plan = better
+        return plan
 
     def cover(self, plan: _Plan, postures: Sequence[Posture]) -> Cover:
         """What the planned images show, posture by posture; bounds are of all postures at any of the exposures."""
@@ -161,7 +163,7 @@ class _JointPlanner:
             free,
             steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights)], weights),
             dropped=choice.cover.dropped,
-            # where fewer show all there is, no more can
+            # where fewer postures show everything, more cannot add to it
             bounds=(*free.bounds, *([free.all_benefit] * (len(indices) - len(free.steps)))),
         )
         target = self.request.target
@@ -174,5 +176,5 @@ class _JointPlanner:
         evaluator = replace(self.whole, exposures=exposures)
         return evaluator.counts(posture, choice.panels, seen_in=self.request.seen_in)
 
-    def _reached(self, plan: _Plan) -> int:
+    def _covered(self, plan: _Plan) -> int:
         return round(plan.brackets.after * max(1, self.whole.weights.total))

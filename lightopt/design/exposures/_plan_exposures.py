@@ -18,20 +18,20 @@ from lightopt.design.responses._packed_bits import Words
 from lightopt.scene import PanelLight
 
 DEFAULT_EXPOSURE_GAIN = 1.0
-"""Points (hundredths of the pairs) that a further exposure of a posture has to add, unless asked otherwise."""
+"""Points (hundredths of the pairs) that a further exposure of a posture has to add by default."""
 
 MOST_IMAGE_BYTES = 1_500_000_000
 """Of what all postures' images show at all exposures, which is held at a time."""
 
 
-def check_exposures(offered: Sequence[float], gain_points: float) -> list[str]:
+def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]:
     """What is wrong with exposures and the required gain."""
     problems = [
         f"--exposures: expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
-        for exposure in offered
+        for exposure in exposures
         if not (math.isfinite(exposure) and exposure > 0.0)
     ]
-    if len(set(offered)) < len(offered):
+    if len(set(exposures)) < len(exposures):
         problems.append("--exposures: the same exposure was given twice")
     if not (math.isfinite(gain_points) and 0.0 <= gain_points <= 100.0):
         problems.append(f"--exposure-gain: expected points from 0 to 100, found {gain_points:g}")
@@ -42,7 +42,7 @@ def plan_exposures(
     evaluator: ImageEvaluator,
     postures: Sequence[Posture],
     lights: Sequence[Sequence[PanelLight]],
-    offered: Sequence[float],
+    exposures: Sequence[float],
     *,
     seen_in: int,
     gain_points: float = DEFAULT_EXPOSURE_GAIN,
@@ -52,13 +52,13 @@ def plan_exposures(
     """Plan a further exposure only where it shows more by at least a given gain, or where the target needs it.
 
     lights: The panels posture by posture, world frame.
-    offered: Exposures to choose from; 1 is taken anyway.
+    exposures: Further exposures to choose from; 1 is taken anyway.
     seen_in: Images that must show a pair, of all postures together.
     gain_points: The least gain [hundredths of the pairs].
     target: Share of the pairs that is to be shown.
     Raises InputError: More images than memory is meant for.
     """
-    further = [exposure for exposure in offered if exposure != 1.0]
+    further = [exposure for exposure in exposures if exposure != 1.0]
     kept = 1 if seen_in == 1 else max(map(len, lights))
     size = (
         len(postures)

@@ -66,7 +66,7 @@ def _by_bits(
     threads: int,
     progress: Share | None,
 ) -> Int64:
-    # each (patch, trial) as a patch of its own, usable where it is visible and never saturated
+    # each (patch, hypothesis) as a patch of its own, usable where it is visible and never saturated
     table = np.zeros(math.prod(len(layer) for layer in words), np.int64)
     positions, count = sum(len(layer) for layer in words), len(hypothesis_weights)
     parts = list(pieces(len(some), max(1, FLAG_BYTES // (positions * count))))

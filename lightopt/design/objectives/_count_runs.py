@@ -110,7 +110,7 @@ def count_run_sums(
 
 
 def _coefficients(values: Int64, lights: int, levels: int) -> Int64:
-    # entry (v, j, m, s): Δ(m, s) of table v where the lights without a choice show a trial j times
+    # entry (v, j, m, s): Δ(m, s) of table v where the lights without a choice show a hypothesis j times
     tables, length = values.shape
     found = np.zeros((tables, length, lights + 1, lights * levels + 1), np.int64)
     for j in range(length):
@@ -135,7 +135,7 @@ def _matters(coefficients: Int64, lights: int, levels: int) -> Flags:
 
 
 def _shown_by_fixed(images: Sequence[Words], shape: tuple[int, int], most: int) -> Words:
-    # row j: trials that the lights without a choice show exactly j times; the last row has those of `most` and more
+    # row j: hypotheses that the lights without a choice show exactly j times; the last row has those of `most` and more
     above = np.zeros((most, *shape), np.uint64)
     for image in images:
         add_image(above, image)
@@ -158,10 +158,10 @@ def _scatter(
     left: Flags,
 ) -> None:
     zero = np.uint64(0)
-    # products of changes: place in the table, trials, sign, number of lights, sum of their levels
+    # products of changes: place in the table, hypotheses, sign, number of lights, sum of their levels
     at, hypotheses = np.empty(most, np.int64), np.empty(most, np.uint64)
     sign, order, total = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
-    # the changes of each light: where, which trials, rising or falling, of which level
+    # the changes of each light: where, which hypotheses, rising or falling, of which level
     size = 2 * rows.shape[2] * rows.shape[3]
     places, signs, levels = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
     changed, ends = np.empty(size, np.uint64), np.empty(len(strides) + 1, np.int64)
@@ -170,9 +170,9 @@ def _scatter(
         for w in range(rows.shape[1]):
             for j in range(len(shown)):
                 starts += shown[j, p, w] != zero
-        # a patch with too many products is left out whole: where there are several words, they are looked at before
+        # a patch with too many products is left out whole: where there are several words, a first pass counts them
         passes = 1 if starts == 1 else 2
-        for turn in range(passes):
+        for attempt in range(passes):
             for w in range(rows.shape[1]):
                 _changes(rows[p, w], strides, first, places, changed, signs, levels, ends)
                 for j in range(len(shown)):
@@ -185,7 +185,7 @@ def _scatter(
                     if number < 0:
                         left[p] = True
                         break
-                    if turn < passes - 1:
+                    if attempt < passes - 1:
                         continue
                     for node in range(number):
                         for v in range(len(differences)):

@@ -53,11 +53,9 @@ class CoverageObjective:
     share_of: str = INSPECTABLE_SURFACE
 
     def format_score(self, score: int, grain: float) -> str:
-        """In mm²."""
         return area_text(score, grain)
 
     def full_score(self, area: int) -> int | None:
-        """All of the area."""
         return area
 
     def refusal(self, lights: int) -> str | None:
@@ -70,11 +68,9 @@ class CoverageObjective:
         )
 
     def weights(self, areas: Float64) -> Int64:
-        """Each patch counts by its area."""
         return area_units(areas)
 
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
-        """Count images, compare, add areas."""
         levels = np.concatenate(matrix.levels)
         saturated = levels >= thresholds.saturation
         usable = (levels >= thresholds.shade) & ~saturated
@@ -95,10 +91,10 @@ class CoverageObjective:
         products = run_products(levels, thresholds)
         cells = math.prod(len(layer) for layer in levels)
         simple = products <= max(64.0, cells / BITS_SHARE)
-        # of the work that there is, in boxes
+        # the work of each way, in boxes
         by_runs = float(products[simple].sum())
         by_bits = float(np.count_nonzero(~simple)) * cells / BITS_SHARE
-        turn = by_runs / max(1.0, by_runs + by_bits)
+        share = by_runs / max(1.0, by_runs + by_bits)
         table = run_scores(
             levels,
             np.flatnonzero(simple),
@@ -106,7 +102,7 @@ class CoverageObjective:
             thresholds,
             rule=RULE,
             threads=threads,
-            progress=part_of(progress, 0.0, turn),
+            progress=part_of(progress, 0.0, share),
         )
         if not simple.all():
             table += bit_scores(
@@ -116,7 +112,7 @@ class CoverageObjective:
                 thresholds,
                 rule=RULE,
                 threads=threads,
-                progress=part_of(progress, turn, 1.0),
+                progress=part_of(progress, share, 1.0),
             )
         return table
 
@@ -135,7 +131,6 @@ class CoverageObjective:
         return total
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
-        """Nothing."""
         del matrices, weights
         return {}
 

@@ -65,7 +65,6 @@ class DetectabilityObjective:
 
     @property
     def total_weight(self) -> int:
-        """Sum of the trials' weights."""
         return sum(hypothesis.weight for hypothesis in self.hypotheses)
 
     def format_score(self, score: int, grain: float) -> str:
@@ -73,7 +72,6 @@ class DetectabilityObjective:
         return area_text(score / self.total_weight, grain)
 
     def full_score(self, area: int) -> int | None:
-        """All (patch, defect) pairs, by area and weight."""
         return area * self.total_weight
 
     def refusal(self, lights: int) -> str | None:
@@ -86,11 +84,9 @@ class DetectabilityObjective:
         )
 
     def weights(self, areas: Float64) -> Int64:
-        """Each patch counts by its area."""
         return area_units(areas)
 
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
-        """Count images, compare, add weights."""
         del thresholds
         per_trial = weights @ self._seen(_visibility(matrix))
         return int(per_trial @ self._hypothesis_weights())
@@ -155,7 +151,7 @@ class DetectabilityObjective:
         return facts
 
     def _seen(self, visibility: Visibility) -> Flags:
-        # of one position of each light: which trials enough images show, shape (p, t)
+        # for one position of each light: which hypotheses enough images show, shape (p, t)
         count = len(self.hypotheses)
         images = sum((unpack_flags(layer[0], count) for layer in visibility.words), start=np.uint8(0))
         return np.asarray(images >= self.seen_in)
@@ -164,7 +160,7 @@ class DetectabilityObjective:
         return np.array([hypothesis.weight for hypothesis in self.hypotheses], np.int64)
 
     def _mean_shares(self, names: Sequence[str], shares: Float64) -> dict[str, float]:
-        # mean over the trials of a name, in the order of the names
+        # mean over the hypotheses of a name, in the order of the names
         return {
             name: round(float(np.mean([x for n, x in zip(names, shares, strict=True) if n == name])), 6)
             for name in dict.fromkeys(names)

@@ -16,8 +16,7 @@ even n the term of all n lights cancels likewise. There are 2ⁿ sets: with many
 
     h(x_2) + … + h(x_{n−1}) = Σ_l h(level under light l) − h(x_1) − h(x_n)
 
-is the cheaper way, in which lights with one candidate only are looked at once. Whichever looks at fewer levels is
-taken.
+is the cheaper way, in which lights with one candidate only are read once. The way that reads fewer levels is taken.
 """
 
 from __future__ import annotations
@@ -66,7 +65,6 @@ class PaperObjective:
         return f"{score:,}"
 
     def full_score(self, area: int) -> int | None:
-        """None: levels are no area."""
         del area
 
     def refusal(self, lights: int) -> str | None:
@@ -144,7 +142,6 @@ class PaperObjective:
         return total
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
-        """Nothing."""
         del matrices, weights
         return {}
 

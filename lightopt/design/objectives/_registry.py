@@ -12,8 +12,7 @@ from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._paper import PAPER
 
 OBJECTIVES: dict[str, Objective] = {objective.name: objective for objective in (COVERAGE, PAPER)}
-"""Those that need levels alone, in the order in which they are computed unless asked otherwise; the first one decides
-where the lights go."""
+"""Those that need levels alone, in default order; the first one decides where the lights go."""
 
 
 def objectives_named(
@@ -25,16 +24,18 @@ def objectives_named(
 
     Raises InputError: An unknown name, or one given twice.
     """
-    makers: dict[str, Callable[[], Objective]] = {
+    factories: dict[str, Callable[[], Objective]] = {
         name: partial(OBJECTIVES.__getitem__, name) for name in OBJECTIVES
     }
     if detectability is not None:
-        makers["detectability"] = detectability
+        factories["detectability"] = detectability
     problems = [
-        f'--objective: expected {" or ".join(makers)}, found "{name}"' for name in names if name not in makers
+        f'--objective: expected {" or ".join(factories)}, found "{name}"'
+        for name in names
+        if name not in factories
     ]
     if len(set(names)) < len(names):
         problems.append("--objective: the same objective was given twice")
     if problems:
         raise InputError(*problems)
-    return tuple(makers[name]() for name in names) or tuple(OBJECTIVES.values())
+    return tuple(factories[name]() for name in names) or tuple(OBJECTIVES.values())

@@ -25,11 +25,11 @@ from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.postures._light_positions import LightPositions, best_positions
 from lightopt.scene import PanelLight
 
-KEPT_BYTES = 400_000_000
-"""Of the counts that are kept for lights to which turns may come back, and of those of all places of the last turn."""
+CACHED_BYTES = 400_000_000
+"""Of the counts that are cached: for recent lights, and for all positions in the last postures."""
 
 Lights = tuple[int, ...] | None
-"""Candidate of each light; None where they stand as the rig has them."""
+"""Candidate of each light; None for the rig's own positions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,29 +101,31 @@ class AlternatingSearch:
             panels=tuple(panels), lights=lights, cover=self.cover(panels, lights, request), converged=False
         )
 
-    def improve(self, now: Solution, most: int, request: PostureRequest) -> Solution:
-        """Lights for the postures, and postures for the lights, until nothing is gained or after so many turns."""
+    def improve(self, solution: Solution, most: int, request: PostureRequest) -> Solution:
+        """Place lights for the postures and choose postures for the lights, while that gains; `most` times at most."""
         if self.candidates is None:
-            return replace(now, converged=True)
+            return replace(solution, converged=True)
         for _ in range(most):
-            positions = self.lights(now.cover.chosen, request)
-            now = replace(
-                now,
-                exact=now.exact and positions.exact,
-                iterations=now.iterations + 1,
-                converged=positions.covered <= now.cover.covered,
+            positions = self.lights(solution.cover.chosen, request)
+            solution = replace(
+                solution,
+                exact=solution.exact and positions.exact,
+                iterations=solution.iterations + 1,
+                converged=positions.covered <= solution.cover.covered,
             )
-            if positions.candidates == now.lights:
-                return now
+            if positions.candidates == solution.lights:
+                return solution
             panels = self.panels(positions.candidates)
-            better = self.cover(panels, positions.candidates, request, before=now.cover.chosen)
-            gained = merit(better, request) > merit(now.cover, request)
-            # positions of the grid are taken before the lights as they stand where they serve as well
-            as_good = merit(better, request) == merit(now.cover, request)
-            if not gained and not (as_good and now.lights is None):
-                return now
-            now = replace(now, panels=panels, cover=better, lights=positions.candidates, converged=False)
-        return now
+            better = self.cover(panels, positions.candidates, request, before=solution.cover.chosen)
+            gained = merit(better, request) > merit(solution.cover, request)
+            # positions of the grid are preferred to the rig's own where they are as good
+            as_good = merit(better, request) == merit(solution.cover, request)
+            if not gained and not (as_good and solution.lights is None):
+                return solution
+            solution = replace(
+                solution, panels=panels, cover=better, lights=positions.candidates, converged=False
+            )
+        return solution
 
     def cover(
         self,
@@ -141,20 +143,20 @@ class AlternatingSearch:
         covers = [greedy()]
         sets = [covers[0].chosen, tuple(before)]
         if request.target is None:
-            sets = [
-                improve_by_exchange(counts, weights, some, threads=self.evaluator.threads) for some in sets
-            ]
-        covers += [greedy(among=some) for some in sets if some and some != covers[0].chosen]
+            sets = [improve_by_exchange(counts, weights, one, threads=self.evaluator.threads) for one in sets]
+        covers += [greedy(among=one) for one in sets if one and one != covers[0].chosen]
         best = max(covers, key=lambda cover: merit(cover, request))
         if self.prove and request.target is None and request.count is not None:
             size = min(request.count, len(counts))
-            chosen, most, sets = best_set(counts, weights, best.chosen, size, threads=self.evaluator.threads)
+            chosen, max_covered, sets = best_set(
+                counts, weights, best.chosen, size, threads=self.evaluator.threads
+            )
             if chosen != best.chosen:
                 covers.append(greedy(among=chosen))
                 best = covers[-1]
-            best = best.with_search(most, sets)
+            best = best.with_search(max_covered, sets)
         same = [cover.bounds for cover in covers if len(cover.bounds) == len(best.bounds)]
-        return replace(best, bounds=tuple(min(some) for some in zip(*same, strict=True)))
+        return replace(best, bounds=tuple(min(bounds) for bounds in zip(*same, strict=True)))
 
     def lights(self, chosen: Sequence[int], request: PostureRequest) -> LightPositions:
         """The best positions of the lights for postures."""
@@ -170,7 +172,7 @@ class AlternatingSearch:
                 limit=request.limit,
                 progress=lambda share: self._report("lights for postures", share),
             )
-            small = sum(some.nbytes for some in counts) <= KEPT_BYTES
+            small = sum(one.nbytes for one in counts) <= CACHED_BYTES
             self._last_counts = (key, counts) if small else None
         return self._positions[key]
 
@@ -188,8 +190,8 @@ class AlternatingSearch:
             for i, posture in enumerate(self.postures):
                 counts.append(self.evaluator.counts(posture, panels, seen_in=self.seen_in))
                 self._report("postures for lights", (i + 1) / len(self.postures))
-            size = sum(some.nbytes for some in counts)
-            while self._counts and (len(self._counts) + 1) * size > KEPT_BYTES:
+            size = sum(one.nbytes for one in counts)
+            while self._counts and (len(self._counts) + 1) * size > CACHED_BYTES:
                 del self._counts[next(iter(self._counts))]
             self._counts[lights] = counts
         return self._counts[lights]

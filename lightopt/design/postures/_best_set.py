@@ -24,7 +24,7 @@ from lightopt.design.postures._counts import (
 )
 
 MOST_WORK = 2_000_000_000
-"""Of one search: words of flags that are looked at, 10,000 gains of 200,000 patches; some ten seconds of two
+"""Of one search: words of flags that are read, 10,000 gains of 200,000 patches; some ten seconds of two
 processors."""
 
 BATCH = 16

@@ -74,7 +74,7 @@ class PostureChoice:
 
     @property
     def initial_if_moved(self) -> InitialLights | None:
-        """What the rig's lights show where they stood; None where they stay there, of which the cover says more."""
+        """What the rig's lights show in their initial positions; None where they stay there."""
         same = (
             np.allclose(old.outward, new.outward, rtol=0.0, atol=1e-9)
             for old, new in zip(self.initial.panels, self.panels, strict=True)

@@ -58,7 +58,6 @@ class PairWeights:
 
     @property
     def total(self) -> int:
-        """Weight of all pairs."""
         hypotheses = sum(
             int(factor) * sum(int(word).bit_count() for word in mask)
             for factor, mask in zip(self.factors, self.masks, strict=True)
@@ -67,7 +66,6 @@ class PairWeights:
 
 
 def zero_counts(weights: PairWeights, k: int) -> Counts:
-    """Counts of no image."""
     return np.zeros((k, len(weights.areas), weights.masks.shape[1]), np.uint64)
 
 

@@ -59,12 +59,10 @@ class Cover:
 
     @property
     def chosen(self) -> tuple[int, ...]:
-        """Indices of the chosen candidates."""
         return tuple(step.candidate for step in self.steps)
 
     @property
     def benefit(self) -> int:
-        """Of the chosen ones together."""
         return self.steps[-1].benefit if self.steps else 0
 
     @property

@@ -20,7 +20,7 @@ from lightopt.rendering import PatchTable
 from lightopt.scene import PanelLight, Scene
 
 DRAWN_PATCHES = 20_000
-"""Patches that stand for all where much is tried: turns of postures and lights, and what tolerances cost."""
+"""Patches that represent all where much is tried: the first iterations of the search, and tolerances."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -68,12 +68,12 @@ def place_lights(
     best: LightPositions | None = None
     for done, box in enumerate(boxes):
 
-        def tell(share: float, before: int = done) -> None:
+        def report(share: float, before: int = done) -> None:
             if progress is not None:
                 progress((before + share) / len(boxes))
 
         found = (
-            _best_of(lights, weights, space, box, threads, tell)
+            _best_of(lights, weights, space, box, threads, report)
             if exact
             else _one_at_a_time(lights, weights, space, box, threads)
         )

@@ -24,8 +24,8 @@ from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.postures._light_positions import MOST_COUNT_BYTES, first_allowed, position_counts_fit
 from lightopt.scene import PanelLight
 
-MOST_TURNS, MOST_LAST_TURNS = 6, 3
-"""On drawn patches and on all."""
+MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3
+"""Of the alternating search, on drawn patches and on all."""
 
 DRAWN_MARGIN = 0.01
 """Share by which what drawn patches show may fall short of a target and still be tried on all."""
@@ -55,10 +55,10 @@ def choose_postures(
             f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
             f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; take a larger --posture-step or fewer --patches"
         )
-    return _Chooser(whole, drawn, postures, start, candidates, request, progress).choice()
+    return _MultiStartSearch(whole, drawn, postures, start, candidates, request, progress).choice()
 
 
-class _Chooser:
+class _MultiStartSearch:
     def __init__(
         self,
         whole: ImageEvaluator,
@@ -72,11 +72,11 @@ class _Chooser:
         self.request, self.postures, self.start = request, postures, tuple(start)
         self.candidates = candidates
         seen_in = request.seen_in
-        self.last = AlternatingSearch(
+        self.full_search = AlternatingSearch(
             whole, postures, candidates, seen_in=seen_in, where="all patches", prove=True, progress=progress
         )
-        self.first = (
-            self.last
+        self.drawn_search = (
+            self.full_search
             if drawn.table is whole.table
             else AlternatingSearch(
                 drawn,
@@ -88,7 +88,7 @@ class _Chooser:
                 progress=progress,
             )
         )
-        self.on_all_patches = self.first is self.last or position_counts_fit(
+        self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(
             whole, candidates, seen_in=seen_in
         )
         self.starts = 1
@@ -96,91 +96,102 @@ class _Chooser:
 
     def choice(self) -> PostureChoice:
         if self.request.target is None:
-            now = self._on_all(self._of_drawn(self.request.count))
+            solution = self._refine(self._best_on_drawn(self.request.count))
         else:
-            now = self._fewest(self.request.target)
-        one = replace(self.request, count=max(1, len(now.cover.steps)), target=None)
-        stood = self.first.cover(self.start, None, one)
-        cover = now.cover
+            solution = self._fewest(self.request.target)
+        one = replace(self.request, count=max(1, len(solution.cover.steps)), target=None)
+        initial = self.drawn_search.cover(self.start, None, one)
+        cover = solution.cover
         if self.request.target is not None:
             cover = replace(cover, min_size=cover.fewest(self.request.target))
         return PostureChoice(
             postures=tuple(self.postures[i] for i in cover.chosen),
             cover=cover,
-            lights=now.lights,
-            panels=now.panels,
-            exact=now.exact,
-            iterations=now.iterations,
+            lights=solution.lights,
+            panels=solution.panels,
+            exact=solution.exact,
+            iterations=solution.iterations,
             starts=self.starts,
-            initial=InitialLights(share=stood.share, postures=len(stood.steps), panels=self.start),
+            initial=InitialLights(share=initial.share, postures=len(initial.steps), panels=self.start),
             on_all_patches=self.on_all_patches,
-            converged=now.converged,
-            position_counts=self.last.position_counts(cover.chosen),
+            converged=solution.converged,
+            position_counts=self.full_search.position_counts(cover.chosen),
         )
 
     def _fewest(self, target: float) -> Solution:
-        # how many it takes about, then the fewest whose choice by number reaches the target on all patches
-        rough = self._from_all_starts(self.request)
+        # a rough number first, then the fewest whose choice by number reaches the target on all patches
+        rough = self._search_from_all_starts(self.request)
         most = self.request.count or len(self.postures)
         enough = count = len(rough.cover.steps) if rough.cover.share >= target else most
         if rough.cover.share < target and self.request.count is None:
             # drawn patches may show less than all do: those decide
-            now = self._on_all(rough)
-            if self.first is self.last or now.cover.all_covered < target * now.cover.total:
-                return now
+            solution = self._refine(rough)
+            if (
+                self.drawn_search is self.full_search
+                or solution.cover.all_covered < target * solution.cover.total
+            ):
+                return solution
             enough = count = max(1, len(rough.cover.steps))
-        while count > 1 and self._of_drawn(count - 1).cover.share >= target - DRAWN_MARGIN:
+        while count > 1 and self._best_on_drawn(count - 1).cover.share >= target - DRAWN_MARGIN:
             count -= 1
-        hopeless = 0
+        failures = 0
         while True:
-            now = self._on_all(self._of_drawn(count))
-            if now.cover.share < target and len(now.cover.steps) < count:
+            solution = self._refine(self._best_on_drawn(count))
+            if solution.cover.share < target and len(solution.cover.steps) < count:
                 # more than these add nothing on drawn patches, and may on all
-                now = self._on_all(self._of_drawn(count), count)
-            short = now.cover.share < target and len(now.cover.steps) == count < most
+                solution = self._refine(self._best_on_drawn(count), count)
+            short = solution.cover.share < target and len(solution.cover.steps) == count < most
             # with so many, not even all postures under these lights; those of the next number may show more
-            hopeless += count >= enough and now.cover.all_covered < target * now.cover.total
-            if not short or hopeless > 1:
-                return now
+            failures += count >= enough and solution.cover.all_covered < target * solution.cover.total
+            if not short or failures > 1:
+                return solution
             count += 1
 
-    def _of_drawn(self, count: int | None) -> Solution:
+    def _best_on_drawn(self, count: int | None) -> Solution:
         # the best of so many postures on drawn patches
         assert count is not None
         if count not in self._drawn:
-            self._drawn[count] = self._from_all_starts(replace(self.request, count=count, target=None))
+            self._drawn[count] = self._search_from_all_starts(replace(self.request, count=count, target=None))
         return self._drawn[count]
 
-    def _on_all(self, now: Solution, count: int | None = None) -> Solution:
-        # carried on on all patches, where the number is what was chosen, or more, not the target
-        if self.first is self.last:
-            return now
-        request = replace(self.request, count=count or max(1, len(now.cover.steps)), target=None)
-        cover = self.last.cover(now.panels, now.lights, request, before=now.cover.chosen)
-        now = replace(now, cover=cover, converged=self.candidates is None)
-        return self.last.improve(now, MOST_LAST_TURNS, request) if self.on_all_patches else now
+    def _refine(self, solution: Solution, count: int | None = None) -> Solution:
+        # continue on all patches, with the number of chosen postures, or more, instead of the target
+        if self.drawn_search is self.full_search:
+            return solution
+        request = replace(self.request, count=count or max(1, len(solution.cover.steps)), target=None)
+        cover = self.full_search.cover(
+            solution.panels, solution.lights, request, before=solution.cover.chosen
+        )
+        solution = replace(solution, cover=cover, converged=self.candidates is None)
+        return (
+            self.full_search.improve(solution, MOST_FINAL_ITERATIONS, request)
+            if self.on_all_patches
+            else solution
+        )
 
-    def _from_all_starts(self, request: PostureRequest) -> Solution:
+    def _search_from_all_starts(self, request: PostureRequest) -> Solution:
         best: Solution | None = None
         starts = self._starts(request)
         self.starts = len(starts)
         for lights in starts:
-            panels = self.start if lights is None else self.first.panels(lights)
-            now = self.first.improve(self.first.solution_for(panels, lights, request), MOST_TURNS, request)
-            if best is None or merit(now.cover, request) > merit(best.cover, request):
-                best = now
+            panels = self.start if lights is None else self.drawn_search.panels(lights)
+            solution = self.drawn_search.improve(
+                self.drawn_search.solution_for(panels, lights, request), MOST_ITERATIONS, request
+            )
+            if best is None or merit(solution.cover, request) > merit(best.cover, request):
+                best = solution
         assert best is not None
         return best
 
     def _starts(self, request: PostureRequest) -> tuple[tuple[int, ...] | None, ...]:
-        # as they stand; where they serve the best single posture; all at the lower, all at the upper ends
+        # the initial positions; the best for the best single posture; all at the lower, all at the upper ends
         if self.candidates is None:
             return (None,)
-        one = self.first.cover(self.start, None, replace(request, count=1, target=None))
+        one = self.drawn_search.cover(self.start, None, replace(request, count=1, target=None))
         space = self.candidates.space
         ends = (
             first_allowed(space, space.groups[0]),
             first_allowed(space, [rows[::-1] for rows in space.groups[-1]]),
         )
-        alone = [self.first.lights(one.chosen, request).candidates] if one.chosen else []
+        alone = [self.drawn_search.lights(one.chosen, request).candidates] if one.chosen else []
         return tuple(dict.fromkeys([None, *alone, *(tuple(end) for end in ends if end is not None)]))

@@ -31,8 +31,8 @@ def plan_postures(
     part: PartConfig,
     options: OptimizeOptions,
     wanted: PlanOptions,
-    tell: Callable[[str], None] | None,
-    searching: Tell | None,
+    report: Callable[[str], None] | None,
+    progress: Tell | None,
 ) -> tuple[ChosenPostures, ImageEvaluator]:
     """Choose the postures, and the light positions that go with them; also returns the evaluator of all patches.
 
@@ -44,16 +44,16 @@ def plan_postures(
     grid = posture_grid(rig, part, step_deg=wanted.posture_step_deg)
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
-    places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
+    positions = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
     postures, left_out = usable_postures(
-        replace(scene, postures=grid), places, allow_outside_px=wanted.allow_outside_px
+        replace(scene, postures=grid), positions, allow_outside_px=wanted.allow_outside_px
     )
-    if tell is not None:
+    if report is not None:
         few = wanted.postures is not None and len(postures) < wanted.postures
-        asked = f", fewer than the {wanted.postures} that were asked for" if few else ""
-        tell(
-            f"{counted(len(postures), 'posture')} to choose from{asked}, {len(left_out)} left out; patches are cut for "
-            "all of them"
+        shortfall = f", fewer than the {wanted.postures} that were asked for" if few else ""
+        report(
+            f"{counted(len(postures), 'posture')} to choose from{shortfall}, {len(left_out)} left out; patches are cut "
+            "for all of them"
         )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
@@ -75,9 +75,9 @@ def plan_postures(
         PostureRequest(
             seen_in=options.seen_in, count=wanted.postures, target=wanted.target, limit=options.limit
         ),
-        offered=wanted.all_exposures,
+        exposures=wanted.all_exposures,
         gain_points=wanted.exposure_gain,
-        progress=searching,
+        progress=progress,
     )
     if wanted.target is not None and choice.cover.share < wanted.target:
         offered = replace(drawn, exposures=wanted.all_exposures)

@@ -13,10 +13,10 @@ from lightopt.rendering import panels_in_part
 from lightopt.scene import PanelLight, Scene, frame_part, part_postures, view_from_part
 
 DEFAULT_POSTURE_STEP = 22.5
-"""Of tilt and rotation [°], unless asked otherwise: a stage of ±45° and a full turn then has 80 postures."""
+"""Of tilt and rotation [°], by default: a stage of ±45° and a full turn then has 80 postures."""
 
 DEFAULT_OUTSIDE_PX = 10.0
-"""How far the part may leave the view in a posture to choose from [px], unless asked otherwise: no further than a part
+"""How far the part may leave the view in a posture to choose from [px] by default: no further than a part
 may be off its place, so that its rim is near the image's border anyway. What is outside is not seen in that posture."""
 
 MOST_POSTURES = 2000
@@ -46,10 +46,10 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"--posture-step: expected degrees above 0, found {step_deg:g}")
     ranges = _reach(rig)
-    tilts, turns = (_angles(_one_turn(ends), step_deg) for ends in ranges)
-    if len(tilts) * len(turns) > MOST_POSTURES:
+    tilts, rotations = (_angles(_one_turn(ends), step_deg) for ends in ranges)
+    if len(tilts) * len(rotations) > MOST_POSTURES:
         raise InputError(
-            f"--posture-step: at {step_deg:g}° the stage has {len(tilts):,} × {len(turns):,} postures, more than "
+            f"--posture-step: at {step_deg:g}° the stage has {len(tilts):,} × {len(rotations):,} postures, more than "
             f"{MOST_POSTURES:,}, the most that are accepted; take a larger step, or narrow the stage's ranges"
         )
     (lowest, highest), (first, last) = ranges
@@ -58,7 +58,9 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
         for p in part_postures(part)
         if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last
     ]
-    return tuple(dict.fromkeys([*own, *(Posture(tilt, turn) for tilt in tilts for turn in turns)]))
+    return tuple(
+        dict.fromkeys([*own, *(Posture(tilt, rotation) for tilt in tilts for rotation in rotations)])
+    )
 
 
 def usable_postures(

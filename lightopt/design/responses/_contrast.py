@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -36,7 +36,7 @@ from lightopt.design.responses._packed_bits import Words
 from lightopt.optics import Sensor
 
 DEFAULT_CONTRAST = 5.0
-"""Times the noise that a level must be off, unless asked otherwise. Of the two million pixels of an image noise alone
+"""Default multiple of the noise by which a level must be off. Of the two million pixels of an image noise alone
 takes one for a defect at 5, and five thousand at 3. Rose found the same 5 for what people make out in pictures (J. Opt.
 Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196)."""
 
@@ -106,9 +106,9 @@ class Contrast:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PixelFill:
-    """The defects that trials are the walls of, e of them; trials of a defect stand side by side.
+    """How far e defects fill a pixel; the hypotheses of a defect are adjacent.
 
-    first: Index of each defect's first trial, and the number of trials; shape (e + 1,).
+    first: Index of each defect's first hypothesis, and the number of hypotheses; shape (e + 1,).
     facing: Whether only walls that face each other share a pixel, as a scratch's two do; else those of all directions
         do.
     width: [mm], shape (e,).
@@ -122,26 +122,22 @@ class PixelFill:
 
 
 def pixel_fill(hypotheses: Sequence[DefectHypothesis]) -> PixelFill:
-    """The defects behind trials, in their order."""
-    groups = [list(some) for _, some in groupby(hypotheses, key=_defect)]
-    shapes = [_shape(some[0]) for some in groups]
-    first = np.cumsum([0, *(len(some) for some in groups)]).astype(np.int64)
+    """How far the defects of hypotheses fill a pixel, in their order."""
+    # hypotheses of a defect differ by weight and direction only
+    groups = [
+        list(some) for _, some in groupby(hypotheses, key=lambda one: replace(one, weight=0, direction=0.0))
+    ]
+    defects = [some[0] for some in groups]
     return PixelFill(
-        first=first,
-        facing=np.array([shape.kind == "scratch" for shape in shapes], np.bool_),
-        width=np.array([shape.width for shape in shapes]),
-        shares=np.stack([pixel_shares(shape) for shape in shapes]),
-    )
-
-
-def _defect(hypothesis: DefectHypothesis) -> tuple[object, ...]:
-    size = hypothesis.length, hypothesis.width, hypothesis.slope
-    return (hypothesis.name, hypothesis.kind, *size, hypothesis.R_d_factor, hypothesis.sigma_factor)
-
-
-def _shape(hypothesis: DefectHypothesis) -> DefectShape:
-    return DefectShape(
-        kind=hypothesis.kind, length=hypothesis.length, width=hypothesis.width, slope=hypothesis.slope
+        first=np.cumsum([0, *(len(some) for some in groups)]).astype(np.int64),
+        facing=np.array([defect.kind == "scratch" for defect in defects], np.bool_),
+        width=np.array([defect.width for defect in defects]),
+        shares=np.stack(
+            [
+                pixel_shares(DefectShape(kind=one.kind, length=one.length, width=one.width, slope=one.slope))
+                for one in defects
+            ]
+        ),
     )
 
 

@@ -113,11 +113,9 @@ class LuminanceMatrix:
         )
 
     def combination(self, candidates: Sequence[int]) -> LuminanceMatrix:
-        """One candidate of each light."""
         return self.rows([np.array([index]) for index in candidates])
 
     def patches(self, start: int, end: int) -> LuminanceMatrix:
-        """The patches from `start` to `end`."""
         return LuminanceMatrix(
             levels=tuple(layer[:, start:end] for layer in self.levels),
             areas=self.areas[start:end],

@@ -13,7 +13,7 @@ A kept matrix is an ``.npz`` with the arrays
 ``angles_0_deg``, ``angles_1_deg``, …
     Elevation and azimuth of those candidates, shape (candidates, 2).
 ``defects_0``, ``defects_1``, …
-    Where defects were looked for: bits of those that are visible, uint64, shape (candidates, p, words).
+    Where images are tested for defects: bits of those that are visible, uint64, shape (candidates, p, words).
 ``patch``, ``grazing``
     With them: indices of the patches, shape (p,), and of those that the camera sees at a grazing angle.
 """

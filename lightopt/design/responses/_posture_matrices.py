@@ -26,7 +26,7 @@ from lightopt.rendering import PatchTable, Report, build_patches, patches_for_ed
 from lightopt.scene import PanelLight, Scene, chord_tolerance, pixel_footprint
 
 COARSE_SHARE = 0.15
-"""Edges longer than this share of the part's diagonal are worth a warning."""
+"""Edges longer than this share of the part's diagonal cause a warning."""
 
 MATRIX_NAME = "matrix.npz"
 
@@ -38,7 +38,7 @@ _NOT_OF_LEVELS: Any = {
     "defect_catalogue": True,
     "inspection": True,
 }
-"""What of a part no level depends on; of the catalogue's defects the trials have a key of their own."""
+"""What of a part no level depends on; the hypotheses of the catalogue's defects have a key of their own."""
 
 
 @dataclass(eq=False)
@@ -83,9 +83,9 @@ class PostureMatrices:
         )
 
     def _advice(self, longest: float) -> str:
-        # how many patches it takes; where the mesh itself has more triangles than were asked for, how fewer are had
+        # how many patches are needed; where the mesh itself has more triangles, how to get fewer
         assert self.table is not None
-        # cutting may end somewhat before all that were asked for are made
+        # refinement may end somewhat before the budget is used up
         needed = 1.02 * patches_for_edge(self.table, self.scene.mesh, 0.8 * longest)
         step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
         text = f"--patches {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
@@ -184,16 +184,16 @@ def _matrix_facts(
     # saturation, which thresholds are made of
     moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
     mesh = part.source.resolve(part.mesh.file)
-    looked_for: dict[str, Any] = {}
+    defects: dict[str, Any] = {}
     if detection is not None:
         # what is visible depends on the sensor's noise and saturation, too
-        looked_for = {
+        defects = {
             "defects": [asdict(hypothesis) for hypothesis in detection.hypotheses],
             "noise": asdict(detection.contrast),
             "defects narrower than a pixel": "F (D - M) + A M in two pixels",
         }
     return {
-        **looked_for,
+        **defects,
         "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
         "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
         "light_source": rig.light_source.model_dump(mode="json"),

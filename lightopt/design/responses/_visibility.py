@@ -67,7 +67,6 @@ class Visibility:
 
     @property
     def total_weight(self) -> int:
-        """Sum of the trials' weights."""
         return sum(hypothesis.weight for hypothesis in self.hypotheses)
 
     def rows(self, rows: Sequence[Int64]) -> Visibility:
@@ -76,7 +75,6 @@ class Visibility:
         return replace(self, words=words)
 
     def patches(self, start: int, end: int) -> Visibility:
-        """The patches from `start` to `end`."""
         return replace(
             self,
             words=tuple(layer[:, start:end] for layer in self.words),

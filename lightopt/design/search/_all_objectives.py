@@ -32,7 +32,7 @@ def search_objectives(
     )
     options, postures_of_all = source.options, source.scene.postures
     results: list[SetResult] = []
-    looked: list[Looked] = []
+    blind_spots: list[Looked] = []
     # the matrices of postures that do not share their lights are never held together
     for postures in [postures_of_all] if options.common_lights else [(one,) for one in postures_of_all]:
         matrices = [source.matrix(posture, report, held=len(postures)) for posture in postures]
@@ -51,7 +51,7 @@ def search_objectives(
         )
         if defects is not None:
             best = results[-1].answers[0].found.best.candidates
-            looked += [
+            blind_spots += [
                 look_for_blind_spots(matrix, posture, thresholds, seen_in=defects.seen_in, candidates=best)
                 for matrix, posture in zip(matrices, postures, strict=True)
             ]
@@ -59,7 +59,7 @@ def search_objectives(
         for answer in results[-1].answers:
             if not answer.found.complete and answer.nothing is None:
                 warn(cut_off(answer, postures))
-    return tuple(results), looked
+    return tuple(results), blind_spots
 
 
 def candidates_of_others(
@@ -75,7 +75,7 @@ def candidates_of_others(
     why = "they are too many for memory" if among else "the chosen ones are not among them"
     warn(
         f"the other objectives are scored where the lights were chosen to stand, their own best positions are not "
-        f"search_objectives: {why}"
+        f"searched: {why}"
     )
     return None
 

@@ -11,6 +11,7 @@ import numpy as np
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.progress import pieces
 from lightopt.core.transforms import Posture
+from lightopt.design._plan_progress import of_stage
 from lightopt.design._result import Answer, SetResult
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import Objective
@@ -25,7 +26,7 @@ from lightopt.design.search._exact_search import SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
 PIECE_PATCHES = 1 << 15
-"""Patches that an objective's definition is given at once."""
+"""Patches for which an objective's definition is evaluated at once."""
 
 
 def answer_set(
@@ -52,19 +53,11 @@ def answer_set(
                 f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
                 "position of the lights is better than another; check the part's placement and the posture"
             )
+    find = partial(search, space=candidates.space, keep=rows, limit=limit, threads=threads)
     answers: list[Answer] = []
     for objective in objectives:
         stage = f"{objective.name}, {', '.join(map(str, postures))}"
-        found = search(
-            matrices,
-            objective,
-            thresholds,
-            space=candidates.space,
-            keep=rows,
-            limit=limit,
-            threads=threads,
-            progress=None if progress is None else partial(progress, stage),
-        )
+        found = find(matrices, objective, thresholds, progress=of_stage(progress, stage))
         best = found.best.candidates
         scores = {other.name: _score(matrices, other, best, thresholds) for other in objectives}
         if scores[objective.name] != found.best.score:
@@ -72,7 +65,7 @@ def answer_set(
                 f"internal error: objective {objective.name} scores the best set {found.best.score:,} in the search "
                 f"and {scores[objective.name]:,} by its definition; please report it with the rig and the part"
             )
-        nothing = _nothing(matrices, thresholds, found) if found.best.score == 0 else None
+        nothing = _reason_for_zero(matrices, thresholds, found) if found.best.score == 0 else None
         details = objective.details(
             [matrix.combination(best) for matrix in matrices],
             [objective.weights(matrix.areas) for matrix in matrices],
@@ -124,25 +117,14 @@ def answer_others(
     evaluate: Computes the matrices of one combination, one per posture, with all that the first objective needs.
     """
     first = chosen.answers[0]
-    own = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
-    postures = ", ".join(map(str, chosen.postures))
+    find = partial(search, space=candidates.space, keep=rows, limit=limit, threads=threads)
     answers: list[Answer] = []
     for objective in objectives:
-        stage = f"{objective.name}, {postures}"
-        found = (
-            own
-            if objective is objectives[0]
-            else search(
-                levels,
-                objective,
-                thresholds,
-                space=candidates.space,
-                keep=rows,
-                limit=limit,
-                threads=threads,
-                progress=None if progress is None else partial(progress, stage),
-            )
-        )
+        if objective is objectives[0]:
+            found = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
+        else:
+            stage = f"{objective.name}, {', '.join(map(str, chosen.postures))}"
+            found = find(levels, objective, thresholds, progress=of_stage(progress, stage))
         matrices = evaluate(found.best.candidates)
         only = (0,) * len(candidates.names)
         answers.append(
@@ -151,7 +133,9 @@ def answer_others(
                 found=found,
                 scores={other.name: _score(matrices, other, only, thresholds) for other in objectives},
                 details=objective.details(matrices, [objective.weights(matrix.areas) for matrix in matrices]),
-                nothing=_nothing(levels or matrices, thresholds, found) if found.best.score == 0 else None,
+                nothing=_reason_for_zero(levels or matrices, thresholds, found)
+                if found.best.score == 0
+                else None,
             )
         )
     return replace(chosen, answers=tuple(answers))
@@ -172,7 +156,9 @@ def _score(
     return total
 
 
-def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: LevelThresholds, found: SearchResult) -> str:
+def _reason_for_zero(
+    matrices: Sequence[LuminanceMatrix], thresholds: LevelThresholds, found: SearchResult
+) -> str:
     layers = [layer for matrix in matrices for layer in matrix.levels]
     count = sum(layer.size for layer in layers)
     dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)

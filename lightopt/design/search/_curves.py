@@ -31,7 +31,6 @@ class Curve:
     scores: tuple[int, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "light": None if self.name == TOGETHER else self.name,
             "axis": self.axis,

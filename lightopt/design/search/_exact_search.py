@@ -41,7 +41,7 @@ BOX_COST = 20_000
 """Combinations that take about as long to score as a box takes to halve; counts against the limit."""
 
 DEFAULT_LIMIT = 200_000_000
-"""Combinations that are scored unless asked otherwise, before the search stops with a bound; bounds count, too."""
+"""Default number of combinations to score before the search stops with a bound; bounds count, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,6 @@ class SearchResult:
 
     @property
     def best(self) -> Ranked:
-        """The best combination."""
         return self.ranking[0]
 
     @property
@@ -122,11 +121,11 @@ def search(
         combination, too many combinations.
     """
     space = space or CombinationSpace.of(matrices[0].shape)
-    posed = _Posed(matrices, objective, thresholds, threads or available_processors())
-    _check(posed, space)
+    scorer = _BoxScorer(matrices, objective, thresholds, threads or available_processors())
+    _check(scorer, space)
     total = sum(map(_cells, space.groups))
 
-    def tell(more: float = 0.0) -> None:
+    def report(more: float = 0.0) -> None:
         if progress is not None:
             seen = ranking.count + clashing
             counted = seen + BOX_COST * boxes.halved
@@ -134,10 +133,10 @@ def search(
 
     keep = max(2, keep)
     ranking = Ranking()
-    near = NearBest(lambda best: near_margin(objective, best, posed.area))
+    near = NearBest(lambda best: near_margin(objective, best, scorer.area))
     excluded = clashing = 0
     excluded_bound = -1
-    boxes = _Boxes(posed, space.groups, max(1, min(table_cells, limit)))
+    boxes = _Boxes(scorer, space.groups, max(1, min(table_cells, limit)))
     while boxes:
         if len(ranking.best) == keep and boxes.bound < ranking.best[-1].score:
             excluded += boxes.cells
@@ -146,18 +145,18 @@ def search(
             break
         if ranking.best and ranking.count + clashing + BOX_COST * boxes.halved >= limit:
             break
-        bound, rows = boxes.take(tell)
+        bound, rows = boxes.take(report)
         if len(ranking.best) == keep and bound < ranking.best[-1].score:
             excluded += _cells(rows)
             excluded_bound = max(excluded_bound, bound)
             continue
         cells = _cells(rows)
-        scores = posed.scores(rows, lambda share, cells=cells: tell(share * cells))
+        scores = scorer.scores(rows, lambda share, cells=cells: report(share * cells))
         allowed = allowed_mask(space, rows)
         near.add(scores if allowed is None else scores[allowed])
-        ranking = ranking.merged(rank(scores, rows, posed.usable, allowed=allowed, limit=keep), keep)
+        ranking = ranking.merged(rank(scores, rows, scorer.usable, allowed=allowed, limit=keep), keep)
         clashing += 0 if allowed is None else int(allowed.size - np.count_nonzero(allowed))
-        tell()
+        report()
     if not ranking.best:
         raise InputError(
             "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
@@ -179,8 +178,8 @@ def search(
 class _Boxes:
     """The boxes that are left, ordered by bound."""
 
-    def __init__(self, posed: _Posed, groups: Sequence[Rows], table_cells: int) -> None:
-        self._posed = posed
+    def __init__(self, scorer: _BoxScorer, groups: Sequence[Rows], table_cells: int) -> None:
+        self._scorer = scorer
         self._table_cells = table_cells
         self._serial = itertools.count()
         self._heap: list[tuple[int, int, Rows]] = []
@@ -188,7 +187,7 @@ class _Boxes:
         self.cells = 0
         for rows in groups:
             # a single box that is enumerated anyway needs no bound
-            self._push(rows, 0 if len(groups) == 1 and _cells(rows) <= table_cells else posed.bound(rows))
+            self._push(rows, 0 if len(groups) == 1 and _cells(rows) <= table_cells else scorer.bound(rows))
 
     def __bool__(self) -> bool:
         return bool(self._heap)
@@ -198,10 +197,10 @@ class _Boxes:
         """A score that no combination in the boxes exceeds."""
         return -self._heap[0][0]
 
-    def take(self, tell: Callable[[], None]) -> tuple[int, Rows]:
+    def take(self, report: Callable[[], None]) -> tuple[int, Rows]:
         """Take out a box to enumerate, with its bound: the box with the largest bound, halved until it is small enough.
 
-        `halved` is called whenever a box was halved.
+        `report` is called whenever a box was halved.
         """
         negative, _, rows = heapq.heappop(self._heap)
         bound = -negative
@@ -209,14 +208,13 @@ class _Boxes:
         while _cells(rows) > self._table_cells:
             self.halved += 1
             # a half's bound is no looser than that of the whole
-            low, high = ((min(bound, self._posed.bound(half)), half) for half in _halves(rows))
+            low, high = ((min(bound, self._scorer.bound(half)), half) for half in _halves(rows))
             (bound, rows), (worse, rest) = (low, high) if low[0] >= high[0] else (high, low)
             self._push(rest, worse)
-            tell()
+            report()
         return bound, rows
 
     def clear(self) -> None:
-        """Remove all boxes."""
         self._heap.clear()
         self.cells = 0
 
@@ -225,7 +223,7 @@ class _Boxes:
         self.cells += _cells(rows)
 
 
-class _Posed:
+class _BoxScorer:
     """The matrices of the postures together, as the objective sees them."""
 
     def __init__(
@@ -275,16 +273,16 @@ class _Posed:
         )
 
 
-def _check(posed: _Posed, space: CombinationSpace) -> None:
+def _check(scorer: _BoxScorer, space: CombinationSpace) -> None:
     lights = len(space.sizes)
-    if reason := posed.objective.refusal(lights):
+    if reason := scorer.objective.refusal(lights):
         raise InputError(reason)
     if sum(map(_cells, space.groups)) > MOST_COMBINATIONS:
         raise InputError(
             f"search: {lights} lights of up to {max(space.sizes):,} positions make more than 10^300 combinations; take "
             "a larger --step, or leave only those lights a range that are to be moved"
         )
-    for matrix in posed.matrices:
+    for matrix in scorer.matrices:
         if matrix.shape != space.sizes:
             raise InputError(
                 f"search: expected candidates {space.sizes} in every posture, found {matrix.shape}"
@@ -301,11 +299,11 @@ def _cells(rows: Rows) -> int:
 
 
 def _halves(rows: Rows) -> tuple[Rows, Rows]:
-    widest_tolerance = max(range(len(rows)), key=lambda i: len(rows[i]))
-    middle = len(rows[widest_tolerance]) // 2
+    widest = max(range(len(rows)), key=lambda i: len(rows[i]))
+    middle = len(rows[widest]) // 2
     low, high = list(rows), list(rows)
-    low[widest_tolerance], high[widest_tolerance] = (
-        rows[widest_tolerance][:middle],
-        rows[widest_tolerance][middle:],
+    low[widest], high[widest] = (
+        rows[widest][:middle],
+        rows[widest][middle:],
     )
     return tuple(low), tuple(high)

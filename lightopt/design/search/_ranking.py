@@ -29,7 +29,6 @@ class Ranked:
 
     @property
     def score(self) -> int:
-        """Score of the objective."""
         return -self.negative_score
 
     @property
@@ -52,7 +51,6 @@ class Ranking:
     count: int = 0
 
     def merged(self, other: Ranking, limit: int) -> Ranking:
-        """The ranking of both sets of combinations."""
         best = tuple(sorted((*self.best, *other.best))[:limit])
         score = best[0].score if best else 0
         ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)

@@ -76,7 +76,7 @@ class _Assessment(ABC):
         self._facets = face_normals(evaluator.scene.mesh)[evaluator.table.patches.face[self.patches]]
 
     def __call__(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
-        # images of other poses than this one and the exact one are not asked for again
+        # images of other poses than this one and the exact one are not needed again
         self.images = {key: image for key, image in self.images.items() if key[1] in (pose, EXACT)}
         for posture in range(len(self.setup.postures)):
             self._compute_images(posture, pose, lights)

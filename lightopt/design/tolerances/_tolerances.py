@@ -19,10 +19,10 @@ ScoreFunction = Callable[[Offset, Sequence[Sequence[Offset]]], Int64]
 postures, and offsets of each light."""
 
 DEFAULT_TOLERANCE_TARGET = 0.95
-"""Share of the score that the widest tolerances keep, unless asked otherwise."""
+"""Share of the score that the widest tolerances keep by default."""
 
 LARGEST_TOLERANCE = 16.0
-"""The widest tolerance that is looked for, and the largest that may be asked about [°]."""
+"""The widest tolerance that is tried, and the largest that may be requested [°]."""
 
 MOST_LIGHTS = 10
 """Of which all corners are tried: 4 per light, some million in all. Two lights more would be sixteen times as many."""
