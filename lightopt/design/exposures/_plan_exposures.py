@@ -60,14 +60,8 @@ def plan_exposures(
     """
     further = [exposure for exposure in exposures if exposure != 1.0]
     kept = 1 if seen_in == 1 else max(map(len, lights))
-    size = (
-        len(postures)
-        * (1 + len(further))
-        * kept
-        * len(evaluator.patches)
-        * evaluator.weights.masks.shape[1]
-        * 8
-    )
+    pair_bytes = len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8
+    size = len(postures) * (1 + len(further)) * kept * pair_bytes
     if size > MOST_IMAGE_BYTES:
         raise InputError(
             f"--exposures: {len(postures)} postures × {1 + len(further)} exposures × {kept} lights × "

@@ -26,7 +26,7 @@ LEAST_PATCHES = 4096
 """Of a block, however many candidates there are."""
 
 TASK_WORDS = 100_000_000
-"""Words that a task looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+"""Words that a task reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
 
 
 def bit_scores(

@@ -41,7 +41,7 @@ BITS_SHARE = 512
 ways take about the same time."""
 
 BOUND_PATCHES = 1 << 16
-"""Patches whose bound is worked out at once."""
+"""Patches whose bound is computed at once."""
 
 
 @dataclass(frozen=True)

@@ -147,7 +147,7 @@ class PaperObjective:
 
 
 def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:
-    # sets of lights, their coefficients and tables; none where the combinations themselves are fewer levels to look at
+    # sets of lights, their coefficients and tables; none where the combinations themselves read fewer levels
     lights = len(sizes)
     if lights > MOST_LIGHTS_IN_SETS:
         return []

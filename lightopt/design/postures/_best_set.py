@@ -12,13 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from lightopt.core.threads import available_processors, run_all
+from lightopt.core.threads import available_processors
 from lightopt.design.postures._counts import (
     Counts,
     PairWeights,
     add_counts,
+    all_marginal_gains,
     covered_weight,
-    marginal_gains,
     sum_counts,
     zero_counts,
 )
@@ -28,7 +28,7 @@ MOST_WORK = 2_000_000_000
 processors."""
 
 BATCH = 16
-"""Candidates whose gains are worked out at once, whatever the number of threads."""
+"""Candidates whose gains are computed at once, whatever the number of threads."""
 
 
 def best_set(
@@ -134,10 +134,4 @@ class _Search:
         self._left -= self._each * len(some)
         if self._left < 0:
             raise _WorkLimitReached
-        found: list[tuple[int, int]] = [(0, 0)] * len(some)
-
-        def add(at: int) -> None:
-            found[at] = marginal_gains(now, self.candidates[some[at]], self.weights)
-
-        run_all(((add, (at,)) for at in range(len(some))), threads=self.threads)
-        return found
+        return all_marginal_gains(now, [self.candidates[i] for i in some], self.weights, threads=self.threads)

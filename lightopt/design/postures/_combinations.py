@@ -27,7 +27,7 @@ PositionCounts = NDArray[np.uint64]
 """Counts of every place of a light, shape (places, k, p, words)."""
 
 TASK_WORDS = 100_000_000
-"""Words that a task of plain additions looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+"""Words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
 
 
 def combination_sums(

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
+from lightopt.core.threads import run_all
 from lightopt.design._arrays import Int64, read_only
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words, add_counts, add_image, word_weight
@@ -107,6 +108,19 @@ def marginal_gains(counts: Counts, more: Counts, weights: PairWeights) -> tuple[
     """By how much :func:`covered_weight` and :func:`total_benefit` grow when `more` is added to `counts`."""
     covered, benefit = _gains(counts, more, weights.areas, weights.masks, weights.factors)
     return int(covered), int(benefit)
+
+
+def all_marginal_gains(
+    counts: Counts, candidates: Sequence[Counts], weights: PairWeights, *, threads: int
+) -> list[tuple[int, int]]:
+    """:func:`marginal_gains` of each of some candidates."""
+    gains: list[tuple[int, int]] = [(0, 0)] * len(candidates)
+
+    def add(i: int) -> None:
+        gains[i] = marginal_gains(counts, candidates[i], weights)
+
+    run_all(((add, (i,)) for i in range(len(candidates))), threads=threads)
+    return gains
 
 
 @kernel

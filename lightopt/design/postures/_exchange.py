@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lightopt.core.threads import available_processors, run_all
+from lightopt.core.threads import available_processors
 from lightopt.design.postures._counts import (
     Counts,
     PairWeights,
+    all_marginal_gains,
     covered_weight,
-    marginal_gains,
     sum_counts,
     total_benefit,
 )
@@ -36,35 +36,21 @@ def improve_by_exchange(
     merit = _merit(sum_counts((candidates[i] for i in now), weights, k), weights)
     while True:
         best: tuple[Merit, int, int] | None = None
+        others = [i for i in range(len(candidates)) if i not in now]
         for place in range(len(now)):
             rest = sum_counts((candidates[i] for i in [*now[:place], *now[place + 1 :]]), weights, k)
-            merits = _merits_with(rest, candidates, weights, skip=now, threads=threads)
-            for i, other in merits.items():
+            covered, benefit = _merit(rest, weights)
+            gains = all_marginal_gains(
+                rest, [candidates[i] for i in others], weights, threads=threads or available_processors()
+            )
+            for i, gain in zip(others, gains, strict=True):
+                other = covered + gain[0], benefit + gain[1]
                 if other > (merit if best is None else best[0]):
                     best = other, place, i
         if best is None:
             return tuple(now)
         merit, place, i = best
         now[place] = i
-
-
-def _merits_with(
-    rest: Counts,
-    candidates: Sequence[Counts],
-    weights: PairWeights,
-    *,
-    skip: Sequence[int],
-    threads: int | None,
-) -> dict[int, Merit]:
-    base = _merit(rest, weights)
-    merits: dict[int, Merit] = {i: base for i in range(len(candidates)) if i not in skip}
-
-    def add(i: int) -> None:
-        covered, benefit = marginal_gains(rest, candidates[i], weights)
-        merits[i] = base[0] + covered, base[1] + benefit
-
-    run_all(((add, (i,)) for i in list(merits)), threads=threads or available_processors())
-    return merits
 
 
 def _merit(counts: Counts, weights: PairWeights) -> Merit:

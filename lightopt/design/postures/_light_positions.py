@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
-from lightopt.core.progress import Share
+from lightopt.core.progress import Share, part_of
 from lightopt.core.transforms import Posture
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.candidates._combination_space import CombinationSpace, allowed_mask
@@ -225,11 +225,7 @@ def best_positions(
     """The positions of the lights that show most in postures, and the counts of all positions."""
     counted = len(postures) / (len(postures) + 1)
     counts = position_counts(
-        evaluator,
-        postures,
-        candidates,
-        seen_in=seen_in,
-        progress=None if progress is None else lambda share: progress(counted * share),
+        evaluator, postures, candidates, seen_in=seen_in, progress=part_of(progress, 0.0, counted)
     )
     positions = place_lights(
         counts,
@@ -237,6 +233,6 @@ def best_positions(
         candidates.space,
         limit=limit,
         threads=evaluator.threads,
-        progress=None if progress is None else lambda share: progress(counted + (1.0 - counted) * share),
+        progress=part_of(progress, counted, 1.0),
     )
     return positions, counts

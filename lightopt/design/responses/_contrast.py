@@ -187,7 +187,7 @@ def _contrast_words(
 
 @kernel
 def _shares(table: Float64, ratio: float) -> tuple[float, float, float, float]:
-    # between the ratios that were worked out, linear in their logarithm; below them the defect fills the pixel, beyond
+    # between the tabulated ratios, linear in their logarithm; below them the defect fills the pixel, beyond
     # them its share falls as the pixel's area grows
     place = PER_OCTAVE * math.log2(ratio / LEAST_RATIO)
     if place < 0.0:
