@@ -107,7 +107,7 @@ def run(size: Size) -> Report:
                 f"{peak_bytes() / 1e9:.2f}",
                 f"{cover.share:.1%}",
                 f"{cover.bound_share:.1%}",
-                f"{cover.all_reached / cover.total:.1%}",
+                f"{cover.all_covered / cover.total:.1%}",
             )
         )
         placed = placing(whole, choice, scale.fine)

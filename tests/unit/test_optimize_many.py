@@ -293,11 +293,11 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     for module, names in {
         "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
         "_level_sums": ("TASK_LEVELS", "WALK_LEVELS"),
-        "_bits": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
-        "_runs": ("CHUNK_PATCHES", "CHUNK_BOXES"),
+        "_bit_sums": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
+        "_class_runs": ("CHUNK_PATCHES", "CHUNK_BOXES"),
     }.items():
         for name in names:
-            monkeypatch.setattr(f"lightopt.design.{module}.{name}", 50)
+            monkeypatch.setattr(f"lightopt.design.objectives.{module}.{name}", 50)
     for (name, objective), cost, share in itertools.product(OBJECTIVES.items(), (0.0, 1e9), (1e-9, 1e9)):
         monkeypatch.setattr("lightopt.design.objectives._paper.DIRECT_COST", cost)
         monkeypatch.setattr("lightopt.design.objectives._coverage.BITS_SHARE", share)
