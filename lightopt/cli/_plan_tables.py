@@ -50,7 +50,7 @@ def _show_postures(chosen: ChosenPostures) -> None:
                 str(number),
                 *([_levels(chosen.exposures_of(posture))] if bracketed else []),
                 text(step.gain / (cover.k * total)),
-                text(step.reached / total),
+                text(step.covered / total),
             )
             for posture in chosen.way.order
             for number, step in [numbered[posture]]
@@ -104,7 +104,7 @@ def _show_spare(chosen: ChosenPostures) -> None:
         say(f"{chosen.requested} postures were asked for: {why}")
     if chosen.sufficient < len(steps):
         text = _text_of(chosen.grain)
-        share = text(steps[chosen.sufficient - 1].reached / max(1, chosen.choice.cover.total))
+        share = text(steps[chosen.sufficient - 1].covered / max(1, chosen.choice.cover.total))
         say(
             f"the first {chosen.sufficient} chosen show {share}, the others less than 0.1 points more: "
             f"--choose-postures {chosen.sufficient} does nearly as well"
@@ -118,7 +118,7 @@ def _show_proof(chosen: ChosenPostures) -> None:
     if chosen.proven:
         say(f"proven of these patches: no {number} show more{whatever}")
     else:
-        local = "a local optimum: " if choice.turns else ""
+        local = "a local optimum: " if choice.iterations else ""
         sets = (
             f"no {number} show"
             if cover.sets is None
@@ -130,28 +130,28 @@ def _show_proof(chosen: ChosenPostures) -> None:
             else f"with these lights {sets} more than {text(cover.bound_share)}{whatever}, so that these have "
             f"{text(cover.guarantee)} of the best at least"
         )
-        say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(choice.turns))
-    everything = text(cover.all_reached / max(1, cover.total))
+        say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(choice.iterations))
+    everything = text(cover.all_covered / max(1, cover.total))
     say(f"all {chosen.candidate_count} postures with these lights show {everything}{whatever}")
-    if cover.least is not None and chosen.target is not None:
+    if cover.min_size is not None and chosen.target is not None:
         say(
-            f"{100.0 * chosen.target:.9g} % takes at least {counted(cover.least, 'posture')} with these lights"
+            f"{100.0 * chosen.target:.9g} % takes at least {counted(cover.min_size, 'posture')} with these lights"
         )
-    if not choice.turns:
+    if not choice.iterations:
         return
     from lightopt.design import patches_text
 
     tried = "every combination" if choice.exact else "one light moved at a time"
-    where = patches_text(chosen.drawn, chosen.patches, on_all=choice.on_all)
-    best = "; proven: in these postures no other positions show more" * (choice.exact and choice.settled)
+    where = patches_text(chosen.drawn, chosen.patches, on_all_patches=choice.on_all_patches)
+    best = "; proven: in these postures no other positions show more" * (choice.exact and choice.converged)
     say(
-        f"lights: the same for all postures, placed together with them in {counted(choice.turns, 'turn')}, "
+        f"lights: the same for all postures, placed together with them in {counted(choice.iterations, 'turn')}, "
         f"the best of {counted(choice.starts, 'start')} ({tried}) {where}{best}"
     )
-    if choice.before is not None:
+    if choice.initial_if_moved is not None:
         say(
-            f"the lights as they stood show {text(choice.before.share)} in "
-            f"{counted(choice.before.postures, 'posture')} chosen for them, on {chosen.drawn:,} patches, at "
+            f"the lights as they stood show {text(choice.initial_if_moved.share)} in "
+            f"{counted(choice.initial_if_moved.postures, 'posture')} chosen for them, on {chosen.drawn:,} patches, at "
             "exposure 1"
         )
 
@@ -173,13 +173,15 @@ def _show_brackets(brackets: Brackets) -> None:
         ("posture", "exposure", "adds", "planned"),
         [
             (str(shot.posture), f"{shot.exposure:g}", text(shot.gain), "yes" if shot.planned else "no")
-            for shot in brackets.shots
+            for shot in brackets.further
         ],
     )
-    planned = sum(shot.planned for shot in brackets.shots)
+    planned = sum(shot.planned for shot in brackets.further)
     adding = f"{100.0 * brackets.least_gain:g} % or more"
-    adding += ", or two that add twice that together" * any(shot.why == "pair" for shot in brackets.shots)
-    adding += ", or needed for the target" * any(shot.why == "target" for shot in brackets.shots)
+    adding += ", or two that add twice that together" * any(
+        shot.reason == "pair" for shot in brackets.further
+    )
+    adding += ", or needed for the target" * any(shot.reason == "target" for shot in brackets.further)
     say(
         f"{counted(planned, 'further exposure')} planned, each adding {adding}: "
         f"{text(brackets.before)} of the surface × defects becomes {text(brackets.after)}"

@@ -42,26 +42,26 @@ from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, 
 from lightopt.design.blind_spots._unreachable_target import TargetNotReached
 from lightopt.design.candidates._candidates import find_candidates
 from lightopt.design.exposures._brackets import Brackets
-from lightopt.design.exposures._exposures import DEFAULT_EXPOSURE_GAIN
-from lightopt.design.objectives._bit_runs import flags_of
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
 from lightopt.design.objectives._registry import OBJECTIVES
-from lightopt.design.postures._choice import Choice, Wanted
-from lightopt.design.postures._choose import choose_postures
+from lightopt.design.postures._choice import PostureChoice, PostureRequest
 from lightopt.design.postures._counts import counts_of_images
+from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.postures._light_positions import place_lights
-from lightopt.design.postures._pair_visibility import DRAWN_PATCHES, Survey, drawn_patches
+from lightopt.design.postures._multi_start_search import choose_postures
 from lightopt.design.responses._contrast import Contrast
-from lightopt.design.responses._defect_evaluation import Inspection
-from lightopt.design.responses._defect_hypotheses import DIRECTIONS, Trial, unroll
-from lightopt.design.responses._luminance import luminance_matrix
-from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Thresholds, area_units
+from lightopt.design.responses._defect_hypotheses import DIRECTIONS, DefectHypothesis, defect_hypotheses
+from lightopt.design.responses._detection import DetectionModel
+from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, area_units
+from lightopt.design.responses._matrix_computation import luminance_matrix
+from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.responses._visibility import Visibility
 from lightopt.design.search._curves import Curve
-from lightopt.design.search._search import search
-from lightopt.design.tolerances._evaluation import PairAssessment, Setup
-from lightopt.design.tolerances._robustness import trust_of
+from lightopt.design.search._exact_search import search
+from lightopt.design.tolerances._analysis import analyse_tolerances
+from lightopt.design.tolerances._assessments import PairAssessment, Setup
 from lightopt.design.tolerances._tolerances import Tolerances
 
 __all__ = [
@@ -79,15 +79,17 @@ __all__ = [
     "BlindSpotSummary",
     "BlindSpots",
     "Brackets",
-    "Choice",
     "ChosenPostures",
     "Contrast",
     "Curve",
+    "DefectHypothesis",
     "DesignOutput",
     "DesignResult",
-    "Detectability",
-    "Inspection",
+    "DetectabilityObjective",
+    "DetectionModel",
+    "ImageEvaluator",
     "LegendRow",
+    "LevelThresholds",
     "Levels",
     "LuminanceMatrix",
     "Objective",
@@ -96,18 +98,17 @@ __all__ = [
     "PairAssessment",
     "PlanOptions",
     "PlanResult",
+    "PostureChoice",
+    "PostureRequest",
     "RunContext",
     "SetResult",
     "Setup",
-    "Survey",
     "TargetNotReached",
-    "Thresholds",
     "ToleranceResult",
     "Tolerances",
-    "Trial",
     "Visibility",
-    "Wanted",
     "Way",
+    "analyse_tolerances",
     "angles_of",
     "area_text",
     "area_units",
@@ -119,10 +120,10 @@ __all__ = [
     "choose_postures",
     "combinations_counted_text",
     "counts_of_images",
+    "defect_hypotheses",
     "drawn_patches",
     "find_candidates",
     "finish_design",
-    "flags_of",
     "gap_text",
     "left_out_text",
     "luminance_matrix",
@@ -138,7 +139,6 @@ __all__ = [
     "shares_of",
     "shown_text",
     "ties_text",
-    "trust_of",
-    "unroll",
+    "unpack_flags",
     "write_design",
 ]

@@ -16,7 +16,7 @@ from lightopt.design._options import (
     check_plan,
 )
 from lightopt.design.objectives._registry import OBJECTIVES
-from lightopt.design.postures._grid import posture_grid
+from lightopt.design.postures._posture_grid import posture_grid
 from lightopt.design.tolerances._tolerances import lights_problem
 
 

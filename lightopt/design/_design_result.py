@@ -13,7 +13,7 @@ from lightopt.design._plan_result import PlanResult
 from lightopt.design._result import SetResult
 from lightopt.design.blind_spots._summary import BlindSpotSummary
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.responses._luminance_matrix import Thresholds
+from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable
 from lightopt.scene import Scene
@@ -51,7 +51,7 @@ class DesignResult:
     patches: PatchTable | None
     candidates: Candidates
     all_candidates: Candidates
-    thresholds: Thresholds
+    thresholds: LevelThresholds
     results: tuple[SetResult, ...]
     plan: PlanResult
     blind: BlindSpotSummary | None

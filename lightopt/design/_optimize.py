@@ -29,21 +29,25 @@ from lightopt.design.blind_spots._planned_visibility import planned_visibility
 from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility
 from lightopt.design.candidates._angles import can_move
 from lightopt.design.candidates._candidates import Candidates, find_candidates
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
-from lightopt.design.postures._answers import planned_answers
-from lightopt.design.postures._candidate_postures import (
+from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.postures._plan_answers import planned_answers
+from lightopt.design.postures._plan_postures import (
     candidates_of,
-    inspection_of,
-    places_of,
+    chosen_angles,
+    detection_model_of,
     plan_postures,
 )
-from lightopt.design.postures._pair_visibility import Survey
-from lightopt.design.responses._defect_hypotheses import unroll
-from lightopt.design.responses._luminance_matrix import Thresholds
-from lightopt.design.responses._posture_matrices import Matrices
-from lightopt.design.search._all_objectives import candidates_beside, searched, searched_beside
+from lightopt.design.responses._defect_hypotheses import defect_hypotheses
+from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.responses._posture_matrices import PostureMatrices
+from lightopt.design.search._all_objectives import (
+    candidates_of_others,
+    search_objectives,
+    search_other_objectives,
+)
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable, cast_rays_at, refuse_hopeless
 from lightopt.scene import Scene, build_catalogue, build_scene, coarse_warnings
@@ -123,7 +127,7 @@ class _ChosenPostures:
     """Postures that were chosen, and the surface that they were chosen on."""
 
     chosen: ChosenPostures
-    survey: Survey
+    survey: ImageEvaluator
 
     def fixed_in(self, options: OptimizeOptions, rig: RigConfig) -> OptimizeOptions:
         """The options with these postures and the light positions that go with them."""
@@ -132,7 +136,7 @@ class _ChosenPostures:
             objectives=options.objectives or (DEFECT_OBJECTIVE,),
             postures=self.chosen.way.order,
             common_lights=True,
-            places=places_of(rig, self.chosen.choice, options),
+            places=chosen_angles(rig, self.chosen.choice, options),
         )
 
 
@@ -149,20 +153,20 @@ class _Problem:
     objectives: tuple[Objective, ...]
     scene: Scene
     caster: RayCaster
-    thresholds: Thresholds
+    thresholds: LevelThresholds
     candidates: Candidates
     all_candidates: Candidates
     provenance: Mapping[str, Any]
 
     @property
-    def defects(self) -> Detectability | None:
+    def defects(self) -> DetectabilityObjective | None:
         """The objective of defects; None where it is not among the objectives."""
-        return next((one for one in self.objectives if isinstance(one, Detectability)), None)
+        return next((one for one in self.objectives if isinstance(one, DetectabilityObjective)), None)
 
-    def matrices(self, folder: Path, table: PatchTable | None) -> Matrices:
+    def matrices(self, folder: Path, table: PatchTable | None) -> PostureMatrices:
         """The responses of the candidates; `table` has patches that were cut before."""
-        defects = None if self.defects is None else inspection_of(self.scene, self.part, self.options)
-        return Matrices(
+        defects = None if self.defects is None else detection_model_of(self.scene, self.part, self.options)
+        return PostureMatrices(
             self.rig,
             self.part,
             self.scene,
@@ -174,13 +178,13 @@ class _Problem:
             table,
         )
 
-    def survey(self, matrices: Matrices) -> Survey:
+    def survey(self, matrices: PostureMatrices) -> ImageEvaluator:
         """The part as the search sees it."""
-        return Survey(
+        return ImageEvaluator(
             scene=self.scene,
             table=matrices.patches(),
             caster=self.caster,
-            inspection=inspection_of(self.scene, self.part, self.options),
+            detection=detection_model_of(self.scene, self.part, self.options),
             shadows=self.options.shadows,
             threads=self.options.threads,
         )
@@ -210,7 +214,7 @@ def _state_problem(
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
-    thresholds = Thresholds.of_sensor(
+    thresholds = LevelThresholds.of_sensor(
         shade_share=options.shade_below,
         max_level=scene.sensor.max_level,
         saturated_from=scene.sensor.saturated_from,
@@ -249,8 +253,10 @@ def _objectives(
     chosen = objectives_named(
         options.objectives,
         # positions that were chosen before were chosen for the images of all postures together
-        lambda: Detectability(
-            unroll(build_catalogue(part)), options.seen_in, across_postures=options.places is not None
+        lambda: DetectabilityObjective(
+            defect_hypotheses(build_catalogue(part)),
+            options.seen_in,
+            across_postures=options.places is not None,
         ),
     )
     refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
@@ -272,22 +278,22 @@ class _Found:
     visibility: Sequence[PostureVisibility]
 
 
-def _search(problem: _Problem, matrices: Matrices, run: RunContext) -> _Found:
+def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
     """The best positions for every objective, exactly."""
     objectives, thresholds, options = problem.objectives, problem.thresholds, problem.options
-    free = candidates_beside(matrices, problem.rig, problem.all_candidates, len(objectives), run.warn)
+    free = candidates_of_others(matrices, problem.rig, problem.all_candidates, len(objectives), run.warn)
     if free is not None or options.places is None:
         run.inform(combinations_text(free or problem.candidates))
     first = objectives if free is None else objectives[:1]
-    results, visibility = searched(matrices, first, thresholds, run.rays, run.stage, run.warn)
+    results, visibility = search_objectives(matrices, first, thresholds, run.rays, run.stage, run.warn)
     if free is not None:
-        results = searched_beside(
+        results = search_other_objectives(
             matrices, free, results, objectives, thresholds, run.rays, run.stage, run.warn
         )
     if options.report:
         matrices.patches()
-    if matrices.coarse is not None:
-        run.warn(matrices.coarse)
+    if matrices.coarse_warning is not None:
+        run.warn(matrices.coarse_warning)
     return _Found(results=results, candidates=free or problem.candidates, visibility=visibility)
 
 
@@ -309,7 +315,7 @@ def _scored_on_all_images(
 
 def _complete(
     problem: _Problem,
-    matrices: Matrices,
+    matrices: PostureMatrices,
     found: _Found,
     plan: PlanOptions,
     postures: _ChosenPostures | None,

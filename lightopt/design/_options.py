@@ -9,11 +9,11 @@ from typing import Any, Literal
 from lightopt.config import points_problem
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.design.exposures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
+from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
 from lightopt.design.objectives._detectability import seen_in_problem
-from lightopt.design.postures._grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
+from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.design.responses._contrast import DEFAULT_CONTRAST, threshold_problem
-from lightopt.design.search._search import DEFAULT_LIMIT
+from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.design.tolerances._tolerances import Tolerances
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 

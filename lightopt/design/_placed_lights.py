@@ -15,12 +15,12 @@ from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
 from lightopt.design._result import SetResult, angles_of
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.exposures._brackets import Brackets
-from lightopt.design.exposures._exposures import plan_exposures
+from lightopt.design.exposures._plan_exposures import plan_exposures
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.postures._pair_visibility import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.design.responses._luminance_matrix import Thresholds
-from lightopt.design.tolerances._evaluation import ObjectiveAssessment, PairAssessment, Setup
-from lightopt.design.tolerances._robustness import trust_of
+from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.tolerances._analysis import analyse_tolerances
+from lightopt.design.tolerances._assessments import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.design.tolerances._tolerances import Tolerances
 from lightopt.images import posture_folder
 
@@ -59,7 +59,7 @@ class PlacedLights:
             points=self.options.points,
         )
 
-    def exposures(self, survey: Survey, plan: PlanOptions, stage: Tell | None) -> Brackets:
+    def exposures(self, survey: ImageEvaluator, plan: PlanOptions, stage: Tell | None) -> Brackets:
         """Further exposures that add enough."""
         postures = tuple(self.angles)
         setup = self.setup(None)
@@ -69,19 +69,19 @@ class PlacedLights:
             postures,
             [[setup.panel(i, light, (0.0, 0.0)) for light in lights] for i in range(len(postures))],
             plan.exposures,
-            least=self.options.seen_in,
+            seen_in=self.options.seen_in,
             gain_points=plan.exposure_gain,
             target=plan.target,
-            tell=of_stage(stage, "exposures"),
+            progress=of_stage(stage, "exposures"),
         )
 
     def tolerances(
         self,
-        survey: Survey,
+        survey: ImageEvaluator,
         tolerances: Tolerances,
         brackets: Brackets | None,
         objective: Objective,
-        thresholds: Thresholds,
+        thresholds: LevelThresholds,
         stage: Tell | None,
     ) -> tuple[ToleranceResult, ...]:
         """How far the objective's score falls, in each posture and in all together."""
@@ -93,7 +93,7 @@ class PlacedLights:
         return tuple(
             ToleranceResult(
                 postures=group,
-                robustness=trust_of(
+                robustness=analyse_tolerances(
                     self._assessment(drawn, self.setup(brackets, group), objective, thresholds),
                     [light.name for light in self.rig.lights],
                     tolerances,
@@ -107,13 +107,13 @@ class PlacedLights:
         )
 
     def _assessment(
-        self, drawn: Survey, setup: Setup, objective: Objective, thresholds: Thresholds
+        self, drawn: ImageEvaluator, setup: Setup, objective: Objective, thresholds: LevelThresholds
     ) -> PairAssessment | ObjectiveAssessment:
         if objective.name == DEFECT_OBJECTIVE:
-            return PairAssessment(drawn, setup, least=self.options.seen_in)
+            return PairAssessment(drawn, setup, seen_in=self.options.seen_in)
         # an objective of levels knows exposure 1 only
         return ObjectiveAssessment(
-            replace(drawn, inspection=None),
+            replace(drawn, detection=None),
             replace(setup, exposures=((1.0,),) * len(setup.postures)),
             objective=objective,
             thresholds=thresholds,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from lightopt.core.transforms import Posture
 from lightopt.design._commands import Command, Way
 from lightopt.design.exposures._brackets import Brackets
-from lightopt.design.postures._choice import Choice
-from lightopt.design.postures._grid import LeftOutPosture
-from lightopt.design.tolerances._robustness import Trust
+from lightopt.design.postures._choice import PostureChoice
+from lightopt.design.postures._posture_grid import ExcludedPosture
+from lightopt.design.tolerances._analysis import ToleranceAnalysis
 from lightopt.rendering import GRAZING_DEG
 
 SHARES_OF = (
@@ -50,9 +50,9 @@ class ChosenPostures:
     brackets: Which of them are planned; None where there was no offer.
     """
 
-    choice: Choice
+    choice: PostureChoice
     candidate_count: int
-    left_out: tuple[LeftOutPosture, ...]
+    left_out: tuple[ExcludedPosture, ...]
     way: Way
     pace: str
     least: int
@@ -76,14 +76,14 @@ class ChosenPostures:
     def proven(self) -> bool:
         """Whether no other postures with no other lights show more: then the alternating search can miss nothing."""
         cover = self.choice.cover
-        return cover.reached == cover.total or (self.choice.turns == 0 and cover.proven)
+        return cover.covered == cover.total or (self.choice.iterations == 0 and cover.proven)
 
     @property
     def sufficient(self) -> int:
         """How many of the postures, in the order in which they were chosen, come within a tenth of a point of all."""
         steps = self.choice.cover.steps
-        enough = (steps[-1].reached if steps else 0) - NEGLIGIBLE_SHARE * self.choice.cover.total
-        return next((i for i, step in enumerate(steps, start=1) if step.reached >= enough), len(steps))
+        enough = (steps[-1].covered if steps else 0) - NEGLIGIBLE_SHARE * self.choice.cover.total
+        return next((i for i, step in enumerate(steps, start=1) if step.covered >= enough), len(steps))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class ToleranceResult:
     """
 
     postures: tuple[Posture, ...]
-    robustness: Trust
+    robustness: ToleranceAnalysis
     unit: str
     patches: int
     grain: float

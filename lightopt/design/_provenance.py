@@ -8,7 +8,7 @@ from typing import Any
 from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.core.provenance import provenance
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.scene import Scene
 
@@ -22,7 +22,7 @@ def run_provenance(
     objectives: tuple[Objective, ...],
 ) -> Mapping[str, Any]:
     """What ``result.json`` says a run depends on."""
-    of_defects = any(isinstance(objective, Detectability) for objective in objectives)
+    of_defects = any(isinstance(objective, DetectabilityObjective) for objective in objectives)
     return provenance(
         input_hashes(rig, part),
         {

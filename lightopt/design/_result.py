@@ -11,8 +11,8 @@ from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.search._curves import Curve
+from lightopt.design.search._exact_search import SearchResult
 from lightopt.design.search._ranking import Ranked
-from lightopt.design.search._search import Found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class ObjectiveResult:
     """
 
     objective: Objective
-    found: Found
+    found: SearchResult
     scores: Mapping[str, int]
     details: Mapping[str, Any] = field(default_factory=dict[str, Any])
     nothing: str | None = None

@@ -150,7 +150,7 @@ def _way_dict(way: Way) -> dict[str, Any]:
 def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
     cover = chosen.choice.cover
     total = max(1, cover.total)
-    before = chosen.choice.before
+    before = chosen.choice.initial_if_moved
     return {
         "seen_in": chosen.least,
         "asked": chosen.requested,
@@ -162,8 +162,8 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "best_of_sets": cover.sets,
         "proven_with_these_lights": cover.proven,
         "greedy_guarantee": round(cover.guarantee, 6),
-        "fewest_possible": cover.least,
-        "all_candidates": round(cover.all_reached / total, 6),
+        "fewest_possible": cover.min_size,
+        "all_candidates": round(cover.all_covered / total, 6),
         "lights_as_they_stand": None
         if before is None
         else {"share": round(before.share, 6), "postures": before.postures, "share_of": INITIAL_SHARE_OF},
@@ -172,7 +172,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
                 **posture.as_dict(),
                 "exposures": list(chosen.exposures_of(posture)),
                 "gain": round(step.gain / (cover.k * total), 6),
-                "share": round(step.reached / total, 6),
+                "share": round(step.covered / total, 6),
             }
             for posture, step in zip(chosen.choice.postures, cover.steps, strict=True)
         ],
@@ -183,11 +183,11 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "left_out": [
             {**out.posture.as_dict(), "kind": out.kind, "reason": out.reason} for out in chosen.left_out
         ],
-        "turns": chosen.choice.turns,
+        "turns": chosen.choice.iterations,
         "starts": chosen.choice.starts,
         "every_combination_tried": chosen.choice.exact,
-        "turns_on_all_patches": chosen.choice.on_all,
-        "lights_best_for_postures": chosen.choice.exact and chosen.choice.settled,
+        "turns_on_all_patches": chosen.choice.on_all_patches,
+        "lights_best_for_postures": chosen.choice.exact and chosen.choice.converged,
         "patches": {
             "drawn": chosen.drawn,
             "all": chosen.patches,
@@ -214,9 +214,9 @@ def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
                 "exposure": shot.exposure,
                 "gain": round(shot.gain, 6),
                 "planned": shot.planned,
-                "planned_for": shot.why,
+                "planned_for": shot.reason,
             }
-            for shot in brackets.shots
+            for shot in brackets.further
         ],
     }
 

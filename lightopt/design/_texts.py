@@ -18,7 +18,7 @@ NOT_COUNTED = "not counted"
 
 def shown_text(value: int, objective: Objective, result: SetResult) -> str:
     """A score of a result with its unit, to the digits that its patches support."""
-    return objective.shown(value, result.grain * result.area)
+    return objective.format_score(value, result.grain * result.area)
 
 
 def score_text(value: int, objective: Objective, result: SetResult) -> str:
@@ -99,9 +99,9 @@ def combinations_counted_text(answer: ObjectiveResult) -> str:
     return text + (f", {found.left:,} left" if found.left else "")
 
 
-def patches_text(drawn: int, patches: int, *, on_all: bool) -> str:
+def patches_text(drawn: int, patches: int, *, on_all_patches: bool) -> str:
     """On which patches postures and lights were chosen."""
-    if not on_all:
+    if not on_all_patches:
         return f"on {drawn:,} of {patches:,} patches"
     return (
         f"on all {patches:,} patches"

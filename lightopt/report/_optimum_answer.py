@@ -10,7 +10,7 @@ from lightopt.core.transforms import Posture
 from lightopt.design import (
     LEFT_OUT_MEANING,
     DesignOutput,
-    Detectability,
+    DetectabilityObjective,
     ObjectiveResult,
     SetResult,
     angles_of,
@@ -109,7 +109,9 @@ def _answer(result: SetResult) -> Answer:
     score = shown_text(best.found.best.score, best.objective, result)
     if share is None:
         return Answer(figure=score, text=f"by {best.objective.name}, {where}")
-    surface = "surface × defects (by weight)" if isinstance(best.objective, Detectability) else "surface"
+    surface = (
+        "surface × defects (by weight)" if isinstance(best.objective, DetectabilityObjective) else "surface"
+    )
     added = ", added up" * (len(result.postures) > 1)
     return Answer(
         figure=share_text(share, result.grain),
@@ -154,7 +156,7 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
         return f"{bound} No light moves."
     tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"
     drawn, patches = chosen["patches"]["drawn"], chosen["patches"]["all"]
-    where = patches_text(drawn, patches, on_all=chosen["turns_on_all_patches"])
+    where = patches_text(drawn, patches, on_all_patches=chosen["turns_on_all_patches"])
     if chosen["lights_best_for_postures"]:
         bound += " Proven: in these postures no other positions of the lights show more."
     return (

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from lightopt.core.errors import counted
-from lightopt.design import DIRECTIONS, DesignOutput, unroll
+from lightopt.design import DIRECTIONS, DesignOutput, defect_hypotheses
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Block, Facts, Table
 from lightopt.scene import PanelLight, build_catalogue
 
 
 def fact_blocks(output: DesignOutput) -> list[Block]:
-    """Thresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
+    """LevelThresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
     blocks: list[Block] = [
         Facts(rows=[*_physics(output), *_search(output)]),
         Facts(rows=_provenance(output)),
@@ -98,7 +98,7 @@ def _defects(output: DesignOutput) -> list[tuple[str, str]]:
     if "threshold" not in options:
         return []
     entries = build_catalogue(output.result.part)
-    trials = counted(len(unroll(entries)), "trial")
+    trials = counted(len(defect_hypotheses(entries)), "trial")
     images = counted(options["seen_in"], "image")
     visible = (
         f"where the level changes by {options['threshold']:g} times the noise or more (--threshold), in {images} or "

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lightopt.design import Curve, DesignOutput, Detectability, SetResult, share_of_whole
+from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResult, share_of_whole
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.report._canvas import png_bytes
 from lightopt.report._chart import ChartLine, ChartPanel, chart_image
@@ -147,7 +147,7 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     ]
     where = postures_text(result)
     area = best.objective.share_of is not None
-    surface = f"inspectable surface{' × defects' * isinstance(best.objective, Detectability)}"
+    surface = f"inspectable surface{' × defects' * isinstance(best.objective, DetectabilityObjective)}"
     label = f"% of the {surface}" if area else best.objective.unit
     image = chart_image(
         title=f"{best.objective.name}, {where}",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture
-from lightopt.design import DesignOutput, Levels, Thresholds, area_text, area_units, share_text
+from lightopt.design import DesignOutput, Levels, LevelThresholds, area_text, area_units, share_text
 from lightopt.rendering import GRAZING_DEG, grain_of
 from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
@@ -47,7 +47,7 @@ class PostureClasses:
     grain: float
 
 
-def level_classes(levels: Levels, thresholds: Thresholds) -> NDArray[np.uint8]:
+def level_classes(levels: Levels, thresholds: LevelThresholds) -> NDArray[np.uint8]:
     """Class of each inspectable patch (:data:`LEVEL_CLASSES`) by its levels under each light, shape (lights, p)."""
     saturated = levels >= thresholds.saturation
     usable = ((levels >= thresholds.shade) & ~saturated).sum(axis=0)

@@ -66,7 +66,7 @@ def test_the_others_are_found_as_without_it(three):
 def test_where_they_cannot_be_searched_it_is_said_that_they_are_only_scored(
     three, places, room, why, monkeypatch
 ):
-    real = matrices.Matrices.holds
+    real = matrices.PostureMatrices.fits_memory
 
     def holds(self, candidates):
         with monkeypatch.context() as small:
@@ -74,7 +74,7 @@ def test_where_they_cannot_be_searched_it_is_said_that_they_are_only_scored(
                 small.setattr(matrices, "MOST_BYTES", 1000)
             return real(self, candidates)
 
-    monkeypatch.setattr(matrices.Matrices, "holds", holds)
+    monkeypatch.setattr(matrices.PostureMatrices, "fits_memory", holds)
     chosen = replace(OPTIONS, objectives=("detectability", "paper"), places=places)
     found = design(three.rig, three.part, three.out, options=chosen)
     assert [answer.found.scored for answer in found.results[0].answers] == [1, 1]

@@ -9,10 +9,17 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
-from lightopt.design import BlindReason, LuminanceMatrix, Thresholds, Visibility, blind_text, unroll
+from lightopt.design import (
+    BlindReason,
+    LevelThresholds,
+    LuminanceMatrix,
+    Visibility,
+    blind_text,
+    defect_hypotheses,
+)
 from lightopt.design.blind_spots._blind_spots import blind_spots, combined_visibility, defect_visibility
 
-THRESHOLDS = Thresholds(shade=10, saturation=255, black=2)
+THRESHOLDS = LevelThresholds(shade=10, saturation=255, black=2)
 
 
 def dent(slope_deg, name="dent"):
@@ -33,7 +40,7 @@ def pack(flags):
 def visibility_of(flags, trials, areas, *, patch=None, grazing=()):
     count = len(areas)
     return Visibility(
-        trials=trials,
+        hypotheses=trials,
         words=tuple(pack(layer) for layer in flags),
         areas=np.asarray(areas, float),
         patch=np.arange(count, dtype=np.int32) if patch is None else np.asarray(patch, np.int32),
@@ -42,7 +49,7 @@ def visibility_of(flags, trials, areas, *, patch=None, grazing=()):
 
 
 def test_built_in_catalogue_unrolls_to_walls_all_around_and_each_entry_weighs_the_same():
-    trials = unroll(BUILT_IN_CATALOGUE)
+    trials = defect_hypotheses(BUILT_IN_CATALOGUE)
     assert len(trials) == 5 * 8 + 2
     for entry in BUILT_IN_CATALOGUE:
         own = [trial for trial in trials if trial.name == entry.name]
@@ -67,14 +74,14 @@ def test_built_in_catalogue_unrolls_to_walls_all_around_and_each_entry_weighs_th
 )
 def test_what_cannot_be_planned_for_is_refused(catalogue, directions, found):
     with pytest.raises(InputError, match=found):
-        unroll(catalogue, directions=directions)
+        defect_hypotheses(catalogue, directions=directions)
 
 
 def test_counts_and_weights_are_those_of_the_flags():
     rng = np.random.default_rng(0)
     catalogue = [dent(1.0 + k, f"dent {k}") for k in range(9)]
     catalogue.append(CatalogueEntry("stain", DefectShape(kind="stain", length=1, width=1, R_d_factor=0.5)))
-    trials = unroll(catalogue)
+    trials = defect_hypotheses(catalogue)
     sizes, patches = (3, 2, 4), 17
     flags = [rng.random((size, patches, len(trials))) < 0.4 for size in sizes]
     some = visibility_of(flags, trials, rng.random(patches))
@@ -92,7 +99,7 @@ def test_counts_and_weights_are_those_of_the_flags():
 
 
 def test_visibility_of_other_images_is_refused():
-    trials = unroll([dent(2.0)])
+    trials = defect_hypotheses([dent(2.0)])
     some = visibility_of([np.ones((2, 3, 8)), np.ones((1, 3, 8))], trials, np.ones(3))
     levels = tuple(np.zeros((size, 3), np.uint8) for size in (2, 1))
     assert LuminanceMatrix(levels=levels, areas=np.ones(3), visibility=some).visibility is some
@@ -103,7 +110,7 @@ def test_visibility_of_other_images_is_refused():
 
 
 def test_reasons_are_those_that_stand_in_between():
-    trials = unroll([dent(2.0)])
+    trials = defect_hypotheses([dent(2.0)])
     # patches: seen in both; two images, no contrast; one dark; one saturated; one dark and one saturated
     levels = (
         np.array([[90, 90, 2, 255, 255]], np.uint8),
@@ -162,7 +169,7 @@ def matrix_with(flags, levels, trials):
 
 
 def test_all_positions_count_each_for_itself_and_postures_complete_each_other():
-    trials = unroll([dent(2.0)])
+    trials = defect_hypotheses([dent(2.0)])
     levels = (np.array([[255], [60]], np.uint8), np.array([[2], [2]], np.uint8))
     flags = [np.zeros((2, 1, 8), bool) for _ in levels]
     flags[0][0, 0, :4] = True
@@ -183,7 +190,7 @@ def test_all_positions_count_each_for_itself_and_postures_complete_each_other():
 
 
 def test_images_of_other_postures_confirm_and_other_exposures_of_a_light_do_not():
-    trials = unroll([dent(2.0)])
+    trials = defect_hypotheses([dent(2.0)])
     flags = [np.zeros((1, 1, 8), bool) for _ in range(2)]
     flags[0][0, 0] = True
     levels = (np.array([[60]], np.uint8), np.array([[2]], np.uint8))

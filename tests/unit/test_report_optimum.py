@@ -15,8 +15,8 @@ from lightopt.design import (
     BLIND_CLASSES,
     BlindReason,
     Curve,
+    LevelThresholds,
     OptimizeOptions,
-    Thresholds,
     area_text,
     area_units,
     finish_design,
@@ -161,7 +161,7 @@ def test_every_patch_is_painted_as_its_levels_say(done, blocks):
 
 def test_classes_at_the_thresholds():
     levels = np.array([[9, 10, 254, 255, 10, 255], [9, 9, 10, 255, 255, 9]], np.uint8)
-    classes = level_classes(levels, Thresholds(shade=10, saturation=255))
+    classes = level_classes(levels, LevelThresholds(shade=10, saturation=255))
     assert classes.tolist() == [3, 1, 0, 2, 1, 3]
 
 

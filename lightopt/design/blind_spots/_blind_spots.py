@@ -24,8 +24,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
-from lightopt.design.responses._packed_bits import Words, add_image, added
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
+from lightopt.design.responses._packed_bits import Words, add_counts, add_image
 from lightopt.design.responses._visibility import Visibility
 from lightopt.rendering import grain_of
 
@@ -117,7 +117,7 @@ class DefectVisibility:
 
 def defect_visibility(
     matrices: Iterable[LuminanceMatrix],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     least: int,
     candidates: Sequence[int] | None = None,
@@ -161,7 +161,7 @@ def _without_images(visibility: Visibility, least: int) -> DefectVisibility:
     count = len(visibility.areas)
     return DefectVisibility(
         visibility=visibility.rows([np.zeros(0, np.int64)] * len(visibility.words)),
-        counts=np.zeros((least, count, -(-len(visibility.trials) // 64)), np.uint64),
+        counts=np.zeros((least, count, -(-len(visibility.hypotheses) // 64)), np.uint64),
         usable=np.zeros(count, np.int32),
         saturated=np.zeros(count, np.int32),
         first=np.full(count, -1, np.int16),
@@ -178,7 +178,7 @@ def combined_visibility(one: DefectVisibility, other: DefectVisibility) -> Defec
     """What the images of different lights show together in the same posture."""
     return DefectVisibility(
         visibility=one.visibility,
-        counts=added(one.counts, other.counts),
+        counts=add_counts(one.counts, other.counts),
         usable=one.usable + other.usable,
         saturated=one.saturated + other.saturated,
         first=np.where(one.first < 0, other.first, one.first),
@@ -206,7 +206,7 @@ def blind_spots(areas: NDArray[np.float64], postures: Sequence[DefectVisibility]
         patch, grazing = shown.visibility.patch, shown.visibility.grazing
         sight[grazing] = np.maximum(sight[grazing], 1)
         sight[patch] = 2
-        counts[:, patch] = added(counts[:, patch], shown.counts)
+        counts[:, patch] = add_counts(counts[:, patch], shown.counts)
         usable[patch] += shown.usable
         saturated[patch] += shown.saturated
         first[patch] = np.where(first[patch] < 0, shown.first, first[patch])

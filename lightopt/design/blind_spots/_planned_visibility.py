@@ -11,19 +11,19 @@ from lightopt.design._plan_progress import Share
 from lightopt.design.blind_spots._blind_spots import DefectVisibility, combined_visibility, defect_visibility
 from lightopt.design.blind_spots._summary import PostureVisibility
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.postures._pair_visibility import Survey
-from lightopt.design.responses._luminance_matrix import Thresholds
-from lightopt.design.tolerances._evaluation import Setup
+from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.tolerances._assessments import Setup
 from lightopt.scene import PanelLight
 
 
 def planned_visibility(
-    survey: Survey,
+    survey: ImageEvaluator,
     setup: Setup,
     candidates: Candidates | None,
     *,
     all_exposures: tuple[float, ...],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     least: int,
     progress: Share | None = None,
 ) -> tuple[PostureVisibility, ...]:
@@ -46,11 +46,11 @@ def planned_visibility(
 
 
 def _possible(
-    survey: Survey,
+    survey: ImageEvaluator,
     posture: Posture,
     positions: Sequence[Sequence[PanelLight]],
     exposures: tuple[float, ...],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     least: int,
 ) -> DefectVisibility:
     # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold

@@ -18,8 +18,8 @@ from lightopt.design.blind_spots._blind_spots import (
     blind_text,
     defect_visibility,
 )
-from lightopt.design.objectives._detectability import Detectability
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
+from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 
 BLIND_SHARES_OF = "the part's surface but what the camera sees at a grazing angle only, × defects by weight"
 """What shares of blind spots are shares of."""
@@ -52,7 +52,7 @@ class BlindSpotSummary:
     chosen_in, possible_in: The same of the images of each posture alone.
     """
 
-    objective: Detectability
+    objective: DetectabilityObjective
     lights: tuple[str, ...]
     postures: tuple[Posture, ...]
     chosen: BlindSpots
@@ -64,7 +64,7 @@ class BlindSpotSummary:
     def of(
         visibility: Sequence[PostureVisibility],
         areas: NDArray[np.float64],
-        objective: Detectability,
+        objective: DetectabilityObjective,
         lights: Sequence[str],
     ) -> BlindSpotSummary:
         """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
@@ -118,7 +118,7 @@ class BlindSpotSummary:
 def posture_visibility(
     matrix: LuminanceMatrix,
     posture: Posture,
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     seen_in: int,
     candidates: Sequence[int],

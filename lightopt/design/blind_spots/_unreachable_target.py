@@ -18,9 +18,9 @@ from lightopt.design.blind_spots._blind_spots import (
     defect_visibility,
 )
 from lightopt.design.objectives._objective import share_text
-from lightopt.design.postures._choice import Choice
-from lightopt.design.postures._pair_visibility import Survey
-from lightopt.design.responses._luminance_matrix import Thresholds
+from lightopt.design.postures._choice import PostureChoice
+from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.responses._luminance_matrix import LevelThresholds
 
 NEAR_SHARE = 0.01
 """The message names how many postures come this near to all of them."""
@@ -53,7 +53,9 @@ class TargetNotReached(CheckFailed):
         self.target, self.steps, self.grain = target, steps, grain
 
 
-def target_not_reached(target: float, choice: Choice, survey: Survey, *, least: int) -> TargetNotReached:
+def target_not_reached(
+    target: float, choice: PostureChoice, survey: ImageEvaluator, *, least: int
+) -> TargetNotReached:
     """What `choice`, which falls short of the target, can reach by how many postures, and why no more.
 
     `survey` is of all candidate postures; `least` images must show a pair.
@@ -61,7 +63,7 @@ def target_not_reached(target: float, choice: Choice, survey: Survey, *, least: 
     cover = choice.cover
     steps = tuple(
         PostureCountStep(
-            posture=posture, share=step.reached / max(1, cover.total), bound=cover.bound_of(number)
+            posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number)
         )
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
@@ -70,10 +72,10 @@ def target_not_reached(target: float, choice: Choice, survey: Survey, *, least: 
     )
 
 
-def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
+def _text(target: float, choice: PostureChoice, survey: ImageEvaluator, least: int) -> str:
     cover, offered = choice.cover, len(survey.table.postures)
     text = partial(share_text, grain=survey.table.grain, short_of=target)
-    most = cover.all_reached / max(1, cover.total)
+    most = cover.all_covered / max(1, cover.total)
     asked = f"{100.0 * target:.9g} %"
     if most >= target:
         return (
@@ -84,7 +86,7 @@ def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
         )
     lost = _lost(choice, survey, least)
     near = next(
-        (i for i, step in enumerate(cover.steps, 1) if step.reached >= (most - NEAR_SHARE) * cover.total),
+        (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
     )
     return (
@@ -95,11 +97,11 @@ def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
     )
 
 
-def _which(choice: Choice) -> str:
-    return "the best lights found (others may show more)" if choice.turns else "the lights as they stand"
+def _which(choice: PostureChoice) -> str:
+    return "the best lights found (others may show more)" if choice.iterations else "the lights as they stand"
 
 
-def _hint(lost: Mapping[int, float], survey: Survey) -> str:
+def _hint(lost: Mapping[int, float], survey: ImageEvaluator) -> str:
     # more light helps where there is too little of it
     dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
     if max(survey.exposures) > 1.0 or dim <= 0.5 * sum(lost.values()):
@@ -107,9 +109,9 @@ def _hint(lost: Mapping[int, float], survey: Survey) -> str:
     return "Longer exposures may show some of it: offer them, such as --exposures 1,4,16. "
 
 
-def _lost(choice: Choice, survey: Survey, least: int) -> dict[int, float]:
+def _lost(choice: PostureChoice, survey: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
-    thresholds = Thresholds.of_sensor(
+    thresholds = LevelThresholds.of_sensor(
         shade_share=0.0,
         max_level=survey.scene.sensor.max_level,
         saturated_from=survey.scene.sensor.saturated_from,
@@ -125,7 +127,7 @@ def _lost(choice: Choice, survey: Survey, least: int) -> dict[int, float]:
     return blind_spots(areas, seen).by_reason()
 
 
-def _reasons(lost: Mapping[int, float], choice: Choice) -> str:
+def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
     whole = max(sum(lost.values()), 1e-12)
     names = [panel.name for panel in choice.panels]
     ordered = sorted(lost.items(), key=lambda item: (-item[1], item[0]))
